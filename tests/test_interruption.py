@@ -75,33 +75,15 @@ def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
     def train(out: Path) -> list[str]:
         resume = ["--resume"] if (out / "last.pt").exists() else []
-        return [
-            "-m",
-            "gns.train",
-            str(folder / "dataset"),
-            "--out",
-            str(out),
-            *TINY,
-            "--updates",
-            "12",
-            "--validations",
-            "4",
-            *resume,
-        ]
+        flags = [str(folder / "dataset"), "--out", str(out), *TINY, "--updates", "12", "--validations", "4"]
+        return ["-m", "gns.train", *flags, *resume]
 
+    problem, coverage = str(folder / "problem.toml"), ["-m", "validation.bench", "coverage", "--quick"]
     arguments, result = {
         "generate": (lambda out: [*generate, "--out", str(out)], breaking.dataset_files),
         "train": (train, breaking.trained),
-        "loop": (
-            lambda out: ["-m", "validation.loop", str(folder / "problem.toml"), "--out", str(out)],
-            breaking.answer,
-        ),
-        "bench": (
-            lambda out: [
-                *("-m", "validation.bench", "coverage", "--quick", "--out", str(out), "--keep", str(out / "keep"))
-            ],
-            breaking.twins,
-        ),
+        "loop": (lambda out: ["-m", "validation.loop", problem, "--out", str(out)], breaking.answer),
+        "bench": (lambda out: [*coverage, "--out", str(out), "--keep", str(out / "keep")], breaking.twins),
     }[request.param]
     found = Command(arguments=arguments, result=result, expected={}, seconds=0.0, size=0)
     # The first run may compile kernels.

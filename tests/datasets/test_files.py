@@ -1,15 +1,23 @@
-"""A file appears whole or stays as it was."""
+"""A file appears whole or stays as it was; one process at a time writes into a folder, and a dead one holds nothing."""
 
 import errno
 import json
 import os
+import signal
+import subprocess
+import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from filelock import FileLock
 
+from datasets.command_line import run
 from datasets.files import PART, remove_own_parts, replacing, write_json, write_text
+from datasets.lock import HOLDER, LOCK, locked
 
 
 def test_a_failing_block_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -87,3 +95,82 @@ def test_json_has_no_nan(tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     write_json(path, {"loss": [float("nan"), 0.5], "best": (float("inf"), 1)})
     assert json.loads(path.read_text(), parse_constant=pytest.fail) == {"loss": [None, 0.5], "best": [None, 1]}
+
+
+ROOT = Path(__file__).parents[2]
+HOLD = "import sys; from pathlib import Path; from datasets.lock import locked\nwith locked(Path(sys.argv[1])): "
+
+
+@contextmanager
+def holding(folder: Path) -> Iterator["subprocess.Popen[str]"]:
+    """A process that holds `folder` until it is killed."""
+    code = f"{HOLD}print('held', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(folder)],
+        cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        yield process
+        process.kill()
+
+
+def test_the_second_one_is_refused_and_knows_who_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def write(*, out: Path) -> None:
+        """Write."""
+        with locked(out):
+            pytest.fail("both are in")
+
+    with holding(tmp_path) as process:
+        assert run(write, "write", ["--out", str(tmp_path)]) == 1
+        error = capsys.readouterr().err
+        assert error.startswith(f"talus: {tmp_path}: process {process.pid} on ")
+        assert error.count("\n") == 1
+        assert (tmp_path / HOLDER).read_text() in error
+
+
+def test_the_lock_of_a_dead_process_is_free_and_its_parts_go(tmp_path: Path) -> None:
+    with holding(tmp_path) as process:
+        (tmp_path / f"{PART}a-x.npz").write_text("half")
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        assert (tmp_path / HOLDER).exists()
+        with locked(tmp_path):
+            assert f"process {os.getpid()} on " in (tmp_path / HOLDER).read_text()
+            assert sorted(path.name for path in tmp_path.iterdir()) == [LOCK, HOLDER]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_many_processes_are_in_one_after_another(tmp_path: Path) -> None:
+    """Each adds one to a number, again and again where it is refused; the file of the lock comes and goes."""
+    (tmp_path / "number").write_text("0")
+    code = f"""
+import time
+from datasets.command_line import WorkFailed
+from pathlib import Path
+from datasets.lock import locked
+done, number = 0, Path({str(tmp_path)!r}) / "number"
+while done < 20:
+    try:
+        with locked(number.parent):
+            number.write_text(str(int(number.read_text()) + 1))
+            done += 1
+    except WorkFailed:
+        time.sleep(0.001)
+"""
+    processes = [subprocess.Popen([sys.executable, "-c", code], cwd=ROOT) for _ in range(3)]
+    assert [process.wait(timeout=120.0) for process in processes] == [0, 0, 0]
+    assert (tmp_path / "number").read_text() == "60"
+
+
+def test_a_file_system_without_locks_is_stated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(FileLock, "acquire", refuse)
+    with locked(tmp_path):
+        assert (tmp_path / HOLDER).exists()
+    assert "no locks on this file system" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

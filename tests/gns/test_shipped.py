@@ -12,7 +12,6 @@ import gns
 from datasets import measures
 from datasets.library import read_scene
 from gns.initial import initial_state
-from gns.library import models
 from gns.simulator import Simulator
 from gns.unroll import unroll
 
@@ -69,9 +68,3 @@ def test_what_the_package_gives_is_listed_and_a_help_needs_no_torch() -> None:
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert said[0] == "False"
     assert {"load", "predict", "simulate"} <= set(said)
-
-
-def test_every_model_that_ships_loads_by_its_name() -> None:
-    for path in models():
-        by_name, by_path = (gns.load(model).state_dict() for model in (path.stem, path))
-        assert all(torch.equal(by_name[name], by_path[name]) for name in by_name)

@@ -19,7 +19,7 @@ from gns.samples import Sampler, flows_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.train import train
-from gns.training import LAST, UnrolledLoss, learning_rate, rollout_loss, unrolled_steps
+from gns.training import LAST, UnrolledLoss, rollout_loss
 from tests.gns.conftest import NORMALISATION, TINY, rows
 
 
@@ -29,16 +29,6 @@ def test_the_loss_measures_positions_and_displacements() -> None:
     # Errors over s = 2: positions 0.5 and 1.5 / 2 = 0.75, displacements 0.5 and 1.
     expected = (0.125 + 0.28125) / 2 + (0.125 + 0.5) / 2
     assert rollout_loss(positions, targets, 2.0).item() == pytest.approx(expected)
-
-
-def test_the_schedules_of_steps_and_rate() -> None:
-    assert [unrolled_steps((1, 2, 2, 8), progress) for progress in (0.0, 0.24, 0.26, 0.7, 0.8, 1.0)] == [
-        1, 1, 2, 2, 8, 8,
-    ]  # fmt: skip
-    settings = TrainingSettings(warmup=5, learning_rate=1e-2)
-    assert learning_rate(settings, 0.0, 0) == pytest.approx(1e-2 / 5)
-    assert learning_rate(settings, 0.0, 100) == pytest.approx(1e-2)
-    assert learning_rate(settings, 1.0, 100) == pytest.approx(1e-5)
 
 
 def test_what_fits_into_the_memory_is_kept_and_the_rest_makes_no_difference(

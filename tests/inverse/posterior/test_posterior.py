@@ -68,17 +68,6 @@ def test_a_posterior_wider_than_its_region_leaves_it() -> None:
     assert np.all(found.region.high > narrow.high)
 
 
-def test_noise_adds_to_the_scatter() -> None:
-    rng = np.random.default_rng(1)
-    points = rng.random((40, 1))
-    numbers = 2.0 * points + 0.01 * rng.standard_normal((40, 1))
-    found = posterior(
-        points, numbers, target_of(np.array([1.0]), deviation=np.array([0.1])), scatter=np.array([0.01]), rng=rng
-    )
-    assert np.sqrt(found.samples.covariance[0, 0]) == pytest.approx(0.05, rel=0.2)
-    assert found.likelihood.freedom > 1000.0
-
-
 def test_a_weak_parameter_has_a_direction_of_its_own() -> None:
     """One moves 400 numbers by less than the others curve them: principal components alone would lose it."""
     rng = np.random.default_rng(0)

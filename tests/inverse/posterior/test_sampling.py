@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from inverse.posterior.answers import half_widths, parts
-from inverse.posterior.sampling import reflected, sample, systematic
+from inverse.posterior.answers import parts
+from inverse.posterior.sampling import sample
 
 Matrix = NDArray[np.float64]
 
@@ -60,11 +60,3 @@ def test_a_curved_ridge_is_one_part_and_a_ring_has_no_answer_in_its_middle() -> 
 def test_what_is_not_constrained_has_the_prior() -> None:
     found = sample(lambda points: gaussian(points[:, :1], np.array([0.5]), 0.05), np.random.default_rng(0), **whole(2))
     assert np.sqrt(found.covariance[1, 1]) == pytest.approx(np.sqrt(1.0 / 12.0), rel=0.05)
-
-
-def test_small_things() -> None:
-    np.testing.assert_allclose(reflected(np.array([[-0.2, 1.3, 0.4, 2.1]])), [[0.2, 0.7, 0.4, 0.1]])
-    counts = np.bincount(systematic(np.array([0.5, 0.25, 0.25]), 8, np.random.default_rng(0)))
-    np.testing.assert_array_equal(counts, [4, 2, 2])
-    points = np.linspace(0.0, 1.0, 101)[:, None]
-    assert half_widths(points, np.full(101, 1.0 / 101), np.array([0.5]))[0] == pytest.approx(0.475, abs=0.011)

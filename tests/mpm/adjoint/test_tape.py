@@ -102,11 +102,6 @@ def test_frames_that_are_none_are_refused(frames: list[int]) -> None:
         Tape([plane()], frames, threads=1)
 
 
-def test_scenes_of_two_kinds_are_refused() -> None:
-    with pytest.raises(InputError, match="scenes of one kind"):
-        Tape([plane(), plane(damping=0.1)], [8], threads=1)
-
-
 def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where more bars are cut than may be: here all that are not 0."""
     scene = plane(step_fraction=0.9)

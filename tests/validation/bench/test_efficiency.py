@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from datasets.particles import initial_particles
 from inverse.forward.interface import Evaluation
 from inverse.parameters import Vector
 from inverse.problem import read_problem
 from validation.bench import efficiency, searches
 from validation.bench.__main__ import main
-from validation.bench.blocks import blocks, blocks_problem
+from validation.bench.blocks import blocks_problem
 from validation.bench.efficiency import Compared, Gradient, Method, differences, draw_gradients, draw_searches, page
 from validation.bench.searches import PAPER, By, Searched, descend, explore
 from validation.report import plots
@@ -34,18 +32,6 @@ def evaluation(at: Vector) -> Evaluation:
     """(u - 35)^2 of one number, with its slope."""
     off = at - 35.0
     return Evaluation(parameters=at, observation=at, residual=off, gradient=2.0 * off, forward_s=0.1)
-
-
-def test_all_cuts_have_the_same_particles() -> None:
-    def particles(columns: int, layers: int) -> NDArray[np.floating]:
-        scene = dataclasses.replace(blocks(columns, layers), jitter=0.0)
-        assert len(scene.masses) == columns * layers
-        return np.sort(initial_particles(scene).positions, axis=0)
-
-    for cut in ((1, 10), (10, 10)):
-        np.testing.assert_allclose(particles(*cut), particles(1, 1), atol=1e-6)
-    speeds = [mass.velocity[0] for mass in blocks(1, 10).masses if mass.velocity]
-    assert speeds == sorted(speeds, reverse=True)
 
 
 def test_differences_of_some_columns_are_those_of_the_whole_gradient() -> None:

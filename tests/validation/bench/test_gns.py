@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.definitions import flow2d
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from validation.bench.__main__ import main
 from validation.bench.gns import Compared, Measured, Model, draw, mpm_seconds, page
-from validation.bench.held_out import Errors, HeldOut, at_wall, coarse, deposit_of, held_out, out_of_range
+from validation.bench.held_out import Errors, HeldOut, at_wall, deposit_of
 from validation.report import plots
 
 BLOCK = Scene(
@@ -54,29 +53,6 @@ def test_errors_of_deposits_of_known_length() -> None:
     assert Errors.of_flow(stretched(BLOCK, 2.0), truth) == Errors(front=0.0, profile=0.0)
     assert not at_wall(truth, BLOCK)
     assert at_wall(deposit_of(stretched(BLOCK, 4.5)), BLOCK)
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_coarser_runs_are_as_coarse_as_they_say(dimension: int) -> None:
-    # A height of 19 fine cells, a prime: no coarser one fits into it.
-    scene = dataclasses.replace(
-        BLOCK,
-        domain=Domain(size=(0.96, 0.38, 0.48)[:dimension], cell=0.02),
-        masses=(Mass(lower=(0.0,) * dimension, size=(0.24, 0.2, 0.24)[:dimension]),),
-    )
-    found = [coarse(scene, cells) for cells in (3, 5, 10)]
-    coarsest, *others = (0.2 / each.domain.cell for each in found)
-    assert 3.0 <= coarsest < 3.4
-    assert others == pytest.approx([5.0, 10.0])
-    assert all(0.0 <= each.domain.size[1] - 0.38 < each.domain.cell for each in found)
-
-
-def test_held_out_scenes_are_of_all_kinds_and_the_same_each_time() -> None:
-    kinds = {each.__name__ for each in flow2d.KINDS}
-    some = held_out(2, len(kinds))
-    assert some[:4] == held_out(2, 4)
-    assert {each.kind for each in some} == kinds
-    assert len({each.to_json() for each in out_of_range().values()}) == len(out_of_range())
 
 
 def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Model:
