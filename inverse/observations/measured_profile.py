@@ -2,7 +2,7 @@
 
     h = (height - datum) in metres;    |1 - A / A0| within a bound,  A = int h dx,  A0 = released volume over the width
 
-Rows begin and end at a wall, a distance of rows from it at most, or where the deposit does.
+What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for.
 """
 
 import math
@@ -21,6 +21,10 @@ Floats = NDArray[np.float64]
 
 EDGE = 0.01
 """Height over the largest, below which a deposit has ended."""
+FURTHEST = 2.0
+"""Distances of the last two rows over which a profile is extrapolated."""
+ALONG = 4
+"""Rows whose slope is that of an extrapolation: of two it would be their noise."""
 BELOW = 0.05
 """Height over the largest, by which noise may put a row beneath the floor; it counts as 0."""
 RARE = 0.05
@@ -113,21 +117,45 @@ def check_heights(height: Floats) -> None:
 
 
 def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
-    """The profile from wall to wall or to its edges: a wall is as high as a row no further from it than from the next.
+    """The profile with its ends at a wall or at the deposit's edge. Raises InputError where they are too far.
 
-    Raises InputError for rows that end in the middle of the deposit.
+    An end at which the deposit goes on is extrapolated along its last rows, towards larger x only downwards.
     """
-    walls: list[list[tuple[float, float]]] = []
-    for wall, gap, spacing, row in ((0.0, x[0], x[1] - x[0], 0), (length, length - x[-1], x[-1] - x[-2], -1)):
-        goes_on = gap > 0.0 and height[row] > EDGE * height.max()
-        if goes_on and gap > spacing * (1.0 + 1e-9):
+    first = extrapolated(x[0], height[0], slope_of(x[:ALONG], height[:ALONG]), x[1] - x[0], height.max())
+    slope = slope_of(x[-ALONG:], height[-ALONG:])
+    last = extrapolated(length - x[-1], height[-1], -min(slope, 0.0), x[-1] - x[-2], height.max())
+    for end, last_x, value, wall in ((first, x[0], height[0], 0.0), (last, x[-1], height[-1], length)):
+        if end is None:
             raise InputError(
-                f"expected rows as far as the wall at x = {wall:g} m or the edge of the deposit, where a height is 0; "
-                f"the profile ends at x = {x[row]:g} m with a height of {height[row]:g} m"
+                f"expected rows as far as the wall at x = {wall:g} m or the edge of the deposit, the profile ends at "
+                f"x = {last_x:g} m with a height of {value:g} m"
             )
-        walls.append([(wall, float(height[row]))] if goes_on else [])
-    rows = np.array([*walls[0], *zip(x, height, strict=True), *walls[1]])
+    before = [(x[0] - step, h) for step, h in first or []]
+    beyond = [(x[-1] + step, h) for step, h in last or []]
+    rows = np.array([*before, *zip(x, height, strict=True), *beyond])
     return MeasuredProfile(x=rows[:, 0], height=rows[:, 1])
+
+
+def slope_of(x: Floats, height: Floats) -> float:
+    """Least-squares slope [-] of a few rows [m]."""
+    off = x - x.mean()
+    return float(off @ height / (off @ off))
+
+
+def extrapolated(
+    gap: float, height: float, fall: float, spacing: float, largest: float
+) -> list[tuple[float, float]] | None:
+    """Rows (distance from the last one, height) [m] at an end `gap` [m] from its wall; None where it is too far.
+
+    height: of the last row [m]; fall: slope of the height towards the wall, downwards positive [-]; spacing: of the
+    last rows [m]; largest: height of the deposit [m].
+    """
+    if height <= EDGE * largest or gap <= 0.0:
+        return []
+    step = min(gap, height / fall) if fall > 0.0 else gap
+    if step > FURTHEST * spacing * (1.0 + 1e-9):
+        return None
+    return [(step, max(0.0, height - fall * step))]
 
 
 def check_area(profile: MeasuredProfile, heights: Heights, released: float) -> None:

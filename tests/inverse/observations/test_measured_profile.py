@@ -57,7 +57,7 @@ def operator_of(problem: Problem) -> Profile:
     [
         (100.0 * X, 100.0 * HEIGHT, {"unit": LengthUnit.CENTIMETRE}),
         (X / 0.3048, HEIGHT / 0.3048 - 3.0, {"unit": LengthUnit.FOOT, "datum": -3.0}),
-        (X[:22], HEIGHT[:22], {}),
+        (X[:21], HEIGHT[:21], {}),
         (X, HEIGHT, {"heights": Heights.SURFACE}),
     ],
 )
