@@ -1,4 +1,4 @@
-"""A file appears whole or stays as it was; one process at a time writes into a folder, and a dead one holds nothing."""
+"""A file appears whole or stays as it was; one process writes into a folder; the memory that is free."""
 
 import errno
 import json
@@ -15,7 +15,9 @@ from typing import Any
 import pytest
 from filelock import FileLock
 
+from datasets import memory
 from datasets.command_line import run
+from datasets.errors import InputError
 from datasets.files import PART, remove_own_parts, replacing, write_json, write_text
 from datasets.lock import HOLDER, LOCK, locked
 
@@ -174,3 +176,23 @@ def test_a_file_system_without_locks_is_stated(
         assert (tmp_path / HOLDER).exists()
     assert "no locks on this file system" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_container_has_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "memory.max").write_text("1000000\n")
+    (tmp_path / "memory.current").write_text("400000\n")
+    monkeypatch.setattr(memory, "GROUP", tmp_path)
+    assert memory.free() == 600_000
+    (tmp_path / "memory.max").write_text("max\n")
+    assert memory.free() > 600_000
+
+
+def test_more_than_is_free_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "free", lambda: 2**20)
+    memory.require(0.8 * 2**20, "a thing", "less")
+    with pytest.raises(
+        InputError, match="key: expected a thing in the 922 KiB of memory that are free, got 1 MiB: less"
+    ):
+        memory.require(2**20, "a thing", "less", key="key")
+    with pytest.raises(InputError):
+        memory.require(float("nan"), "a thing", "less")

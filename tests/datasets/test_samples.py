@@ -1,6 +1,8 @@
-"""Trajectories at a model's step, and stretches cut from them."""
+"""Trajectories at a model's step, stretches cut from them, their statistics against NumPy; thinning keeps volumes."""
 
 import dataclasses
+from functools import reduce
+from operator import add
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,9 @@ from datasets.training.samples import (
     load_flows,
     particle_cohesion,
     reflected,
+    thin,
 )
+from datasets.training.statistics import MOVING_SPEED, MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory
 
 
@@ -158,3 +162,57 @@ def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_pa
         flows[1]
     with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
         load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.01)
+
+
+FRAME_DT = 0.0025
+
+
+def test_moments_of_parts_are_those_of_the_whole() -> None:
+    # A mean far above the spread: the sum of squares alone would lose every digit.
+    samples = np.random.default_rng(0).normal([1.0e6, -3.0], [0.01, 2.0], (1000, 2))
+    parts = np.split(samples, [1, 1, 300, 999])
+    joint = reduce(add, (MotionStatistics.from_samples(part, part[:0]) for part in parts))
+    assert joint.count.tolist() == [[1000], [0]]
+    np.testing.assert_allclose(joint.mean, [samples.mean(axis=0), [0.0, 0.0]], rtol=1e-14)
+    np.testing.assert_allclose(joint.std, [samples.std(axis=0), [0.0, 0.0]], rtol=1e-7)
+
+
+def walk(seed: int, frames: int, points: int) -> np.ndarray:
+    """Points that always move faster than the threshold; positions [m], shape [T, N, 2]."""
+    steps = np.random.default_rng(seed).uniform(0.001, 0.01, (frames, points, 2))
+    return np.cumsum(steps, axis=0)
+
+
+def test_statistics_of_moving_points_are_numpys() -> None:
+    sequences = [walk(0, 6, 40), walk(1, 9, 10)]
+    joint = reduce(add, (motion_statistics(sequence, FRAME_DT) for sequence in sequences))
+    velocities = np.concatenate([np.diff(sequence, axis=0).reshape(-1, 2) for sequence in sequences])
+    accelerations = np.concatenate([np.diff(sequence, 2, axis=0).reshape(-1, 2) for sequence in sequences])
+    for index, samples in enumerate((velocities, accelerations)):
+        assert joint.count[index] == len(samples)
+        np.testing.assert_allclose(joint.mean[index], samples.mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(joint.std[index], samples.std(axis=0), rtol=1e-12)
+
+
+def test_points_at_rest_do_not_count() -> None:
+    moving = walk(0, 6, 40)
+    resting = np.broadcast_to([0.5, 0.1], (6, 1000, 2)).copy()
+    resting[1:, :, 0] += 0.9 * MOVING_SPEED * FRAME_DT  # one step just below the threshold
+    both = motion_statistics(np.concatenate([moving, resting], axis=1), FRAME_DT)
+    alone = motion_statistics(moving, FRAME_DT)
+    assert both.count.tolist() == [[5 * 40], [4 * 40]]
+    np.testing.assert_array_equal([both.mean, both.std], [alone.mean, alone.std])
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("kept", [1, 2, 5])
+def test_every_cell_keeps_its_volume(dimension: int, kept: int) -> None:
+    positions = np.random.default_rng(0).uniform(-0.1, 0.3, (500, dimension))
+    thinned = thin(positions, 2.0, cell=0.1, kept=kept, rng=np.random.default_rng(1))
+    cells = np.floor(positions / 0.1).astype(int)
+    stays = cells[thinned.indices]
+    assert len(np.unique(thinned.indices)) == len(thinned.indices)
+    for cell, count in zip(*np.unique(cells, axis=0, return_counts=True), strict=True):
+        chosen = (stays == cell).all(axis=1)
+        assert chosen.sum() == min(count, kept)
+        assert thinned.volumes[chosen].sum() == pytest.approx(2.0 * count)

@@ -95,13 +95,6 @@ def test_another_run_is_refused(checkpoint: Checkpoint, scene: Scene, options: A
         simulate(scene, resume=checkpoint, threads=1, **options)
 
 
-@pytest.mark.parametrize("key", ["state", "positions"])
-def test_arrays_of_another_shape(checkpoint: Checkpoint, key: str) -> None:
-    broken = dataclasses.replace(checkpoint, arrays=checkpoint.arrays | {key: checkpoint.arrays[key][:-1]})
-    with pytest.raises(InputError, match=f"{key}: expected"):
-        simulate(box(), resume=broken, threads=1, record=Recording(frames=10))
-
-
 @pytest.mark.parametrize("change", [{"run": None}, {"frame": np.array("{")}])
 def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, change: dict[str, Any]) -> None:
     path = tmp_path / "checkpoint.npz"

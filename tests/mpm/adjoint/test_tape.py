@@ -96,12 +96,6 @@ def test_what_has_no_reverse_is_refused() -> None:
         Tape([plane(soil, volume_correction=True)], [8], threads=1)
 
 
-@pytest.mark.parametrize("frames", [[], [0], [9], [-1, 8]])
-def test_frames_that_are_none_are_refused(frames: list[int]) -> None:
-    with pytest.raises(InputError, match="expected frames from 0 to 8"):
-        Tape([plane()], frames, threads=1)
-
-
 def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where more bars are cut than may be: here all that are not 0."""
     scene = plane(step_fraction=0.9)
