@@ -101,7 +101,7 @@ def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypa
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*the grid hardly resolves it")  # the MPM beside it is coarse on purpose
+@pytest.mark.filterwarnings("ignore:masses:UserWarning")  # the MPM beside it is coarse on purpose
 def test_the_command(tmp_path: Path) -> None:
     assert main(["gns", "--quick", "--out", str(tmp_path), "--model", "flow2d"]) == 0
     assert "--quick" in (tmp_path / "gns.md").read_text()
