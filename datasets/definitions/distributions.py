@@ -82,7 +82,7 @@ def definition_from_file(path: Path) -> Definition:
             except InputError as error:
                 raise error.at(str(path)) from None
 
-        # A mistake is told before anything is simulated.
+        # A mistake is found before anything is simulated.
         draw(np.random.default_rng([0, 0]), 0)
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
