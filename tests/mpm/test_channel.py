@@ -50,7 +50,6 @@ def test_sand_in_a_channel_flows_as_between_walls_in_three_dimensions() -> None:
     )
     walled = dataclasses.replace(flat, channel=Channel(width=width, friction_deg=angle))
     fronts = [float(simulate(each, record=LAST).summary["front"]) for each in (flat, walled, deep)]
-    print(fronts)
     assert fronts[1] == pytest.approx(fronts[2], rel=0.03)
     assert fronts[0] > 1.06 * fronts[2]
 
