@@ -1,6 +1,14 @@
 """What a deposit is judged by: runout, front, toe and height profile.
 
-Every function takes the positions of one moment [m], shape [N, D].
+Every function takes the positions of one moment [m], shape [N, D]; volumes are those of the particles [m^D], shape [N].
+
+The 99.5 % quantile of some 400 particles is the second of them, and scatters by 1 to 2 % of the extent with the choice
+of the particles. `fitted_front` reads the same x from the whole tail, by least squares of
+
+    x(p) = c + a sqrt(1 - p) + b (1 - p)
+
+for the x that a share p of the volume is behind, evaluated at `FRONT_QUANTILE`. A wedge has b = 0 (its volume ahead of
+x falls with the square of the distance to its tip), a block a = 0.
 """
 
 import math
@@ -59,10 +67,48 @@ def height_profile(
     return np.asarray(height / length)
 
 
-def ends(positions: Positions) -> tuple[float, float]:
-    """The x [m] that 0.5 % and that 99.5 % of the particles are behind: the rear and the front of a deposit."""
-    rear, front = np.quantile(positions[:, 0].astype(np.float64), (1.0 - FRONT_QUANTILE, FRONT_QUANTILE))
-    return float(rear), float(front)
+TAIL = np.linspace(0.97, 0.999, 30)
+"""Shares of the volume p whose x the fit goes through [-]."""
+FEWEST = 50
+"""Particles of which the fit is made; of fewer the front is the quantile itself."""
+
+
+def tail_weights(volume: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Weights w [-], shape [N], with which sum_i w_i x_(i) over particles in the order of x is their `fitted_front`.
+
+    volume: of the particles in this order. x is linear in p between the middles of two particles' volumes.
+    """
+    whole = volume.astype(np.float64)
+    middle = (np.cumsum(whole) - 0.5 * whole) / whole.sum()
+    tail, part = np.array([FRONT_QUANTILE]), np.ones(1)
+    if len(volume) >= FEWEST:
+        tail, part = TAIL, _terms(np.array([FRONT_QUANTILE]))[0] @ np.linalg.pinv(_terms(TAIL))
+    after = np.clip(np.searchsorted(middle, tail), min(1, len(middle) - 1), len(middle) - 1)
+    before = np.maximum(after - 1, 0)
+    step = np.where(after > before, middle[after] - middle[before], 1.0)
+    share = np.clip((tail - middle[before]) / step, 0.0, 1.0)
+    weights = np.zeros(len(middle))
+    np.add.at(weights, before, part * (1.0 - share))
+    np.add.at(weights, after, part * share)
+    return weights
+
+
+def _terms(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """1, sqrt(1 - p) and 1 - p of shares p [P], shape [P, 3]."""
+    ahead = 1.0 - shares
+    return np.stack((np.ones_like(ahead), np.sqrt(ahead), ahead), axis=1)
+
+
+def fitted_front(positions: Positions, volume: NDArray[np.floating]) -> float:
+    """The x [m] that 99.5 % of the volume is behind, by a fit through the tail."""
+    x = positions[:, 0].astype(np.float64)
+    order = np.argsort(x, kind="stable")
+    return float(tail_weights(volume[order]) @ x[order])
+
+
+def ends(positions: Positions, volume: NDArray[np.floating]) -> tuple[float, float]:
+    """The x [m] that 0.5 % and that 99.5 % of the volume is behind: the rear and the front of a deposit, fitted."""
+    return -fitted_front(-positions, volume), fitted_front(positions, volume)
 
 
 SHARES = 20
@@ -70,10 +116,7 @@ SHARES = 20
 
 
 def equal_shares(positions: Positions, volume: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The x [m] of the middles of `SHARES` equal parts of a deposit's volume, from the rear on, shape [SHARES].
-
-    volume: of the particles [m^D], shape [N].
-    """
+    """The x [m] of the middles of `SHARES` equal parts of a deposit's volume, from the rear on, shape [SHARES]."""
     x = positions[:, 0].astype(np.float64)
     order = np.argsort(x, kind="stable")
     whole = volume[order].astype(np.float64)

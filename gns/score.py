@@ -52,7 +52,7 @@ class Deposit:
     @staticmethod
     def of_positions(start: measures.Positions, end: measures.Positions, volume: NDArray[np.floating]) -> "Deposit":
         """That of particles that moved from `start` to `end` [m], both [N, D]."""
-        before, after = measures.ends(start), measures.ends(end)
+        before, after = measures.ends(start, volume), measures.ends(end, volume)
         return Deposit(positions=end, volume=volume, x=after, side=int(after[1] - before[1] >= before[0] - after[0]))
 
     @property
@@ -67,7 +67,7 @@ class Deposit:
 
     def errors(self, positions: measures.Positions, volume: NDArray[np.floating]) -> tuple[float, float]:
         """Those of front and profile of another deposit of the same scene: see `Score`."""
-        beyond = measures.ends(positions)[self.side] - self.front
+        beyond = measures.ends(positions, volume)[self.side] - self.front
         apart = measures.transport_distance(positions, volume, self.positions, self.volume)
         return (beyond if self.side == 1 else -beyond) / self.extent, apart / self.extent
 

@@ -216,7 +216,7 @@ def thin(
     kept: int,
     rng: np.random.Generator,
 ) -> Thinned:
-    """Keep at random `kept` particles of each cell.
+    """Keep at random `kept` particles of each cell, those of more volume so much more often.
 
     positions: initial positions [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N];
     cell: edge of a cell [m]. The particles of a cell (all of them where it holds no more than `kept`) share its volume
@@ -225,12 +225,16 @@ def thin(
     cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
     cells -= cells.min(axis=0)
     group = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
-    shuffled = rng.permutation(len(group))
+    weight = np.broadcast_to(np.asarray(volume, np.float64), len(group))
+    equal = bool((weight == weight[:1]).all())
+    # The first of a cell is each of its particles with a probability in proportion to its volume: these are small at
+    # the surface of a body, from which fronts come, and alike often chosen they would be too many there.
+    shuffled = rng.permutation(len(group)) if equal else np.argsort(rng.exponential(size=len(group)) / weight)
     order = shuffled[np.argsort(group[shuffled], kind="stable")]
     _, first, count = np.unique(group[order], return_index=True, return_counts=True)
     rank = np.arange(len(order)) - np.repeat(first, count)
-    each = np.broadcast_to(np.asarray(volume, np.float64), len(group))[order]
-    if len(each) and (each == each[0]).all():
+    each = weight[order]
+    if equal:
         shared = np.repeat(count / np.minimum(count, kept), count) * each
     else:
         shared = np.repeat(np.add.reduceat(each, first) / np.minimum(count, kept), count)

@@ -7,6 +7,8 @@ import pytest
 
 from datasets.library import read_scene
 from datasets.measures import (
+    FEWEST,
+    fitted_front,
     front,
     height_profile,
     runout,
@@ -33,6 +35,31 @@ def test_one_point_moves_the_runout_but_not_the_front() -> None:
     points[0, 0] = 0.9
     assert runout(points) == pytest.approx(0.9)
     assert front(points) == pytest.approx(before, abs=1e-9)
+
+
+@pytest.mark.parametrize("power", [1.0, 2.0, 3.0])
+def test_of_few_particles_the_fitted_front_is_nearer_to_that_of_all(power: float) -> None:
+    # Of deposits whose volume ahead of x falls with this power of the distance to the tip, at x = 1.
+    stream, exact = np.random.default_rng(0), 1.0 - 0.005 ** (1.0 / power)
+    fitted, plain = [], []
+    for _ in range(400):
+        points = 1.0 - stream.random((400, 2)) ** (1.0 / power)
+        # Half of the particles stand for three quarters of the volume: each of those is there three times.
+        volume = np.where(np.arange(400) < 200, 1.0, 3.0)
+        fitted.append(fitted_front(points, volume) - exact)
+        plain.append(float(np.quantile(np.repeat(points[:, 0], volume.astype(int)), 0.995)) - exact)
+    assert abs(np.mean(fitted)) < 0.9 * abs(np.mean(plain)) < 0.02
+    assert np.std(fitted) < 0.95 * np.std(plain)
+
+
+def test_the_fitted_front_moves_with_the_deposit_and_needs_some_particles() -> None:
+    points = block(0.4, 0.2)
+    one = np.ones(len(points))
+    assert fitted_front(points, one) == pytest.approx(front(points), abs=0.5 * SPACING)
+    assert fitted_front(points + 0.1, one) == pytest.approx(fitted_front(points, one) + 0.1)
+    few = np.random.default_rng(0).random((FEWEST - 1, 2))
+    assert few[:, 0].min() < fitted_front(few, np.ones(len(few))) <= few[:, 0].max()
+    assert fitted_front(points[:1], one[:1]) == points[0, 0]
 
 
 def test_toe_of_a_uniform_block() -> None:

@@ -216,3 +216,13 @@ def test_every_cell_keeps_its_volume(dimension: int, kept: int) -> None:
         chosen = (stays == cell).all(axis=1)
         assert chosen.sum() == min(count, kept)
         assert thinned.volumes[chosen].sum() == pytest.approx(2.0 * count)
+
+
+def test_a_cell_keeps_its_particles_in_proportion_to_their_volume() -> None:
+    # Three quarters of the volume of each cell are at its right end, in a quarter of the particles.
+    positions = np.tile([[0.01, 0.05], [0.02, 0.05], [0.03, 0.05], [0.09, 0.05]], (2000, 1))
+    positions[:, 1] += np.repeat(np.arange(2000), 4) * 0.1
+    volume = np.tile([1.0, 1.0, 1.0, 9.0], 2000)
+    thinned = thin(positions, volume, cell=0.1, kept=1, rng=np.random.default_rng(0))
+    assert np.mean(positions[thinned.indices, 0] > 0.05) == pytest.approx(0.75, abs=0.04)
+    assert thinned.volumes.sum() == pytest.approx(volume.sum())

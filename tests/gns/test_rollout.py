@@ -60,7 +60,7 @@ def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> No
         np.testing.assert_allclose(trajectory.time, np.arange(26) * 0.01)
         assert trajectory.positions.shape == (26, 12 * 16, 2)
         assert (summary["start"], summary["steps"], summary["particles"]) == (kind, steps, 192)
-        assert summary["front"] == pytest.approx(measures.front(trajectory.positions[-1]))
+        assert summary["front"] == pytest.approx(measures.fitted_front(trajectory.positions[-1], trajectory.volumes))
         assert trajectory.mass is not None
         assert trajectory.mass.tolist() == [0] * 192
     # The known frames are those of the run that was handed over, whatever the model makes of the rest.

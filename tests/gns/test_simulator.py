@@ -166,7 +166,7 @@ def test_a_simulation_is_a_trajectory_with_volumes_and_its_own_frames(simulator:
     np.testing.assert_allclose(np.diff(trajectory.time), trajectory.scene.frame_dt)
     assert trajectory.scene.frames == len(trajectory.positions) == len(trajectory.time) == 11
     assert trajectory.summary["start"] == "rest"
-    assert trajectory.summary["front"] == measures.front(trajectory.positions[-1])
+    assert trajectory.summary["front"] == measures.fitted_front(trajectory.positions[-1], trajectory.volumes)
 
 
 def test_a_loaded_model_is_frozen_unless_it_is_to_be_trained() -> None:

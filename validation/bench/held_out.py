@@ -111,7 +111,7 @@ def creep(rollout: Trajectory) -> float:
     """Speed of the faster of a deposit's ends over the second half of a rollout, outwards [mm/s]."""
     middle = len(rollout.positions) // 2
     seconds = float(rollout.time[-1] - rollout.time[middle])
-    old, new = measures.ends(rollout.positions[middle]), measures.ends(rollout.positions[-1])
+    old, new = (measures.ends(rollout.positions[frame], rollout.volumes) for frame in (middle, -1))
     return 1000.0 * max(old[0] - new[0], new[1] - old[1], key=abs) / seconds
 
 
