@@ -1,4 +1,4 @@
-"""`python -m validation.bench stability`: hard cases, exact solutions, a flume, fronts over stiffness and step."""
+"""`python -m validation.bench stability`: hard cases, a flume, factors of safety, fronts over stiffness and step."""
 
 import dataclasses
 import difflib
@@ -21,6 +21,7 @@ from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
 from mpm.arrays.layout import Precision
 from mpm.resolution import Resolution, with_resolution
 from validation.bench.accuracy.flows import Flow
+from validation.bench.stability import slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
 from validation.bench.stability.quantities import QUANTITIES
 from validation.report.page import Page, percent
@@ -177,9 +178,14 @@ def bench(out: Path, *, quick: bool, keep: Path, rows: tuple[str, ...] = (), pre
     """
     chosen = read_rows(rows or (("one-point", "block-24", "block-35", "far-slow", "plate", FLUME) if quick else ()))
     found = fronts((2,) if quick else (2, 3))
+    safety = (
+        slopes.factors((slopes.TAYLOR,), (10,))
+        if quick
+        else slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION, slopes.CELLS)
+    )
     flows = run(chosen, precision)
     verdicts = [verdict(row, flows[row.name], flows.get(row.over)) for row in chosen]
-    text = page(verdicts, found, precision=precision, quick=quick)
+    text = page(verdicts, found, safety, precision=precision, quick=quick)
     if isinstance(flume := flows.get(FLUME), Trajectory):
         draw(out / "stability.png", flume, found)
         text.picture("stability.png", "the flume; fronts of a column over its stiffness")
@@ -190,12 +196,14 @@ def bench(out: Path, *, quick: bool, keep: Path, rows: tuple[str, ...] = (), pre
     return text.conclusion
 
 
-def page(verdicts: Sequence[Verdict], found: Fronts, *, precision: str, quick: bool = False) -> Page:
+def page(
+    verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, precision: str, quick: bool = False
+) -> Page:
     """The page, but for its picture."""
     text = Page(
         "Stability of the MPM",
         command=f"python -m validation.bench stability --precision {precision}",
-        conclusion=conclusion(verdicts, found),
+        conclusion=conclusion(verdicts, found, safety),
         quick=quick,
     )
     text.section("Hard cases")
@@ -208,6 +216,13 @@ def page(verdicts: Sequence[Verdict], found: Fronts, *, precision: str, quick: b
     """)
     text.table([row_of(each) for each in verdicts])
     text.text("\n".join(f"- `{each.row.name}`: {each.row.remark}" for each in verdicts if each.row.remark))
+    text.section("Factor of safety")
+    text.text("""
+        `python -m mpm.run SCENE --safety` over known factors of slopes on a rough floor, by cells over the height;
+        seconds of each (`validation/bench/stability/slopes.py`). Charts and limit analysis let soil dilate by ψ = φ;
+        without dilation the factor is not unique, sin φ / tan β the least of sand (Davis 1968).
+    """)
+    text.table(slopes.rows(safety))
     text.section("Stiffness and step")
     cells = " and ".join(f"{count} cells across in {dimension}D" for dimension, (_, count) in RELEASED.items())
     text.text(f"""
@@ -224,7 +239,7 @@ def page(verdicts: Sequence[Verdict], found: Fronts, *, precision: str, quick: b
     return text
 
 
-def conclusion(verdicts: Sequence[Verdict], found: Fronts) -> list[str]:
+def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors) -> list[str]:
     """What the page comes to."""
     red = [each.row.name for each in verdicts if each.failures]
     exact = [each for each in verdicts if each.row.exact]
@@ -243,12 +258,14 @@ def conclusion(verdicts: Sequence[Verdict], found: Fronts) -> list[str]:
         f"No flow gains more than {percent(max(rises))} of its energy; momentum balances with the impulses on walls and"
         f" solids within {max(balances):.0e}."
     )
+    moved = []
     for dimension in dict.fromkeys(dimension for dimension, *_ in found):
         own, other = (percent(spread(found, dimension, transfer)) for transfer in TRANSFERS)
-        sentences.append(
-            f"In {dimension}D, over {STIFFNESSES[-1]:g} times the stiffness and a third of the step, a front moves by"
-            f" {own} (by APIC {other})."
-        )
+        moved.append(f"{own} in {dimension}D (by APIC {other})")
+    sentences.append(
+        f"Over {STIFFNESSES[-1]:g} times the stiffness and a third of the step a front moves by {', '.join(moved)}."
+    )
+    sentences.append(slopes.conclusion(safety))
     return sentences
 
 

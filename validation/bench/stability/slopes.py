@@ -1,0 +1,121 @@
+"""Slopes whose factor of safety is known, and the one that `mpm.safety_factor` finds over it."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from datasets.material import Material
+from datasets.scene import Domain, Mass, Scene
+from mpm.safety import Safety, safety_factor
+from validation.report.page import percent
+
+HEIGHT, DENSITY = 10.0, 2000.0
+WEIGHT = DENSITY * 9.81 * HEIGHT
+"""rho g H [Pa]."""
+CELLS = (10, 20, 40)
+"""Over the height."""
+ONE_TO_TWO = math.degrees(math.atan(0.5))
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownSlope:
+    """A slope above a rough floor at its toe, of a material that bears tension up to the apex of its cone."""
+
+    name: str
+    factor: float
+    """Its factor of safety [-]."""
+    source: str
+    steepness_deg: float
+    friction_deg: float
+    cohesion: float = 0.0
+    """c / (rho g H) [-]."""
+    dilates: bool = True
+    """psi = phi, as limit analysis and charts have it; without, psi = 0."""
+
+    def scene(self, cells: int) -> Scene:
+        """With so many cells over the height."""
+        run, cell = HEIGHT / math.tan(math.radians(self.steepness_deg)), HEIGHT / cells
+        corners = ((0.0, 0.0), (1.5 * HEIGHT + run, 0.0), (1.5 * HEIGHT, HEIGHT), (0.0, HEIGHT))
+        length, tall = (cell * math.ceil(extent / cell) for extent in (2.1 * HEIGHT + run, 1.2 * HEIGHT))
+        return Scene(
+            domain=Domain(size=(length, tall), cell=cell),
+            material=Material(
+                friction_deg=self.friction_deg,
+                dilation_deg=self.friction_deg if self.dilates else 0.0,
+                cohesion=self.cohesion * WEIGHT,
+                density=DENSITY,
+                tension_cutoff=1.0e9,
+            ),
+            masses=(Mass(kind="polygon", vertices=corners),),
+            floor_friction="rough",
+        )
+
+
+TAYLOR = KnownSlope(
+    name="60°, φ = 0, c = 0.191 rho g H",
+    factor=1.0,
+    source="Taylor 1937",
+    steepness_deg=60.0,
+    friction_deg=0.0,
+    cohesion=0.191,
+)
+CUT = KnownSlope(
+    name="vertical, φ = 0, c = rho g H / 3.777",
+    factor=1.0,
+    source="Pastor et al. 2009, bounds 3.7765 and 3.7776",
+    steepness_deg=89.99,
+    friction_deg=0.0,
+    cohesion=1.0 / 3.777,
+)
+BISHOP = KnownSlope(
+    name="1 to 2, φ = ψ = 20°, c = 0.05 rho g H",
+    factor=1.380,
+    source="Bishop and Morgenstern 1960",
+    steepness_deg=ONE_TO_TWO,
+    friction_deg=20.0,
+    cohesion=0.05,
+)
+SAND = KnownSlope(
+    name="1 to 2, φ = ψ = 32°, c = 0",
+    factor=2.0 * math.tan(math.radians(32.0)),
+    source="tan φ / tan β, exact",
+    steepness_deg=ONE_TO_TWO,
+    friction_deg=32.0,
+)
+KNOWN = (TAYLOR, CUT, BISHOP, SAND)
+WITHOUT_DILATION = tuple(
+    dataclasses.replace(
+        each, name=each.name.replace("φ = ψ", "ψ = 0, φ"), source=f"{each.source} for ψ = φ", dilates=False
+    )
+    for each in (BISHOP, SAND)
+)
+
+Factors = Mapping[KnownSlope, Mapping[int, Safety]]
+"""What was found of each slope, by its cells over the height."""
+
+
+def factors(slopes: Sequence[KnownSlope], cells: Sequence[int]) -> Factors:
+    """The factors of safety of `slopes` on so many `cells`."""
+    return {slope: {count: safety_factor(slope.scene(count)) for count in cells} for slope in slopes}
+
+
+def rows(found: Factors) -> list[dict[str, object]]:
+    """Found over known factors, and seconds, by cells."""
+    table: list[dict[str, object]] = []
+    for slope, by_cells in found.items():
+        over = {f"{count} cells": f"{each.factor / slope.factor:.3f}" for count, each in by_cells.items()}
+        seconds = ", ".join(f"{each.seconds:.0f}" for each in by_cells.values())
+        table.append({"slope": slope.name, "known": f"{slope.factor:.3f}", "of": slope.source, **over, "s": seconds})
+    return table
+
+
+def conclusion(found: Factors) -> str:
+    """The largest deviation from a known factor, by cells, of those that are known for the law that was run."""
+    known = {slope: by_cells for slope, by_cells in found.items() if slope in KNOWN}
+    off = {
+        count: max(abs(by_cells[count].factor / slope.factor - 1.0) for slope, by_cells in known.items())
+        for count in next(iter(known.values()))
+    }
+    said = ", ".join(f"{percent(value)} on {count}" for count, value in off.items())
+    return f"Factors of safety of {len(known)} slopes are at most {said} cells over the height off."
