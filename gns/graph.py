@@ -34,10 +34,8 @@ class Graph:
     """Sender and receiver of each edge, int64, shape [2, E]."""
     starts: Tensor
     """First edge of each receiver, and the number of edges, shape [N + 1]."""
-    edge_attr: Tensor
-    """Edge features: sender minus receiver over the radius, then its length, shape [E, D + 1]."""
-    edge_weight: Tensor
-    """Envelope [-], shape [E, 1]: 1 at distance 0, falls to 0 with zero slope at the radius."""
+    positions: Tensor
+    """Of the nodes, from their mean, over the radius [-], shape [N, D]; no edge is longer than 1."""
 
 
 def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) -> Graph:
@@ -45,21 +43,10 @@ def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) 
 
     batch: the sample that each particle belongs to, shape [N].
 
-    Features and envelope are differentiable in the positions. The envelope (1 - (d/R)^2)^2 makes the model's output
-    continuously differentiable although neighbours come and go: at d = R its value and slope are zero.
+    Messages are continuously differentiable in the positions although neighbours come and go (`gns.messages`).
     """
     edge_index, starts = neighbours(positions, radius, batch)
-    senders, receivers = edge_index
-    offset = (positions.index_select(0, senders) - positions.index_select(0, receivers)) / radius
-    square = offset.square().sum(dim=1, keepdim=True)
-    # Particles that the floor or a corner stopped can coincide: keep the slope of the root finite there.
-    distance = (square + 1.0e-12).sqrt()
-    return Graph(
-        edge_index=edge_index,
-        starts=starts,
-        edge_attr=torch.cat((offset, distance), dim=1),
-        edge_weight=(1.0 - square).clamp(min=0.0).square(),
-    )
+    return Graph(edge_index=edge_index, starts=starts, positions=(positions - positions.detach().mean(dim=0)) / radius)
 
 
 def mean_envelope_sum(radius: float, particle_volume: float, dimension: int) -> float:

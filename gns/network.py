@@ -181,6 +181,8 @@ class Network(nn.Module):
 
     def __init__(self, features: int, constant: int, known: int, settings: ModelSettings) -> None:
         super().__init__()
+        self.half_precision = False
+        """Whether products before the decoder are in bfloat16, as a training has them where that is faster."""
         self.encoder = Encoder(features, settings)
         self.processor = Processor(settings, constant)
         self.decoder = Decoder(known, settings)
@@ -192,6 +194,8 @@ class Network(nn.Module):
 
         constant: [N, M]; stencil, fraction, nodes: see `GridContext`.
         """
-        x = self.encoder(features)
-        x = self.processor(x, constant, graph, stencil, fraction, nodes)
+        # Gradients of the steps of a rollout are summed in single precision: a weight is converted anew in each step.
+        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.half_precision, cache_enabled=False):
+            x = self.encoder(features).to(features.dtype)
+            x = self.processor(x, constant, graph, stencil, fraction, nodes)
         return torch.as_tensor(self.decoder(x))

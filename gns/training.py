@@ -98,6 +98,7 @@ class UnrolledLoss(nn.Module):
         super().__init__()
         self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
         self._particle_bytes = 0.0
+        simulator.network.half_precision = bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
 
     def forward(self, batch: Batch) -> Tensor:
         """The loss of unrolling `batch` to its last target."""

@@ -45,6 +45,19 @@ def test_what_fits_into_the_memory_is_kept_and_the_rest_makes_no_difference(
         assert all(torch.equal(one, other) for one, other in zip(gradients[0], others, strict=True))
 
 
+def test_half_precision_hardly_turns_the_gradient(settings: ModelSettings, dataset: Path) -> None:
+    sampler = Sampler([flows_of(dataset, "train", settings)], settings, TrainingSettings(batch=2))
+    batch, gradients = sampler.batch(4, np.random.default_rng(0)), []
+    for half in (False, True):
+        torch.manual_seed(0)
+        simulator = Simulator(settings, NORMALISATION)
+        loss = UnrolledLoss(simulator, TrainingSettings())
+        simulator.network.half_precision = half
+        found = torch.autograd.grad(loss(batch), list(simulator.parameters()), allow_unused=True)
+        gradients.append(torch.cat([each.flatten() for each in found if each is not None]))
+    assert torch.cosine_similarity(gradients[0], gradients[1], dim=0) > 0.99
+
+
 def run(dataset: Path, out: Path, *flags: str) -> int:
     """Train a tiny model; the exit status."""
     return command_line.run(train, "train", [str(dataset), "--out", str(out), *TINY, *flags])
