@@ -8,6 +8,8 @@ WEIGHTS = Path(__file__).parent / "weights"
 """The models that ship."""
 ENDING = ".safetensors"
 """Of the file of a model."""
+BEST = f"best{ENDING}"
+"""What a training leaves in its folder: the model to use."""
 MEMBER = re.compile(r".*-\d+")
 """How a member of the ensemble of a model is called: its name and a number."""
 
@@ -34,6 +36,8 @@ def member_path(model: Path, number: int) -> Path:
 
 
 def model_path(model: str | Path) -> Path:
-    """The file of a model: a path, or the name of one that ships (flow2d, obstacle3d)."""
-    named = WEIGHTS / f"{model}{ENDING}"
-    return named if named.is_file() and not Path(model).exists() else Path(model)
+    """The file of a model: its path, the folder of its training, or the name of one that ships (flow2d, obstacle3d)."""
+    named, path = WEIGHTS / f"{model}{ENDING}", Path(model)
+    if path.is_dir():
+        return path / BEST
+    return named if named.is_file() and not path.exists() else path

@@ -1,19 +1,24 @@
 """Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `Batch`."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from datasets.errors import InputError
 from datasets.training.samples import Flow, Flows, Sample, cut, load_flows, reflected
+from datasets.trajectory import open_trajectory
 from gns.initial import conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings
 from gns.simulator import Normalisation
 from gns.state import Conditions, State, Tensors
+from gns.units import Units
 
 SHARE_EARLY = 0.12
 """Share of the samples not of the first frame that start just after it, with a history from the initial velocities."""
@@ -27,9 +32,24 @@ SAMPLED_TIMES = 2048
 
 def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bool = False) -> Flows:
     """The trajectories of a split (`train`, `valid`, `test`) of a dataset, at the model's step. Raises InputError."""
-    return load_flows(
-        dataset, split, step=settings.step, dimension=settings.dimension, spacing=settings.cell, progress=progress
-    )
+    return load_flows(dataset, split, partial(flow_of, settings=settings), progress=progress)
+
+
+def flow_of(path: Path, settings: ModelSettings) -> Flow:
+    """The flow in a file at the model's step. Raises InputError, which names the file.
+
+    Where the frames are a step apart in the units in which a rollout of the scene runs, so is the flow; other flows are
+    taken at the size that they have.
+    """
+    trajectory = open_trajectory(path)
+    scene, units = trajectory.scene, Units()
+    if scene.dimension != settings.dimension:
+        raise InputError(f"expected a {settings.dimension}D trajectory, got {scene.dimension}D", where=str(path))
+    if scene.gravity > 0.0:
+        own = Units.of_model(scene, settings)
+        units = own if math.isclose(trajectory.frame_dt, own.time * settings.step, rel_tol=1.0e-9) else units
+    flow = Flow.from_trajectory(trajectory, units.time * settings.step, str(path), spacing=units.length * settings.cell)
+    return flow.over(units.length, units.time, units.stress)
 
 
 def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> Sample:

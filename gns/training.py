@@ -43,6 +43,7 @@ from datasets.training.samples import Flow, Flows
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.distributed import joined, rank, sums
+from gns.library import BEST
 from gns.samples import Batch, Sampler, flows_of, statistics
 from gns.score import evaluate, table, validation_score
 from gns.settings import ModelSettings, TrainingSettings
@@ -146,8 +147,12 @@ def fit(
     resume: bool = False,
     seed: int = 0,
     device: str | None = None,
+    command: str = "python -m gns.train",
 ) -> None:
-    """Train a model; for the parameters see `gns.train.train`. Raises InputError, WorkFailed and KeyboardInterrupt."""
+    """Train a model, begun by `command`; for the other parameters see `gns.train.train`.
+
+    Raises InputError, WorkFailed and KeyboardInterrupt.
+    """
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
     with ExitStack() as stack:
@@ -172,7 +177,7 @@ def fit(
         parts = {"weights": simulator, "average": average, "muon": optimisers[0], "adam": optimisers[1]}
         position = restored(out / LAST, model, parts) if resume else Position()
         history = {
-            "command": " ".join(["python -m gns.train", *sys.argv[1:]]),
+            "command": " ".join([command, *sys.argv[1:]]),
             "seed": seed,
             "begin": None if begin is None else dict(begin.provenance),
             "datasets": [str(path) for path in datasets],
@@ -226,7 +231,7 @@ def fit(
         # Or the line would follow the bar.
         bar.close()
         if first:
-            print(described(out / "best.safetensors", datasets, (out / "scores.md").read_text()))
+            print(described(out / BEST, datasets, (out / "scores.md").read_text()))
 
 
 def averaged(average: Tensor, current: Tensor, updates: int, training: TrainingSettings) -> Tensor:
@@ -288,7 +293,7 @@ def validate(
     tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
     if total < position.best:
         position.best = total
-        checkpoint.save(out / "best.safetensors", simulator, {**history, "score": total, "log": row})
+        checkpoint.save(out / BEST, simulator, {**history, "score": total, "log": row})
         files.write_text(out / "scores.md", table(scores))
 
 

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from datasets.command_line import WorkFailed, disk_failed, run
 from datasets.definitions import read_definition
-from datasets.definitions.definition import Definition, Entry, Split, Storage
+from datasets.definitions.definition import DEPOSITS, Definition, Entry, Split, Storage
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.lock import locked
@@ -142,11 +142,20 @@ def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> No
     # Taichi belongs to the processes that simulate: the one that directs them does not import it.
     from mpm import Recording, simulate
 
-    trajectory = simulate(scene, precision="f32", threads=1, record=Recording(until_rest=storage is not None))
-    if storage is not None:
-        trajectory = thinned(trajectory, storage)
+    until_rest = storage is not None and not storage.deposit
+    trajectory = simulate(scene, precision="f32", threads=1, record=Recording(until_rest=until_rest))
     summary = {key: value for key, value in trajectory.summary.items() if key not in TIMINGS}
-    replace(trajectory, summary=summary).save(path)
+    trajectory = replace(trajectory, summary=summary)
+    if storage is not None:
+        if storage.deposit:
+            last_frame(trajectory).save(path.parents[1] / DEPOSITS / path.name)
+        trajectory = thinned(trajectory, storage)
+    trajectory.save(path)
+
+
+def last_frame(trajectory: Trajectory) -> Trajectory:
+    """The positions of all particles at the end of a trajectory of the MPM."""
+    return replace(trajectory, positions=trajectory.positions[-1:], time=trajectory.time[-1:], solid_impulse=None)
 
 
 def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:

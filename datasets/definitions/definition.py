@@ -17,6 +17,9 @@ from datasets.scene import Scene
 TRIES = 200
 """Draws of a scene that is valid and not held out, before it is an error."""
 
+DEPOSITS = "deposits"
+"""Folder of a dataset for the last frames of all particles."""
+
 Stream = np.random.Generator
 Kind = Callable[[Stream], Scene]
 
@@ -47,6 +50,9 @@ class Storage:
     """Edge of the cells in which particles are chosen at random [m]."""
     kept: int
     """Particles that stay of each such cell; they get the volume of all (`datasets.training.samples.thin`)."""
+    deposit: bool = False
+    """Whether simulations last to the end of their scenes, and their last frames, with all particles, are stored in
+    `DEPOSITS` too: what an inversion compares with its target."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +69,8 @@ class Definition:
     stream: Callable[[int], int] = int
     """Number of a scene -> number of its random stream; scenes that share one can be variants of each other."""
     storage: Storage | None = None
-    """Where given, simulations end when their deposits rest, and some of their particles are stored; else all are."""
+    """Where given, simulations end when their deposits rest, unless it says otherwise, and some of their particles are
+    stored; else all are."""
 
     def entries(self, *, seed: int, count: int | None = None) -> tuple[Entry, ...]:
         """The first `count` scenes of the dataset of `seed`, all of them where `count` is None.

@@ -1,7 +1,7 @@
 """Trajectories at a model's time step, read from disk as they are needed, and samples drawn from them."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from datasets.errors import InputError
 from datasets.geometry.ground import ground_raster
 from datasets.particles import mass_counts
 from datasets.scene import Scene, coefficient
-from datasets.trajectory import Floats, Trajectory, open_trajectory, trajectory_files
+from datasets.trajectory import Floats, Trajectory, trajectory_files
 
 MOVING = 0.02
 """Root mean square speed [m/s] above which a flow counts as moving."""
@@ -45,6 +45,20 @@ class Flow:
     def released(self) -> bool:
         """Whether it starts at rest."""
         return not self.velocity0.any()
+
+    def over(self, length: float, time: float, stress: float) -> "Flow":
+        """The same flow in other units: lengths over `length` [m], times over `time` [s], stresses over `stress`."""
+        if length == time == stress == 1.0:
+            return self
+        return dataclasses.replace(
+            self,
+            positions=(self.positions / length).astype(np.float32),
+            velocity0=(self.velocity0 * (time / length)).astype(np.float32),
+            cohesion=(self.cohesion / stress).astype(np.float32),
+            volume=self.volume / length ** len(self.surroundings.size),
+            surroundings=self.surroundings.over(length, time),
+            step=self.step / time,
+        )
 
     def moves(self, time: int) -> bool:
         """Whether it moves from index `time` to the next."""
@@ -118,6 +132,17 @@ class Surroundings:
     ground: tuple[Floats, Floats] | None
     """Elevation [m] and Coulomb coefficient [-] of terrain, `spacing` apart from x = 0 (and z = 0) on, [X(, Z)]."""
 
+    def over(self, length: float, time: float) -> "Surroundings":
+        """The same in other units: lengths over `length` [m], times over `time` [s]."""
+        ground = None if self.ground is None else ((self.ground[0] / length).astype(np.float32), self.ground[1])
+        return dataclasses.replace(
+            self,
+            size=(self.size / length).astype(np.float32),
+            gravity=(self.gravity * (time**2 / length)).astype(np.float32),
+            baffles=(self.baffles / length).astype(np.float32),
+            ground=ground,
+        )
+
     @staticmethod
     def of_scene(scene: Scene, spacing: float) -> "Surroundings":
         """Those of `scene`; spacing: between two elevations of the ground [m]."""
@@ -168,31 +193,25 @@ def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | No
 class Flows(Sequence[Flow]):
     """Flows on disk, each opened when it is asked for: all that is held of them is the names of their files."""
 
-    def __init__(self, files: Sequence[Path], *, step: float, dimension: int, spacing: float) -> None:
-        self._files, self._step, self._dimension, self._spacing = tuple(files), step, dimension, spacing
+    def __init__(self, files: Sequence[Path], opened: Callable[[Path], Flow]) -> None:
+        self._files, self._opened = tuple(files), opened
 
     def __len__(self) -> int:
         return len(self._files)
 
     def __getitem__(self, index: Any) -> Any:
-        path = self._files[index]
-        flow = Flow.from_trajectory(open_trajectory(path), self._step, str(path), spacing=self._spacing)
-        if (dimension := len(flow.surroundings.size)) != self._dimension:
-            raise InputError(f"expected a {self._dimension}D trajectory, got {dimension}D", where=str(path))
-        return flow
+        return self._opened(self._files[index])
 
 
-def load_flows(
-    dataset: Path, split: str, *, step: float, dimension: int, spacing: float, progress: bool = False
-) -> Flows:
-    """All trajectories of a split (`train`, `valid`, `test`), by file name; spacing: of elevations of the ground [m].
+def load_flows(dataset: Path, split: str, opened: Callable[[Path], Flow], *, progress: bool = False) -> Flows:
+    """All trajectories of a split (`train`, `valid`, `test`), by file name; opened: how one is read.
 
     Each is opened once to see that it is whole. Raises InputError.
     """
     files = trajectory_files(dataset / split)
     if not files:
         raise InputError(f"expected trajectories in {split}/*.npz or *.h5, there are none", where=str(dataset))
-    flows = Flows(files, step=step, dimension=dimension, spacing=spacing)
+    flows = Flows(files, opened)
     for _ in tqdm(flows, desc=f"{dataset.name}/{split}", unit="file", disable=not progress):
         pass
     return flows

@@ -23,7 +23,7 @@ from datasets.training.samples import (
     thin,
 )
 from datasets.training.statistics import MOVING_SPEED, MotionStatistics, motion_statistics
-from datasets.trajectory import Trajectory
+from datasets.trajectory import Trajectory, open_trajectory
 
 
 @pytest.fixture
@@ -152,7 +152,11 @@ def test_a_mirror_turns_its_axes_and_twice_changes_nothing(stretch: Sample, axis
 def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_path: Path) -> None:
     for name in ("a", "b", "c"):
         trajectory.save(tmp_path / "train" / f"{name}.npz")
-    flows = load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.01)
+
+    def opened(path: Path) -> Flow:
+        return Flow.from_trajectory(open_trajectory(path), 0.0025, str(path))
+
+    flows = load_flows(tmp_path, "train", opened)
     assert np.array_equal(flows[1].positions, trajectory.positions)
     assert not flows[1].positions.flags.owndata
     assert [Path(flow.name).stem for flow in flows] == ["a", "b", "c"]
@@ -161,7 +165,7 @@ def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_pa
     with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
         flows[1]
     with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
-        load_flows(tmp_path, "train", step=0.0025, dimension=2, spacing=0.01)
+        load_flows(tmp_path, "train", opened)
 
 
 FRAME_DT = 0.0025

@@ -10,9 +10,10 @@ import torch
 import gns
 from datasets import command_line, measures
 from datasets.errors import InputError
-from datasets.training.samples import Flow, load_flows
+from datasets.training.samples import Flow
 from gns import card, checkpoint
 from gns.library import member_path
+from gns.samples import flows_of
 from gns.score import Score, evaluate, score, table, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
@@ -145,7 +146,7 @@ def flying(flow: Flow) -> Flow:
 def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     simulator: Simulator, settings: ModelSettings, dataset: Path
 ) -> None:
-    flows = load_flows(dataset, "valid", step=settings.step, dimension=2, spacing=settings.cell)
+    flows = flows_of(dataset, "valid", settings)
     wrong = evaluate(simulator, [flows[1]])[0]
     # With all particles, so that nothing is missing of the cloud.
     simulator.settings = dataclasses.replace(settings, particles_per_cell=4)

@@ -1,0 +1,186 @@
+"""Learn the problem at hand: the MPM's flows all over its box, and a model trained further on them.
+
+A shipped model interpolates between flows of many kinds. An inversion asks for one kind, with a few unknowns: some 64
+runs fill their box, and minutes of training on whole flows lower the error several times. Parameters are points of a
+Sobol sequence between the prior bounds (Sobol, On the distribution of points in a cube, USSR Comput. Math. Math. Phys.
+7 (1967) 86-112), each flow with a jitter seed of its own; every third flow is held out, for the scores and the band.
+"""
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import qmc
+from tqdm import tqdm
+
+from datasets.definitions.definition import DEPOSITS, Definition, Split, Storage, Stream
+from datasets.errors import InputError
+from datasets.processes import processors
+from datasets.scene import Scene
+from datasets.training.samples import Flow
+from datasets.trajectory import Trajectory, trajectory_files
+from gns import checkpoint
+from gns.initial import check
+from gns.library import model_path, shipped
+from gns.samples import flows_of
+from gns.score import Score, evaluate
+from gns.settings import ModelSettings, TrainingSettings
+from gns.simulator import Simulator
+from gns.training import LAST, fit
+from gns.units import Units
+from inverse.parameters import Vector
+from inverse.problem import Problem, read_problem
+from inverse.target import read_each
+from mpm.generate import generate, missing_entries
+
+COMMAND = "python -m inverse.adapt"
+DATA = "data"
+"""Folder of a run for its flows."""
+HELD_OUT = 3
+"""Every so many-th flow is held out."""
+FEWEST = 6
+"""Flows at least, of which two are held out."""
+KEPT = 8
+"""Particles that are stored of each cell of the model, of which a sample has one."""
+TRIES = 200
+"""Draws of parameters whose scene is valid, before it is an error."""
+
+
+def adapt(
+    problem: Problem | str,
+    out: Path | str,
+    *,
+    runs: int = 64,
+    minutes: float = 5.0,
+    model: Path | str | None = None,
+    jobs: int | None = None,
+    seed: int = 0,
+) -> Path:
+    """Train a model further on the flows of `problem`, and return the file of its weights, `out`/best.safetensors.
+
+    >>> from inverse import adapt
+    >>> from validation import solve
+    >>> result = solve("friction-tall-42", "out/loop", model=adapt("friction-tall-42", "out/tall"))
+
+    runs: of the MPM, of which a third is held out; minutes: of training; model: to begin with, that which ships where
+    absent; jobs: runs side by side, one a processor where absent; seed: of the parameters, jitters and samples. The
+    same call again makes what is missing. Raises InputError for a problem that no surrogate can learn and where `out`
+    is another problem's, WorkFailed where a run of the MPM fails.
+    """
+    asked, out = read_problem(problem) if isinstance(problem, str) else problem, Path(out)
+    weights = model_path(model or shipped(asked.scene.dimension))
+    begun = checkpoint.load(weights)
+    settings = begun.simulator.settings
+    require_learnable(asked, settings)
+    if runs < FEWEST:
+        raise InputError(
+            f"expected at least {FEWEST} runs, of which every {HELD_OUT}rd is held out, got {runs}", key="--runs"
+        )
+    flows = definition(asked, runs, settings, seed=seed)
+    try:
+        missing = len(missing_entries(flows.entries(seed=seed), out / DATA))
+    except InputError as error:
+        expected = f"expected no flows but those of {asked.name}, seed {seed}, at most {runs} of them"
+        raise InputError(f"{expected}; found {error.where}", where=str(out)) from None
+    began = time.perf_counter()
+    generate(flows, out / DATA, seed=seed, count=None, jobs=processors() if jobs is None else jobs)
+    simulated = f"{missing} runs of the MPM in {time.perf_counter() - began:.0f} s"
+    print(f"{simulated}; {minutes:g} minutes of training begin")
+    held_out = flows_of(out / DATA, Split.VALID, settings)
+    before = scored(begun.simulator, held_out, weights.stem)
+    training = training_settings(settings, steps=len(held_out[0].positions) - 1, minutes=minutes)
+    resume = (out / LAST).exists()
+    fit([out / DATA], out, model=settings, training=training, begin=begun, resume=resume, seed=seed, command=COMMAND)
+    best = model_path(out)
+    after = scored(checkpoint.load(best).simulator, held_out, best.stem)
+    print(f"{simulated}, {minutes:.1f} minutes of training, {change(before, after)} on {len(held_out)} held-out flows")
+    return best
+
+
+def require_learnable(problem: Problem, settings: ModelSettings) -> None:
+    """Raise InputError, which names the key, for a problem whose parameters or observations no surrogate has."""
+    if problem.fields:
+        raise InputError("expected numbers, a surrogate knows no fields", where=problem.name, key="unknowns")
+    for index, each in enumerate(problem.parameters):
+        if not each.kind.differentiable:
+            message = f"expected an input of the surrogate, {each.name} is none"
+            raise InputError(message, where=problem.name, key=f"unknowns[{index}]")
+    for index, measured in enumerate(read_each(problem)):
+        if not measured.observation.of_positions:
+            message = f"expected what follows from positions, no surrogate predicts {measured.observation.label}"
+            raise InputError(message, where=problem.name, key=f"observations[{index}]")
+    check(problem.scene_at(problem.initial), settings)
+
+
+def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: int) -> Definition:
+    """The flows of a problem: those of more `runs` begin with those of fewer."""
+    box, units = problem.box, Units.of_model(problem.scene, settings)
+    points = qmc.Sobol(len(box.lower), rng=np.random.default_rng(seed)).random(runs)
+    places = box.lower + box.range * points
+
+    def draw(stream: Stream, index: int) -> Scene:
+        jitter, values = int(stream.integers(2**31)), places[index]
+        for _ in range(TRIES):
+            try:
+                scene = problem.scene_at(values, jitter)
+                return dataclasses.replace(scene, frame_dt=units.time * settings.step)
+            except InputError as error:
+                last, values = error, stream.uniform(box.lower, box.upper)
+        raise InputError(
+            f"{last.message} (in each of {TRIES} draws between the bounds)", where=problem.name, key=last.key
+        )
+
+    return Definition(
+        name="flow",
+        size=runs,
+        split=lambda index: Split.VALID if index % HELD_OUT == 1 else Split.TRAIN,
+        draw=draw,
+        storage=Storage(cell=units.length * settings.cell, kept=KEPT, deposit=True),
+    )
+
+
+def training_settings(settings: ModelSettings, *, steps: int, minutes: float) -> TrainingSettings:
+    """How a model of these settings is trained on flows of so many steps."""
+    return TrainingSettings(
+        minutes=minutes,
+        batch=3 if settings.dimension == 2 else 1,
+        unroll=(max(1, steps // 3), max(1, 2 * steps // 3), steps),
+        learning_rate=5.0e-4,
+        warmup=10,
+        loss_scale=0.5,
+        first=0.7,
+        average=0.97,
+        validations=2,
+        validate_flows=8,
+    )
+
+
+def scored(simulator: Simulator, flows: Sequence[Flow], name: str) -> list[Score]:
+    """The scores of a model on held-out flows."""
+    return [evaluate(simulator, [flow])[0] for flow in tqdm(flows, desc=f"{name}: held out", unit="flow", leave=False)]
+
+
+def change(before: Sequence[Score], after: Sequence[Score]) -> str:
+    """Mean errors before and after, in words."""
+    parts = []
+    for name in ("front", "profile"):
+        means = [100.0 * np.mean([abs(getattr(each, f"{name}_error")) for each in some]) for some in (before, after)]
+        parts.append(f"{name} {means[0]:.1f} -> {means[1]:.1f} %")
+    return ", ".join(parts)
+
+
+def deposits(run: Path, problem: Problem) -> list[tuple[Vector, Trajectory]]:
+    """Parameters and deposits, with all particles, of the runs of the MPM in the folder of an adaptation to `problem`.
+
+    None for a folder of another problem, or of none. Raises InputError for a broken file.
+    """
+    found = []
+    for path in trajectory_files(run / DATA / DEPOSITS):
+        flow = Trajectory.load(path)
+        values = np.array([each.kind.read(flow.scene) for each in problem.numbers])
+        if dataclasses.replace(problem.scene_at(values, flow.scene.seed), frame_dt=flow.scene.frame_dt) != flow.scene:
+            return []
+        found.append((values, flow))
+    return found
