@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import gns  # noqa: F401  (sets what torch reads when it is loaded, before a module here loads torch)
 
 if TYPE_CHECKING:
+    from inverse.adaptation import adapt
     from inverse.inversion import invert
     from inverse.parameters.parameter import Parameter
     from inverse.problem import Problem, read_problem
@@ -26,11 +27,21 @@ _MODULES = {
     "Problem": "inverse.problem",
     "Result": "inverse.result",
     "TargetSettings": "inverse.settings",
+    "adapt": "inverse.adaptation",
     "invert": "inverse.inversion",
     "read_problem": "inverse.problem",
 }
 
-__all__ = ["ObservationSettings", "Parameter", "Problem", "Result", "TargetSettings", "invert", "read_problem"]
+__all__ = [
+    "ObservationSettings",
+    "Parameter",
+    "Problem",
+    "Result",
+    "TargetSettings",
+    "adapt",
+    "invert",
+    "read_problem",
+]
 
 
 def __getattr__(name: str) -> Any:

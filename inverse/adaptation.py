@@ -44,8 +44,6 @@ FEWEST = 6
 """Flows at least, of which two are held out."""
 KEPT = 8
 """Particles that are stored of each cell of the model, of which a sample has one."""
-TRIES = 200
-"""Draws of parameters whose scene is valid, before it is an error."""
 
 
 def adapt(
@@ -78,6 +76,8 @@ def adapt(
         raise InputError(
             f"expected at least {FEWEST} runs, of which every {HELD_OUT}rd is held out, got {runs}", key="--runs"
         )
+    units, duration = Units.of_model(asked.scene, settings), asked.scene.duration
+    training = training_settings(settings, steps=round(duration / (units.time * settings.step)), minutes=minutes)
     flows = definition(asked, runs, settings, seed=seed)
     try:
         missing = len(missing_entries(flows.entries(seed=seed), out / DATA))
@@ -90,7 +90,6 @@ def adapt(
     print(f"{simulated}; {minutes:g} minutes of training begin")
     held_out = flows_of(out / DATA, Split.VALID, settings)
     before = scored(begun.simulator, held_out, weights.stem)
-    training = training_settings(settings, steps=len(held_out[0].positions) - 1, minutes=minutes)
     resume = (out / LAST).exists()
     fit([out / DATA], out, model=settings, training=training, begin=begun, resume=resume, seed=seed, command=COMMAND)
     best = model_path(out)
@@ -117,20 +116,12 @@ def require_learnable(problem: Problem, settings: ModelSettings) -> None:
 def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: int) -> Definition:
     """The flows of a problem: those of more `runs` begin with those of fewer."""
     box, units = problem.box, Units.of_model(problem.scene, settings)
-    points = qmc.Sobol(len(box.lower), rng=np.random.default_rng(seed)).random(runs)
-    places = box.lower + box.range * points
+    sequence = qmc.Sobol(len(box.lower), rng=np.random.default_rng(seed))
+    places = box.lower + box.range * sequence.random_base2((runs - 1).bit_length())
 
     def draw(stream: Stream, index: int) -> Scene:
-        jitter, values = int(stream.integers(2**31)), places[index]
-        for _ in range(TRIES):
-            try:
-                scene = problem.scene_at(values, jitter)
-                return dataclasses.replace(scene, frame_dt=units.time * settings.step)
-            except InputError as error:
-                last, values = error, stream.uniform(box.lower, box.upper)
-        raise InputError(
-            f"{last.message} (in each of {TRIES} draws between the bounds)", where=problem.name, key=last.key
-        )
+        scene = problem.scene_at(places[index], int(stream.integers(2**31)))
+        return dataclasses.replace(scene, frame_dt=units.time * settings.step)
 
     return Definition(
         name="flow",

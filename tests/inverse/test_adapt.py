@@ -1,0 +1,126 @@
+"""`inverse.adapt`: flows over a problem's box, a model trained on them, and what is refused in a line."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.command_line import run
+from datasets.definitions.definition import Split
+from datasets.trajectory import Trajectory
+from gns import card, checkpoint
+from gns.checkpoint import Model
+from gns.library import model_path
+from gns.samples import flows_of
+from gns.simulator import Simulator
+from gns.units import Units
+from inverse.adapt import main
+from inverse.adaptation import DATA, adapt, definition, deposits
+from inverse.parameters.parameter import Parameter
+from inverse.problem import Problem
+
+MakeProblem = Callable[..., Problem]
+NAMES = ("friction_deg", "masses[0].velocity_x")
+
+
+@pytest.fixture(scope="module")
+def weights(make_simulator: Callable[..., Simulator], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a tiny model in 2D."""
+    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
+    checkpoint.save(path, make_simulator(2).float(), {})
+    return path
+
+
+@pytest.fixture(scope="module")
+def tiny(weights: Path) -> Model:
+    return checkpoint.load(weights)
+
+
+@pytest.fixture(scope="module")
+def adapted(weights: Path, make_problem: MakeProblem, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a model that was trained for a second on seven flows."""
+    out = tmp_path_factory.mktemp("run")
+    adapt(make_problem(2, *NAMES), out, runs=7, minutes=0.01, model=weights, jobs=1)
+    return out
+
+
+def test_flows_fill_the_box_and_more_begin_with_the_fewer(make_problem: MakeProblem, tiny: Model) -> None:
+    problem, settings = make_problem(2, *NAMES), tiny.simulator.settings
+    entries = definition(problem, 32, settings, seed=3).entries(seed=3)
+    assert entries[:8] == definition(problem, 8, settings, seed=3).entries(seed=3)
+    values = np.array([[each.read(entry.scene) for each in problem.kinds] for entry in entries])
+    shares = (values - problem.box.lower) / problem.box.range
+    # Every eighth of every range has four of 32 points.
+    assert all((np.bincount((8 * column).astype(int), minlength=8) == 4).all() for column in shares.T)
+    assert len({entry.scene.seed for entry in entries} | {problem.target.seed, problem.scene.seed}) == 34
+    assert sum(entry.split is Split.VALID for entry in entries) == 11
+
+
+def test_flows_are_stored_as_a_rollout_runs_them(adapted: Path, make_problem: MakeProblem, tiny: Model) -> None:
+    problem, settings = make_problem(2, *NAMES), tiny.simulator.settings
+    units = Units.of_model(problem.scene, settings)
+    assert units.length != 1.0
+    flow = flows_of(adapted / DATA, "train", settings)[0]
+    stored = Trajectory.load(flow.name)
+    assert flow.step == pytest.approx(settings.step)
+    np.testing.assert_allclose(flow.positions * units.length, stored.positions, rtol=1e-5, atol=1e-7)
+    assert flow.surroundings.gravity[1] == pytest.approx(-9.81, rel=1e-4)
+    assert flow.velocity0.max() == pytest.approx(stored.velocity0.max() / units.speed, rel=1e-5)
+    assert flow.volume.sum() * units.length**2 == pytest.approx(stored.volumes.sum(), rel=1e-5)
+
+
+def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, make_problem: MakeProblem) -> None:
+    problem = make_problem(2, *NAMES)
+    found = card.read(model_path(adapted))
+    assert found is not None
+    low, high = found.ranges["friction_deg"]
+    assert problem.box.lower[0] <= low < high <= problem.box.upper[0]
+    assert sum(found.data.scenes.values()) == 5
+    assert "released at rest" in found.scores or "moving" in found.scores
+    runs = deposits(adapted, problem)
+    assert len(runs) == 7
+    for values, flow in runs:
+        assert len(flow.time) == 1
+        assert flow.time[0] == pytest.approx(problem.scene.duration)
+        np.testing.assert_allclose(values, [each.read(flow.scene) for each in problem.kinds])
+    assert deposits(adapted, make_problem(2, "cohesion")) == []
+
+
+@pytest.mark.slow
+def test_the_same_call_again_makes_what_is_missing(
+    adapted: Path, weights: Path, make_problem: MakeProblem, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = model_path(adapted).read_bytes()
+    lost = next((adapted / DATA / "train").glob("*.npz"))
+    there = lost.read_bytes()
+    lost.unlink()
+    adapt(make_problem(2, *NAMES), adapted, runs=7, minutes=0.01, model=weights, jobs=1)
+    assert lost.read_bytes() == there
+    assert model_path(adapted).read_bytes() == before
+    assert "1 runs of the MPM" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["slope-friction", "--runs", "5"], "unknowns: expected numbers, a surrogate knows no fields"),
+        (["friction-tall-42", "--runs", "5"], "--runs: expected at least 6 runs"),
+        (["friction-tall-42", "--minutes", "0"], "minutes: expected a positive number"),
+    ],
+)
+def test_wrong_input_ends_in_a_line(
+    arguments: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(main, "adapt", [*arguments, "--out", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert len(said.strip().splitlines()) == 1
+
+
+def test_what_no_surrogate_knows_is_refused(make_problem: MakeProblem, tmp_path: Path, weights: Path) -> None:
+    young = Parameter(name="young", initial=2e6, lower=1e6, upper=3e6)
+    problem = dataclasses.replace(make_problem(2, "friction_deg"), parameters=(young,))
+    with pytest.raises(ValueError, match=r"unknowns\[0\]: expected an input of the surrogate, young is none"):
+        adapt(problem, tmp_path, model=weights)
