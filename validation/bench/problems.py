@@ -17,6 +17,7 @@ from datasets.records import Record, from_mapping, read_json, read_toml
 from gns import library
 from inverse.found import Verdict
 from inverse.problem import Problem, read_problem
+from inverse.settings import Surrogate
 from validation.report.page import GNS, MPM, Page, Row, between
 
 RESULT, KEY = "result.json", "made-of.txt"
@@ -53,7 +54,19 @@ class Family(Record):
     problems: tuple[str, ...]
     pictures: tuple[str, ...] = ()
     """PROBLEM/PICTURE that the page shows, without the ending."""
+    dear: bool = False
+    """Whether a run of the MPM is: each problem is then solved a second time, without a surrogate."""
     criteria: Criteria
+
+    def solved(self) -> list[tuple[Problem, str]]:
+        """What is solved, in turn: problems, and the names of their folders."""
+        found = []
+        for name in self.problems:
+            problem = read_problem(name)
+            found.append((problem, name))
+            if self.dear:
+                found.append((dataclasses.replace(problem, surrogate=Surrogate.NONE), f"{name}-{Surrogate.NONE}"))
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +105,11 @@ class Outcome:
         return {name: abs(self.result["unknowns"][name] - value) for name, value in truth.items()}
 
     @property
+    def surrogate(self) -> bool:
+        """Whether a surrogate was asked."""
+        return bool((self.result.get("surrogate") or {}).get("asked"))
+
+    @property
     def inside(self) -> int:
         """How many true values are within their half-width."""
         return sum(error <= self.half_widths[name] for name, error in self.errors.items())
@@ -122,11 +140,11 @@ class Outcome:
 
 
 def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> str:
-    """Solve every shipped problem, fields included, that has no result in `keep`; some eight minutes.
+    """Solve every shipped problem, fields included, that has no result in `keep`; the dear ones take most of the time.
 
-    Each is a `python -m validation.loop` of its own in KEEP/NAME. A result is kept unless the problem or the
-    surrogate's weights have changed since. An answer that the MPM does not confirm is part of the page. Raises
-    WorkFailed, once the page is written, where a problem could not be run.
+    Each is a `python -m validation.loop` of its own in KEEP/NAME, of a dear one without a surrogate in KEEP/NAME-none.
+    A result is kept unless the problem or the surrogate's weights have changed since. An answer that the MPM does not
+    confirm is part of the page. Raises WorkFailed, once the page is written, where a problem could not be run.
 
     Parameters
     ----------
@@ -148,9 +166,9 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
     requested, failed = only or (QUICK if quick else tuple(names)), []
     found: dict[str, list[Outcome]] = {}
     for family in families:
-        for name in family.problems:
-            problem, folder = read_problem(name), keep / name
-            if name in requested and not is_current(problem, folder) and not ran(problem, folder):
+        for problem, name in family.solved():
+            folder = keep / name
+            if problem.name in requested and not is_current(problem, folder) and not ran(problem, folder):
                 failed.append(name)
             if is_current(problem, folder):
                 outcome = Outcome(problem=problem, criteria=family.criteria, result=read_json(folder / RESULT) or {})
@@ -179,7 +197,7 @@ def ran(problem: Problem, folder: Path) -> bool:
     """Run the loop on a shipped problem in a process of its own; whether it came to its end."""
     # An older result is not this one's, should this one fail.
     (folder / RESULT).unlink(missing_ok=True)
-    arguments = ["-m", "validation.loop", problem.name, "--out", str(folder)]
+    arguments = ["-m", "validation.loop", problem.name, "--out", str(folder), "--surrogate", problem.surrogate]
     if subprocess.run([sys.executable, *arguments], check=False).returncode not in ENDED:
         return False
     write_text(folder / KEY, made_of(problem))
@@ -256,7 +274,21 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
     runs = [len(each.result["mpm_runs"]) for each in outcomes]
     seconds = [each.result["seconds"]["total"] for each in outcomes]
     sentences.append(f"A problem takes {between(runs, '.0f')} MPM runs and {between(seconds, '.0f')} s.")
+    if ratios := speed_up(outcomes):
+        sentences.append(
+            f"Where a run of the MPM is dear, the loop takes {between(ratios, '.0%')} of the seconds that it takes"
+            " without a surrogate."
+        )
     return sentences
+
+
+def speed_up(outcomes: Sequence[Outcome]) -> list[float]:
+    """Seconds with a surrogate that was asked over those without any, of each problem that was solved both ways."""
+    ways: dict[str, dict[bool, float]] = {}
+    for each in outcomes:
+        if each.surrogate or each.problem.surrogate is Surrogate.NONE:
+            ways.setdefault(each.problem.name, {})[each.surrogate] = each.result["seconds"]["total"]
+    return [seconds[True] / seconds[False] for seconds in ways.values() if len(seconds) == len((True, False))]
 
 
 def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:
@@ -267,6 +299,7 @@ def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:
         "problem": f"`{outcome.problem.name}`",
         "the paper": paper.get(outcome.problem.name, ""),
         "verdict": result["verdict"],
+        "surrogate": "asked" if outcome.surrogate else "-",
         "found": found_text(outcome),
         "largest error": error_text(outcome),
         "truth inside": f"{outcome.inside} of {len(outcome.errors)}" if outcome.errors else "-",
