@@ -54,6 +54,8 @@ class Purpose(StrEnum):
     """At an answer."""
     START = "start"
     """Of a design, at the problem's start."""
+    KNOWN = "known"
+    """Before, for another target."""
     CELLS = "cells"
     """At an answer on cells twice as large."""
 

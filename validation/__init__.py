@@ -13,9 +13,10 @@ import mpm  # noqa: F401  (which knows whether the package datasets is Talus's)
 
 if TYPE_CHECKING:
     from inverse.result import Result
+    from validation.loop.series import solve_series
     from validation.loop.solve import solve
 
-__all__ = ["Result", "solve"]
+__all__ = ["Result", "solve", "solve_series"]
 
 
 def __getattr__(name: str) -> Any:
@@ -24,6 +25,10 @@ def __getattr__(name: str) -> Any:
         from validation.loop.solve import solve
 
         return solve
+    if name == "solve_series":
+        from validation.loop.series import solve_series
+
+        return solve_series
     if name == "Result":
         from inverse.result import Result
 

@@ -91,6 +91,8 @@ class Constants:
     far from it would have most of the leverage."""
     checks: int = 4
     """Runs at an answer, whose mean is compared with the target: halves the scatter."""
+    known_checks: int = 2
+    """The same where runs for other targets are known, whose scatter is that of these."""
     rounds: int = 4
     """Times that an answer may move after its checks."""
 

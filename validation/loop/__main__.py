@@ -16,6 +16,7 @@ def main(
     /,
     *,
     out: Path,
+    targets: Path | None = None,
     model: Path | None = None,
     surrogate: Surrogate | None = None,
     scheduler: str | None = None,
@@ -31,8 +32,12 @@ def main(
         Path of a problem in TOML, or the name of a shipped one.
     out
         Folder for the results.
+    targets
+        A folder of deposits, trajectories or CSV files of what PROBLEM observes: each is inverted in its place, into
+        OUT/NAME, the runs of the MPM known to all; leaves OUT/series.csv, OUT/series.json and OUT/report.md besides.
     model
-        Weights of the surrogate; unless given, those that ship for 2D or for 3D.
+        Weights of the surrogate or the folder of `inverse.adapt`, whose runs of the MPM are then known; unless given,
+        the weights that ship for 2D or for 3D.
     surrogate
         "gns": always asked; "none": the MPM alone; unless given, as the problem says, by default where it saves more
         than it costs.
@@ -47,14 +52,19 @@ def main(
     from inverse.problem import read_problem
     from mpm import simulate_many
     from mpm.cluster import connected
+    from validation.loop.series import require_confirmed, solve_series, summary
     from validation.loop.solve import solve
 
     asked = read_problem(problem)
     if surrogate is not None:
         asked = dataclasses.replace(asked, surrogate=surrogate)
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
-        result = solve(asked, out, model=model, simulate=simulate)
-    print_outcome(result, out)
+        if targets is None:
+            print_outcome(solve(asked, out, model=model, simulate=simulate), out)
+            return
+        rows = solve_series(asked, targets, out, model=model, simulate=simulate)
+    print(summary(rows, len(rows)))
+    require_confirmed(rows, out)
 
 
 def print_outcome(result: "Result", out: Path) -> None:

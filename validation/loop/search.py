@@ -28,6 +28,8 @@ class Search:
     task: Task
     surrogate: Surrogate | None = None
     runs: tuple[MpmRun, ...] = ()
+    known: tuple[MpmRun, ...] = ()
+    """Runs that were made before, for other targets; no part of the budget."""
     waves: tuple[dict[str, Any], ...] = ()
     """What was known after some of the runs, as `result.json` has it."""
     found: Posterior | None = None
@@ -46,7 +48,7 @@ class Search:
     @property
     def price(self) -> float:
         """Wall time of a run, with others side by side [s]; the median, as the first ones compiled the kernels."""
-        return float(np.median([each.seconds for each in self.runs]))
+        return float(np.median([each.seconds for each in self.runs] or [0.0]))
 
     @property
     def posterior(self) -> Posterior:
@@ -55,14 +57,19 @@ class Search:
         return self.found
 
     @property
+    def every(self) -> tuple[MpmRun, ...]:
+        """Those that were known, and those of this search."""
+        return (*self.known, *self.runs)
+
+    @property
     def points(self) -> Matrix:
-        """Of the runs, in fractions of the ranges, shape [n, U]."""
-        return self.task.unit(np.stack([each.parameters for each in self.runs]))
+        """Of every run, in fractions of the ranges, shape [n, U]."""
+        return self.task.unit(np.stack([each.parameters for each in self.every]))
 
     @property
     def numbers(self) -> Matrix:
-        """What the runs show, shape [n, M]."""
-        return np.stack([each.observation for each in self.runs])
+        """What every run shows, shape [n, M]."""
+        return np.stack([each.observation for each in self.every])
 
     def ran(self, points: Matrix, purpose: Purpose) -> "Search":
         """With runs at points [S, U] of the unit box, as far as the budget goes."""
@@ -109,16 +116,21 @@ class Search:
         return dataclasses.replace(self.task.target, values=expected.min(axis=0))
 
 
-def first(task: Task) -> Search:
-    """The runs that fill the box, and some in its middle; as many as an emulator must have of a small budget."""
+def first(task: Task, known: tuple[MpmRun, ...] = ()) -> Search:
+    """The runs that fill the box, and some in its middle; as many as an emulator must have of a small budget.
+
+    None where enough are known from other targets.
+    """
     unknowns = len(task.problem.parameters)
+    if len(known) >= fewest_runs(unknowns):
+        return Search(task=task, known=known)
     count = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns
     repeats = CONSTANTS.repeats
     if count + repeats > task.budget - task.checks:
         count, repeats = max(unknowns + 3, task.budget - task.checks), 0
     cube = qmc.LatinHypercube(unknowns, rng=task.generator(0), optimization="random-cd").random(count)
     middle = np.full((repeats, unknowns), 0.5)
-    return Search(task=task).ran(np.concatenate([cube, middle]), Purpose.WAVE)
+    return Search(task=task, known=known).ran(np.concatenate([cube, middle]), Purpose.WAVE)
 
 
 def searched(state: Search, surrogate: Surrogate | None = None) -> Search:

@@ -4,14 +4,18 @@ import math
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from datasets import measures
 from datasets.lock import locked
+from datasets.trajectory import Trajectory
+from inverse.adaptation import deposits as adapted_runs
 from inverse.forward.interface import Simulate
-from inverse.found import Verdict
+from inverse.found import MpmRun, Purpose, Verdict
+from inverse.parameters import Vector
 from inverse.posterior.information import Information, information, measurements
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
@@ -23,6 +27,8 @@ from validation.loop.task import Task
 from validation.loop.verdict import Outcome, concluded
 from validation.runs import RunStore
 
+Known = tuple[Vector, Trajectory]
+"""Parameters [U], and the flow of the MPM there."""
 RUNS, TWIN = "mpm", "target-"
 """Folder of the MPM runs beside the result; what the file of a twin's own run begins with."""
 SUGGESTED = 6
@@ -35,6 +41,7 @@ def solve(
     *,
     model: Path | None = None,
     simulate: Simulate = simulate_many,
+    known: Sequence[Known] = (),
 ) -> Result:
     """Find all parameters that `problem` allows, each answer confirmed or refused by the MPM.
 
@@ -45,21 +52,22 @@ def solve(
 
     problem: one built in Python, the path of a TOML file or the name of a shipped one. out: folder for `result.json`,
     `posterior.npz`, `report.md`, pictures and every MPM run, where an interrupted command goes on; without it nothing
-    is written (`Result.save` does so later). model: weights of the surrogate, those that ship where absent. simulate:
-    in place of the MPM. Raises InputError for a problem that cannot be solved as it stands, WorkFailed where a run of
-    the MPM blows up or another process writes into `out`.
+    is written (`Result.save` does so later). model: weights of the surrogate, those that ship where absent; of a folder
+    of `inverse.adapt` the runs are known too. simulate: in place of the MPM. known: runs of the MPM for other targets,
+    which inform the emulator and are no part of the budget. Raises InputError for a problem that cannot be solved as it
+    stands, WorkFailed where a run of the MPM blows up or another process writes into `out`.
     """
     asked = read_problem(problem) if isinstance(problem, str) else problem
     if out is None:
         with tempfile.TemporaryDirectory() as folder:
-            return _solve(asked, Path(folder), model, simulate)
+            return _solve(asked, Path(folder), model, simulate, known)
     with locked(Path(out)):
-        result = _solve(asked, Path(out), model, simulate)
+        result = _solve(asked, Path(out), model, simulate, known)
         result.save(out)
     return result
 
 
-def _solve(asked: Problem, out: Path, model: Path | None, simulate: Simulate) -> Result:
+def _solve(asked: Problem, out: Path, model: Path | None, simulate: Simulate, known: Sequence[Known]) -> Result:
     if asked.fields:
         # By the MPM itself, with its word: it has an adjoint, and fields are too many for an emulator.
         from inverse.inversion import invert
@@ -68,13 +76,27 @@ def _solve(asked: Problem, out: Path, model: Path | None, simulate: Simulate) ->
     folder = out / RUNS
     recorded = LAST if len(asked.observations) == 1 and asked.observations[0].times is None else ALL
     target = read_target(asked, lambda scene: RunStore(folder, simulate, label=TWIN)([scene], record=recorded)[0])
-    return run(Task(problem=asked, target=target, folder=folder, simulate=simulate), model=model)
+    made = [] if model is None or target.observation.over_time else adapted_runs(model, asked)
+    task = Task(problem=asked, target=target, folder=folder, simulate=simulate)
+    return run(task, model=model, known=(*made, *known))
 
 
-def run(task: Task, *, model: Path | None = None, load: surrogate.Load = surrogate.learned) -> Result:
-    """Search, check the answers, judge; load: in place of the learned surrogate."""
+def run(
+    task: Task,
+    *,
+    model: Path | None = None,
+    load: surrogate.Load = surrogate.learned,
+    known: Sequence[Known] = (),
+) -> Result:
+    """Search, check the answers, judge; load: in place of the learned surrogate; known: runs for other targets."""
     began = time.perf_counter()
-    state = first(task)
+    state = first(
+        task,
+        tuple(
+            MpmRun(purpose=Purpose.KNOWN, parameters=parameters, trajectory=flow, target=task.target)
+            for parameters, flow in known
+        ),
+    )
     predictions, reason = surrogate.choose(task, state.price, model=model, load=load)
     if predictions is not None:
         print(f"the surrogate is in the emulator's trend: {reason}", file=sys.stderr)
@@ -104,11 +126,12 @@ def run(task: Task, *, model: Path | None = None, load: surrogate.Load = surroga
 def statement(state: Search) -> str:
     """What the posterior is made of, in sentences."""
     found = state.posterior
+    before = f" ({len(state.known)} of them made before)" if state.known else ""
     return (
-        f"An emulator of {int(found.near.sum())} of the {len(state.runs)} MPM runs, each with its own jitter seed, "
-        "gives the posterior over the whole box (uniform prior between the bounds). What the emulator does not know is "
-        f"{100.0 * found.emulator_share:.2g} % of the variance, and part of the half-widths, which are at 95 %. Two "
-        f"independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
+        f"An emulator of {int(found.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
+        "seed, gives the posterior over the whole box (uniform prior between the bounds). What the emulator does not "
+        f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the half-widths, which are at 95 %. "
+        f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     )
 
 
@@ -118,7 +141,7 @@ def further(outcome: Outcome) -> list[Information]:
         return []
     state, scene = outcome.state, outcome.state.task.problem.scene
     near = state.posterior.near
-    deposits = [run.trajectory.positions[-1] for run, each in zip(state.runs, near, strict=True) if each]
+    deposits = [run.trajectory.positions[-1] for run, each in zip(state.every, near, strict=True) if each]
     extent = max(measures.front(deposit) for deposit in deposits)
     shown = [measurements(scene, deposit, extent) for deposit in deposits]
     # That of the target is known.

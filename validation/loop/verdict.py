@@ -63,7 +63,8 @@ def checked(state: Search) -> tuple[Search, tuple[Answer, ...]]:
             locations = [state.task.unit(answers[0].parameters)]
         if state.left < len(locations):
             break
-        count = min(CONSTANTS.checks, state.left // len(locations))
+        checks = CONSTANTS.known_checks if state.known else CONSTANTS.checks
+        count = min(checks, state.left // len(locations))
         state = state.ran(np.repeat(np.stack(locations), count, axis=0), Purpose.CHECK).inferred()
     return state, answers_of(state, separate(state))
 
@@ -108,7 +109,7 @@ def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
     """The answer in each part: where it was checked, else where a run is nearest; those first that the MPM confirms."""
     task, answers = state.task, []
     for part in found:
-        own = checks_of(state, part) or [state.runs[int(np.argmin(distances(state, state.runs, part)))]]
+        own = checks_of(state, part) or [state.every[int(np.argmin(distances(state, state.every, part)))]]
         location = own[0].parameters
         widths = half_widths(part.points, part.shares, task.unit(location)) * task.bounds.range
         answers.append(

@@ -1,0 +1,107 @@
+"""A series of deposits: each in its place, the runs of the MPM known to all, and wrong files named before any work."""
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from inverse import deposits
+from inverse.problem import Problem
+from inverse.settings import Surrogate
+from mpm import LAST
+from tests.validation.loop.flows import FakeMpm, wedge
+from validation.loop.series import solve_series
+
+TRUTHS = {"first": 17.0, "second": 29.0, "third": 44.0}
+
+
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(deposits, "RESOLUTION", 40)
+
+
+@pytest.fixture
+def mpm() -> FakeMpm:
+    return FakeMpm(scatter=0.002)
+
+
+@pytest.fixture
+def problem(tmp_path: Path) -> Problem:
+    """The friction angle of a wedge by its front, without a surrogate."""
+    return dataclasses.replace(wedge(tmp_path).problem, surrogate=Surrogate.NONE)
+
+
+@pytest.fixture
+def targets(problem: Problem, mpm: FakeMpm, tmp_path: Path) -> Path:
+    """A folder of deposits at known angles."""
+    for number, (name, angle) in enumerate(TRUTHS.items()):
+        mpm.run(problem.scene_at(np.array([angle]), 900 + number)).save(tmp_path / "deposits" / f"{name}.npz")
+    mpm.scenes.clear()
+    return tmp_path / "deposits"
+
+
+@pytest.fixture
+def adapted(problem: Problem, mpm: FakeMpm, tmp_path: Path) -> Path:
+    """A folder with the runs of an adaptation, 48 over the range of angles."""
+    for number, angle in enumerate(np.linspace(12.2, 51.8, 48)):
+        scene = dataclasses.replace(problem.scene_at(np.array([angle]), 2000 + number), frame_dt=0.02)
+        mpm([scene], record=LAST)[0].save(tmp_path / "run" / "data" / "deposits" / f"{number:04d}.npz")
+    mpm.scenes.clear()
+    return tmp_path / "run"
+
+
+def test_deposits_share_the_runs_of_the_mpm(
+    problem: Problem, targets: Path, adapted: Path, mpm: FakeMpm, tmp_path: Path
+) -> None:
+    out = tmp_path / "series"
+    rows = solve_series(problem, targets, out, model=adapted, simulate=mpm)
+    assert [each["deposit"] for each in rows] == list(TRUTHS)
+    for each, truth in zip(rows, TRUTHS.values(), strict=True):
+        assert abs(each["friction_deg"] - truth) < 2.0 * each["friction_deg +-"] < 6.0
+        assert each["verdict"] == "confirmed"
+    assert len(mpm.scenes) == sum(each["MPM runs"] for each in rows) <= 3 * len(rows)
+    assert len({scene.seed for scene in mpm.scenes}) == len(mpm.scenes)
+    with (out / "series.csv").open() as file:
+        assert [each["deposit"] for each in csv.DictReader(file)] == list(TRUTHS)
+    assert "3 of 3 deposits inverted, 3 of them confirmed" in (out / "report.md").read_text()
+    # What is there is not done again.
+    mpm.scenes.clear()
+    (out / "third" / "result.json").unlink()
+    assert solve_series(problem, targets, out, model=adapted, simulate=mpm)[:2] == rows[:2]
+    assert not mpm.scenes
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        ("fourth.npz", "none", r"fourth\.npz: expected a whole NPZ"),
+        ("fourth.csv", "x,height\n0,1\n", r"fourth\.csv: expected a header with the columns `time`, `front`"),
+        ("first.csv", "time,front\n0,1\n", r"first\.npz: expected a name of its own, it is that of first\.csv"),
+    ],
+)
+def test_a_wrong_file_is_named_before_any_work(
+    name: str, text: str, expected: str, problem: Problem, targets: Path, mpm: FakeMpm, tmp_path: Path
+) -> None:
+    (targets / name).write_text(text)
+    with pytest.raises(InputError, match=expected):
+        solve_series(problem, targets, tmp_path / "series", simulate=mpm)
+    assert not mpm.scenes
+
+
+def test_profiles_in_csv(targets: Path, mpm: FakeMpm, tmp_path: Path) -> None:
+    case = wedge(tmp_path, kind="profile", truth=24.0, noise=0.005)
+    problem = dataclasses.replace(case.problem, surrogate=Surrogate.NONE)
+    x = np.linspace(0.0, 1.2, 61)
+    heights = 0.2 * np.maximum(1.0 - x / 0.6, 0.0)
+    folder = tmp_path / "profiles"
+    folder.mkdir()
+    np.savetxt(folder / "bed.csv", np.stack([x, heights], axis=1), delimiter=",", header="x,height", comments="")
+    (row,) = solve_series(problem, folder, tmp_path / "series", simulate=mpm)
+    assert row["deposit"] == "bed"
+    assert row["MPM runs"] > 3
+    (folder / "short.csv").write_text("x,depth\n0,1\n1,0\n")
+    with pytest.raises(InputError, match=r"short\.csv: expected .*height"):
+        solve_series(problem, folder, tmp_path / "series", simulate=mpm)

@@ -1,0 +1,168 @@
+"""A series: many deposits of one kind, each inverted by the same surrogate, with the runs of the MPM in common.
+
+A run of the MPM says something of every deposit of its kind. So those that an adaptation made (`inverse.adapt`), and
+those of the deposits before, are known to the emulator of each further one, which then needs little more than its
+checks. Each deposit's own runs have jitter seeds of their own.
+"""
+
+import csv
+import dataclasses
+import io
+import itertools
+import json
+import sys
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tabulate import tabulate
+
+from datasets.command_line import WorkFailed
+from datasets.errors import InputError
+from datasets.files import make_folder, write_json, write_text
+from datasets.trajectory import SUFFIXES, Trajectory
+from inverse.forward.interface import Simulate
+from inverse.found import Verdict
+from inverse.observations import KINDS
+from inverse.problem import Problem, read_problem
+from inverse.settings import TargetSettings
+from inverse.target import read_target
+from mpm import simulate_many
+from validation.loop.solve import Known, solve
+
+RESULT = "result.json"
+WIDTH = " +-"
+"""What follows the name of an unknown, of the column of its half-widths."""
+CONFIRMED = (Verdict.CONFIRMED.value, Verdict.AMBIGUOUS.value)
+
+
+def solve_series(
+    problem: Problem | str,
+    targets: Path | str,
+    out: Path | str,
+    *,
+    model: Path | None = None,
+    simulate: Simulate = simulate_many,
+) -> list[dict[str, Any]]:
+    """Invert every deposit in the folder `targets`, and return a row of the table for each.
+
+    >>> from validation import solve_series
+    >>> rows = solve_series("friction-tall-42", "deposits", "out/series", model="out/tall")
+
+    targets: trajectories as `mpm.run` leaves them, or CSV files of the problem's one observation; model: that of
+    `inverse.adapt`, by which its runs of the MPM are known, or another one. Leaves `out`/NAME for each deposit as
+    `validation.solve`, `series.csv`, `series.json` and `report.md`; what is there is not done again. Raises InputError,
+    which names the file, before any work.
+    """
+    asked, out = read_problem(problem) if isinstance(problem, str) else problem, Path(out)
+    deposits = read_deposits(asked, Path(targets))
+    make_folder(out)
+    known, rows = list[Known](), list[dict[str, Any]]()
+    for number, (name, each) in enumerate(deposits.items(), 1):
+        folder = out / name
+        if not (folder / RESULT).exists():
+            print(f"{name}, {number} of {len(deposits)}", file=sys.stderr)
+            solve(each, folder, model=model, simulate=simulate, known=known)
+        found = json.loads((folder / RESULT).read_text())
+        rows.append(row(name, found))
+        known += runs_of(folder, found)
+        write(out, asked, rows, len(deposits))
+    return rows
+
+
+def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
+    """The problem of each deposit in a folder, by the name of its file. Raises InputError, which names a bad file."""
+    files = sorted(path for path in folder.glob("[!.]*") if path.suffix in (*SUFFIXES, ".csv"))
+    if not files:
+        raise InputError("expected deposits, files in .npz, .h5 or .csv; there are none", where=str(folder))
+    for path, other in itertools.pairwise(files):
+        if path.stem == other.stem:
+            raise InputError(f"expected a name of its own, it is that of {path.name}", where=str(other))
+    found = {}
+    for path in files:
+        try:
+            found[path.stem] = each = of_deposit(problem, path)
+            read_target(each, lambda scene: flows_are_given())
+        except InputError as error:
+            raise error if str(path) in error.where else error.at(str(path)) from None
+    return found
+
+
+def flows_are_given() -> Trajectory:
+    """No target of a series is simulated."""
+    raise AssertionError("a deposit is a file")
+
+
+def of_deposit(problem: Problem, path: Path) -> Problem:
+    """The problem with the deposit in a file as its target, and jitter seeds of its own."""
+    target, observations = TargetSettings(trajectory=str(path.absolute())), problem.observations
+    unmeasured = [dataclasses.replace(each, value=None, values=None, csv=None) for each in observations]
+    if path.suffix == ".csv":
+        if len(observations) > 1 or "csv" not in KINDS[observations[0].kind].sources:
+            message = f"expected a trajectory: the problem observes {', '.join(each.kind for each in observations)}"
+            raise InputError(message)
+        target = TargetSettings()
+        unmeasured = [dataclasses.replace(unmeasured[0], csv=str(path.absolute()))]
+    seed = int(np.random.SeedSequence([problem.scene.seed, zlib.crc32(path.stem.encode())]).generate_state(1)[0])
+    return dataclasses.replace(
+        problem,
+        name=path.stem,
+        scene=dataclasses.replace(problem.scene, seed=seed),
+        observations=tuple(unmeasured),
+        target=target,
+    )
+
+
+def runs_of(folder: Path, found: Mapping[str, Any]) -> list[Known]:
+    """The runs of the MPM that a deposit took, on the cells of the problem."""
+    return [
+        (np.array(list(each["unknowns"].values())), Trajectory.load(folder / each["file"]))
+        for each in found["mpm_runs"]
+        if each["purpose"] != "cells"
+    ]
+
+
+def row(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    """The row of a deposit: its first answer with half-widths, the verdict and what it cost."""
+    unknowns = dict[str, float]()
+    for key, value in found["unknowns"].items():
+        unknowns |= {key: value, key + WIDTH: found["certainty"][key]}
+    cost = {"MPM runs": len(found["mpm_runs"]), "seconds": round(found["seconds"]["total"], 2)}
+    return {"deposit": name, **unknowns, "verdict": found["verdict"], "answers": len(found["answers"]), **cost}
+
+
+def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count: int) -> None:
+    """Write the table of the deposits so far, of `count`."""
+    content = io.StringIO(newline="")
+    table = csv.DictWriter(content, rows[0])
+    table.writeheader()
+    table.writerows(rows)
+    write_text(out / "series.csv", content.getvalue())
+    write_json(out / "series.json", {"problem": problem.name, "deposits": rows})
+    digits = {each.name: each.kind.digits for each in problem.numbers}
+
+    def shown(key: str, value: Any) -> str:
+        return f"{value:.{digits.get(key.removesuffix(WIDTH), 1)}f}" if isinstance(value, float) else str(value)
+
+    lines = [{key: shown(key, value) for key, value in each.items()} for each in rows]
+    text = tabulate(lines, "keys", "github", disable_numparse=True)
+    write_text(out / "report.md", f"# {problem.name}: a series\n\n{summary(rows, count)}\n\n{text}\n")
+
+
+def summary(rows: Sequence[Mapping[str, Any]], count: int) -> str:
+    """What a series came to, in a sentence."""
+    confirmed = sum(each["verdict"] in CONFIRMED for each in rows)
+    runs, seconds = (np.mean([each[key] for each in rows]) for key in ("MPM runs", "seconds"))
+    return (
+        f"{len(rows)} of {count} deposits inverted, {confirmed} of them confirmed by the MPM; "
+        f"{runs:.1f} MPM runs and {seconds:.0f} s a deposit."
+    )
+
+
+def require_confirmed(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
+    """Raise WorkFailed where the MPM has not confirmed every deposit's answer."""
+    others = [str(each["deposit"]) for each in rows if each["verdict"] not in CONFIRMED]
+    if others:
+        raise WorkFailed(f"not confirmed: {', '.join(others)}; see {out}/report.md")
