@@ -130,7 +130,7 @@ def statement(state: Search) -> str:
     return (
         f"An emulator of {int(found.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
         "seed, gives the posterior over the whole box (uniform prior between the bounds). What the emulator does not "
-        f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the half-widths, which are at 95 %. "
+        f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the half-widths, at 95 %. "
         f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     )
 
