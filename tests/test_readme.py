@@ -23,14 +23,13 @@ size = [0.08, 0.08]
 RUN = {
     "mpm.run": ["scene.toml"],
     "gns.rollout": ["column-tall-42"],
-    "datasets.maps": ["out/mpm.run"],
     "validation.vtk": ["out/mpm.run"],
     "inverse": ["problem.toml", "--forward", "mpm"],
     "validation.loop": ["problem.toml"],
 }
 """Arguments with which a command of the README runs within seconds, on one kernel; `--out` is added.
 
-Datasets, training, exchange and forces run in the tests of their packages.
+Datasets, training, exchange, maps and forces run in the tests of their packages.
 """
 
 

@@ -1,19 +1,16 @@
-"""python -m datasets.maps TRAJECTORY --out DIR: the deposit as rasters, outlines and pictures; in 2D as a profile."""
+"""python -m datasets.maps TRAJECTORY --out DIR: a deposit in 3D as rasters, outlines and pictures."""
 
 import dataclasses
 import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from datasets.command_line import run
-from datasets.files import make_folder, replacing, write_json
+from datasets.files import make_folder, write_json
 from datasets.maps.files import (
     LOCAL,
     Georeference,
     draw_maps,
-    draw_profile,
     georeference,
     outline,
     write_outlines,
@@ -35,23 +32,6 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, location: Georef
 
     Raises WorkFailed.
     """
-    own = write_profile(maps, folder) if trajectory.scene.dimension == 2 else write_plan(maps, folder, location)
-    found = {name: getattr(maps, name) for name in KINDS}
-    said = {
-        "time": float(trajectory.time[-1]),
-        "cell": maps.cell,
-        "threshold": maps.threshold,
-        "volume": maps.volume,
-        "left": maps.left,
-        **own,
-        **{f"{name}_max": None if values is None else float(f"{values.max():.6g}") for name, values in found.items()},
-    }
-    write_json(folder / "maps.json", said)
-    return said
-
-
-def write_plan(maps: PlanMaps, folder: Path, location: Georeference) -> dict[str, Any]:
-    """In 3D: rasters and pictures, and outlines as GeoJSON. Returns areas, extent and location."""
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
     outlines = {
         name: outline(values, maps.cell, location, maps.threshold)
@@ -65,34 +45,20 @@ def write_plan(maps: PlanMaps, folder: Path, location: Georeference) -> dict[str
     write_outlines(folder / "outline.geojson", outlines, maps.threshold, location)
     # Single particles that rolled on are islands of their own.
     largest = max(outlines["deposit"].geoms, key=lambda polygon: polygon.area, default=None)
-    return {
+    found = {name: getattr(maps, name) for name in KINDS}
+    said = {
+        "time": float(trajectory.time[-1]),
+        "cell": maps.cell,
+        "threshold": maps.threshold,
+        "volume": maps.volume,
+        "left": maps.left,
         **{f"area_{name}": polygons.area for name, polygons in outlines.items()},
         "extent": None if largest is None else largest.bounds[2] - location.east,
         **dataclasses.asdict(location),
+        **{f"{name}_max": None if values is None else float(f"{values.max():.6g}") for name, values in found.items()},
     }
-
-
-def write_profile(maps: PlanMaps, folder: Path) -> dict[str, Any]:
-    """In 2D: profile.csv, whose x and height are those of a measured profile, and a picture. Returns the extent."""
-    (x,) = maps.grid.axes
-    columns = {
-        "x": x,
-        "height": maps.thickness,
-        "surface": maps.ground + maps.thickness,
-        "ground": maps.ground,
-        "largest_depth": maps.depth,
-        "largest_velocity": maps.velocity,
-    }
-    known = {name: column for name, column in columns.items() if column is not None}
-    with replacing(folder / "profile.csv") as part:
-        rows = np.stack(list(known.values()), axis=1)
-        np.savetxt(part, rows, fmt="%.9g", delimiter=",", header=",".join(known), comments="")
-    draw_profile(folder / "profile.png", maps)
-    covered = maps.thickness > maps.threshold
-    return {
-        "length": float(maps.areas[covered].sum()),
-        "extent": float(np.minimum(x + 0.5 * maps.cell, x[-1])[covered].max()) if covered.any() else None,
-    }
+    write_json(folder / "maps.json", said)
+    return said
 
 
 def command(
@@ -103,16 +69,16 @@ def command(
     cell: float | None = None,
     threshold: float | None = None,
 ) -> None:
-    """Write what a flow left, seen from above: thickness, largest depth and velocity, outlines; in 2D a profile.
+    """Write what a flow left, seen from above: thickness, largest depth and velocity, outlines.
 
     Parameters
     ----------
     trajectory
-        A trajectory (NPZ), or the folder of a run that holds one.
+        A trajectory (NPZ) in 3D, or the folder of a run that holds one.
     out
         Folder for the results.
     cell
-        Edge of a cell of the maps, in 2D distance of the stations [m]; that of the scene's grid unless given.
+        Edge of a cell of the maps [m]; that of the scene's grid unless given.
     threshold
         Thickness [m] above which the ground counts as covered; the spacing of the particles unless given.
     """

@@ -124,7 +124,7 @@ def write_outlines(
 def draw_maps(
     path: Path, maps: PlanMaps, georeference: Georeference, kinds: Mapping[str, tuple[str, str, str]]
 ) -> None:
-    """All maps in 3D where they are covered, one above the other; over the ground, with the outline of the deposit.
+    """All maps where they are covered, one above the other; over the ground, with the outline of the deposit.
 
     kinds: title, unit and colours (of matplotlib) of each.
     """
@@ -146,26 +146,5 @@ def draw_maps(
             panel.contour(x, z, maps.thickness.T, levels=[maps.threshold], colors="black", linewidths=1.0)
         panel.set(xlabel="x, easting [m]", ylabel="z, northing [m]")
         panel.ticklabel_format(useOffset=False, style="plain")
-    with replacing(path) as part:
-        figure.savefig(part, dpi=120)
-
-
-def draw_profile(path: Path, maps: PlanMaps) -> None:
-    """In 2D: the deposit on the ground, the largest depth and the start, and below the largest velocity over x."""
-    from matplotlib.figure import Figure
-
-    (x,) = maps.grid.axes
-    figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
-    top, below = figure.subplots(2, sharex=True)
-    top.fill_between(x, 0.0, maps.ground, color="tan")
-    top.fill_between(x, maps.ground, maps.ground + maps.thickness, color="orange", label="deposit")
-    for name, thickness, style in (("largest depth", maps.depth, "-"), ("start", maps.start, "--")):
-        if thickness is not None:
-            top.plot(x, np.where(thickness > 0.0, maps.ground + thickness, np.nan), style, label=name)
-    top.set(ylabel="elevation [m]")
-    top.legend(frameon=False)
-    if maps.velocity is not None:
-        below.plot(x, np.where(maps.depth > maps.threshold, maps.velocity, np.nan))
-    below.set(xlabel="x [m]", ylabel="largest velocity [m/s]")
     with replacing(path) as part:
         figure.savefig(part, dpi=120)

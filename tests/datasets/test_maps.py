@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from matplotlib.image import imread
 from shapely.geometry import shape
 
 from datasets.command_line import run
@@ -15,7 +14,6 @@ from datasets.maps.__main__ import command, write
 from datasets.maps.files import Georeference, outline
 from datasets.maps.plan import Floats, maps_of
 from datasets.material import Material
-from datasets.measures import height_profile
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
@@ -55,27 +53,18 @@ def sliding(scene: Scene) -> Trajectory:
 
 
 @pytest.mark.parametrize("cell", [0.026, 0.17])
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_volume_is_that_of_the_particles(dimension: int, cell: float) -> None:
+def test_volume_is_that_of_the_particles(cell: float) -> None:
     """Wherever they are, in corners and on walls too, in masses of different particles."""
-    size = (1.0, 0.5, 0.6)[:dimension]
-    boxes = (
-        ((0.0, 0.0, 0.0)[:dimension], (0.21, 0.13, 0.3)[:dimension]),
-        ((0.5, 0.0, 0.1)[:dimension], (0.3, 0.1, 0.2)[:dimension]),
-    )
-    scene = scene_of(size, *boxes)
+    size = (1.0, 0.5, 0.6)
+    scene = scene_of(size, ((0.0, 0.0, 0.0), (0.21, 0.13, 0.3)), ((0.5, 0.0, 0.1), (0.3, 0.1, 0.2)))
     start = initial_particles(scene)
     coordinates = np.random.default_rng(1).random(start.positions.shape) * size
-    coordinates[:8] = np.array(np.meshgrid(*[(0.0, length) for length in size])).reshape(dimension, -1).T[[0, -1] * 4]
+    coordinates[:8] = np.array(np.meshgrid(*[(0.0, length) for length in size])).reshape(3, -1).T
     maps = maps_of(flow_of(scene, start.positions, coordinates), cell)
-    assert (maps.thickness * maps.areas).sum() == pytest.approx(start.volume.sum(), rel=1e-12)
+    assert maps.thickness.sum() * cell**2 == pytest.approx(start.volume.sum(), rel=1e-12)
     assert (maps.volume, maps.left) == (pytest.approx(start.volume.sum(), rel=1e-12), 0.0)
     assert maps.start is not None
     np.testing.assert_allclose(maps.depth, np.maximum(maps.start, maps.thickness), rtol=1e-12)
-    if dimension == 2:
-        # The one definition of a profile.
-        profile = height_profile(np.float32(coordinates), start.volume, maps.grid.axes[0])
-        np.testing.assert_allclose(maps.thickness, profile, rtol=1e-12)
 
 
 def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None:
@@ -95,21 +84,16 @@ def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None
     assert maps.threshold == pytest.approx(0.025)
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_the_ground_of_terrain_and_baffles(dimension: int) -> None:
-    terrain = (
-        Solid(kind="terrain", points=((0.0, 0.3), (1.0, 0.1)))
-        if dimension == 2
-        else Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((0.3, 0.3), (0.1, 0.1)))
-    )
+def test_the_ground_of_terrain_and_baffles() -> None:
+    terrain = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((0.3, 0.3), (0.1, 0.1)))
     scene = dataclasses.replace(
-        scene_of((1.0, 0.8, 0.5)[:dimension], ((0.2, 0.5, 0.1)[:dimension], (0.2, 0.1, 0.2)[:dimension])),
+        scene_of((1.0, 0.8, 0.5), ((0.2, 0.5, 0.1), (0.2, 0.1, 0.2))),
         solids=(terrain,),
-        baffles=(Baffle(lower=(0.6, 0.0, 0.0)[:dimension], size=(0.11, 0.4, 0.2)[:dimension]),),
+        baffles=(Baffle(lower=(0.6, 0.0, 0.0), size=(0.11, 0.4, 0.2)),),
     )
     maps = maps_of(flow_of(scene), 0.05)
-    x, *z = np.meshgrid(*maps.grid.axes, indexing="ij")
-    on = (x > 0.59) & (x < 0.71) & (z[0] < 0.2 if z else True)
+    x, z = np.meshgrid(*maps.grid.axes, indexing="ij")
+    on = (x > 0.59) & (x < 0.71) & (z < 0.2)
     np.testing.assert_allclose(maps.ground, np.where(on, 0.4, 0.3 - 0.2 * x), atol=1e-6)
 
 
@@ -180,24 +164,16 @@ def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path) -> None:
     assert shape(deposit["geometry"]).bounds == pytest.approx(corners, abs=1.0)
 
 
-def test_the_command_in_2d(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sliding(scene_of((1.0, 0.6), ((0.1, 0.0), (0.2, 0.1)))).save(tmp_path / "trajectory.npz")
-    given = [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path)]
-    assert run(command, "maps", given) == 0
-    rows = np.genfromtxt(tmp_path / "profile.csv", delimiter=",", names=True)
-    assert rows.dtype.names == ("x", "height", "surface", "ground", "largest_depth", "largest_velocity")
-    np.testing.assert_allclose(rows["x"], np.arange(21) * 0.05, atol=1e-9)
-    np.testing.assert_array_equal(rows["surface"], rows["height"])
-    np.testing.assert_allclose(rows["largest_velocity"][rows["largest_depth"] > 0.09], 1.0, rtol=1e-3)
-    said = json.loads((tmp_path / "maps.json").read_text())
-    assert (said["volume"], said["extent"]) == (pytest.approx(0.02), pytest.approx(0.7, abs=0.05))
-    assert imread(tmp_path / "profile.png").shape[0] > 300
-    capsys.readouterr()
-    for flags, words in (
-        (["--cell", "0"], "--cell: expected a length from 0.025 m, the spacing of the particles, to 1 m"),
-        (["--threshold", "-1"], "--threshold: expected a thickness above 0 m"),
+def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    box = (1.0, 0.6, 0.4)
+    for dimension, flags, words in (
+        (2, [], "expected a trajectory in 3D, a flow in 2D has no plan"),
+        (3, ["--cell", "0"], "--cell: expected a length from 0.025 m, the spacing of the particles, to 0.4 m"),
+        (3, ["--threshold", "-1"], "--threshold: expected a thickness above 0 m"),
     ):
-        assert run(command, "maps", [*given, *flags]) == 2
+        sand = (0.1, 0.0, 0.0)[:dimension], (0.2, 0.1, 0.2)[:dimension]
+        sliding(scene_of(box[:dimension], sand)).save(tmp_path / "trajectory.npz")
+        assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path), *flags]) == 2
         error = capsys.readouterr().err
         assert words in error
         assert error.count("\n") == 1

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.maps.__main__ import write_profile
-from datasets.maps.plan import maps_of
 from datasets.material import Material
+from datasets.measures import height_profile
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene, Solid
-from datasets.trajectory import Trajectory
 from inverse.observations.measured_profile import profile_of
 from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile
 from inverse.observations.table import Context
@@ -151,16 +149,11 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights, spaci
     start = initial_particles(scene)
     wedge = start.positions * [1.0, 0.5]
     wedge[:, 0] = 0.8 * (1.0 - np.sqrt(1.0 - start.positions[:, 0] / 0.2))
-    flow = Trajectory(
-        positions=wedge[None].astype(np.float32),
-        time=np.array([1.0]),
-        velocity0=np.zeros_like(wedge, np.float32),
-        friction=start.friction,
-        scene=scene,
-    )
-    maps = maps_of(flow, spacing)
-    write_profile(maps, tmp_path)
+    stations = np.linspace(0.0, scene.domain.size[0], round(scene.domain.size[0] / spacing) + 1)
+    thickness = height_profile(wedge, start.volume, stations)
+    rows = np.stack([stations, thickness], axis=1)
+    np.savetxt(tmp_path / "profile.csv", rows, delimiter=",", header="x,height", comments="")
     settings = ObservationSettings(kind="profile", csv="profile.csv", heights=heights)
     profile = profile_of(settings, Context(scene=scene, folder=tmp_path, released=0.08))
-    np.testing.assert_allclose(profile.at(maps.grid.axes[0]), maps.thickness, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(profile.at(stations), thickness, rtol=1e-8, atol=1e-9)
     assert np.trapezoid(profile.height, profile.x) == pytest.approx(0.08, rel=1e-8)
