@@ -84,7 +84,7 @@ class ObservationSettings(Record):
     name: str | None = None
     """As it is called in reports; its kind where absent."""
     value: float | None = None
-    """The one number, in the unit of its kind: m, N s or N (in 2D per metre of width), a share -."""
+    """The one number, in the unit of its kind: m, N s (in 2D per metre of width), a share -."""
     values: tuple[float, ...] | None = None
     """The numbers: of a toe its coordinates, of others one for each of `x` or `times`."""
     csv: str | None = None
@@ -115,8 +115,6 @@ class ObservationSettings(Record):
     """Which solid an impulse is on, by its name or its number: the baffles, from 0, then the other solids."""
     axis: int = 0
     """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
-    window: float = 0.02
-    """Time over which a force is a mean [s]: of the gauge, or long enough that single particles do not matter."""
     directions_deg: tuple[float, ...] | None = None
     """Of an outline, from +x towards +z; every 22.5 degrees where absent."""
 

@@ -10,7 +10,7 @@ from datasets.scene import Scene
 from inverse.observations.deposit import Deposit
 from inverse.observations.front import Front, Runout
 from inverse.observations.gauges import Gauges
-from inverse.observations.impulse import Impulse, PeakForce
+from inverse.observations.impulse import Impulse
 from inverse.observations.observation import Observation, Rollout, Values
 from inverse.observations.outline import Outline
 from inverse.observations.passed import Passed
@@ -21,7 +21,7 @@ from inverse.settings import ObservationSettings
 __all__ = ["KINDS", "Observation", "Rollout", "Values", "build"]
 
 KINDS: dict[str, type[Observation]] = {
-    each.kind: each for each in (Front, Runout, Profile, Toe, Deposit, Passed, Gauges, Impulse, PeakForce, Outline)
+    each.kind: each for each in (Front, Runout, Profile, Toe, Deposit, Passed, Gauges, Impulse, Outline)
 }
 """Every kind of observation by its name in TOML."""
 

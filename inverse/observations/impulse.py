@@ -1,4 +1,4 @@
-"""Impulse and largest force on a solid. Solids are the baffles, counted from 0, then the others."""
+"""Impulse on a solid. Solids are the baffles, counted from 0, then the others."""
 
 from typing import Any, ClassVar
 
@@ -12,12 +12,21 @@ from inverse.observations.observation import Observation, Rollout, Values, at_ti
 from inverse.settings import ObservationSettings
 
 SCATTER = 0.05
-"""Standard deviation of an impulse or a force from flow to flow over its value, until an ensemble has measured it."""
+"""Standard deviation of an impulse from flow to flow over its value, until an ensemble has measured it."""
 
 
-class SolidObservation(Observation):
-    """A number of the impact on a solid along an axis; no surrogate predicts it."""
+class Impulse(Observation):
+    """The momentum that the flow has transferred to a solid along an axis, in the end or at given times.
 
+    In 2D per metre of width. No surrogate predicts it.
+    """
+
+    kind = "impulse"
+    label = "the impulse on a solid"
+    unit = "N s"
+    sources = ("value", "csv", "values")
+    options = ("solid", "axis", "times")
+    columns: ClassVar = {"time": "times", "impulse": "values"}
     of_positions = False
 
     def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
@@ -29,7 +38,7 @@ class SolidObservation(Observation):
             raise InputError(f"expected one of {known}, or its number from 0, got {asked!r}", key="solid")
         if not 0 <= settings.axis < scene.dimension:
             raise InputError(f"expected an index below {scene.dimension}, got {settings.axis}", key="axis")
-        self.solid, self.axis, self.window = number, settings.axis, settings.window
+        self.solid, self.axis = number, settings.axis
 
     @property
     def over_time(self) -> bool:
@@ -50,51 +59,7 @@ class SolidObservation(Observation):
 
     def of_series(self, impulse: Any, time: Values) -> Any:
         """The numbers [M] of an impulse over `time` [s], both of shape [T]."""
-        raise NotImplementedError
+        return impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, time, self.times)
 
     def prior_scatter(self, values: Values) -> Values:
         return np.asarray(SCATTER * np.maximum(np.abs(values), 0.1 * np.abs(values).max()))
-
-
-class Impulse(SolidObservation):
-    """The momentum that the flow has transferred to a solid along an axis, in the end or at given times.
-
-    In 2D per metre of width.
-    """
-
-    kind = "impulse"
-    label = "the impulse on a solid"
-    unit = "N s"
-    sources = ("value", "csv", "values")
-    options = ("solid", "axis", "times")
-    columns: ClassVar = {"time": "times", "impulse": "values"}
-
-    def of_series(self, impulse: Any, time: Values) -> Any:
-        return impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, time, self.times)
-
-
-class PeakForce(SolidObservation):
-    """The largest force on a solid along an axis: max_t |I(t + w/2) - I(t - w/2)| / w, w the window, I the impulse.
-
-    In 2D per metre of width. Differentiable but where the largest force changes from one time to another.
-    """
-
-    kind = "peak-force"
-    label = "the largest force on a solid"
-    unit = "N"
-    options = ("solid", "axis", "window")
-
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
-        super().__init__(settings, scene)
-        if not 0.0 < settings.window <= scene.duration:
-            raise InputError(f"expected a time in (0, {scene.duration:g}] s, got {settings.window}", key="window")
-
-    def of_series(self, impulse: Any, time: Values) -> Any:
-        # About frames around which the whole window lies in the run.
-        room = (0.5 - 1e-9) * self.window
-        middles = time[(time >= time[0] + room) & (time <= time[-1] - room)]
-        if not len(middles):
-            middles = np.array([0.5 * (time[0] + time[-1])])
-        ends = (middles + half * self.window for half in (-0.5, 0.5))
-        before, after = (at_times(lambda value: value, impulse, time, each) for each in ends)
-        return abs(after - before).max().reshape(1) / self.window
