@@ -11,6 +11,7 @@ from datasets.errors import InputError
 from datasets.files import make_folder
 from gns import card, checkpoint
 from gns.library import model_path, shipped
+from inverse.forward.band import band_of
 from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Differentiable, Evaluation, Forward
 from inverse.forward.mpm import MpmForward
@@ -23,6 +24,7 @@ from inverse.problem import Problem
 from inverse.result import Result
 from inverse.secants import lowest, sample
 from inverse.settings import ForwardModel, Gradient, Method, Surrogate
+from inverse.surrogate import inverted
 from inverse.target import Target, read_each, read_target
 from mpm import simulate, simulate_many
 
@@ -62,7 +64,10 @@ def invert(
     else:
         target = read_target(problem, simulate)
         chosen = forward_model(problem, target, forward, gradient, model)
-        result = of_numbers(problem, target, chosen, gradient)
+        if isinstance(chosen, GnsForward):
+            result = of_surrogate(problem, target, chosen)
+        else:
+            result = of_mpm(problem, target, chosen, gradient)
     if out is not None:
         result.save(out)
     return result
@@ -87,32 +92,69 @@ def forward_model(
     if unsupported or not target.observation.of_positions:
         what = ", ".join(unsupported) or "forces"
         raise InputError(f"expected mpm, no surrogate predicts {what}", where="--forward gns")
+    if gradient is Gradient.FD:
+        raise InputError("expected ad, the surrogate's own gradient", where="--gradient fd")
     weights, scene = model_path(model or shipped(problem.scene.dimension)), problem.scene_at(problem.initial)
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
-    return GnsForward(checkpoint.load(weights).simulator, problem, target.observation)
+    return GnsForward(checkpoint.load(weights).simulator, problem, target.observation, band=band_of(weights, scene))
 
 
-def of_numbers(
-    problem: Problem, target: Target, forward: GnsForward | MpmForward, gradient: Gradient | None = None
-) -> Result:
-    """The minimum of the misfit of `forward`, which nothing has checked."""
+def of_surrogate(problem: Problem, target: Target, forward: GnsForward) -> Result:
+    """Every answer of the surrogate by its gradient, its band as noise, which nothing has checked."""
+    began, box = time.perf_counter(), problem.box
+    found = inverted(forward, problem, target, target.observation.prior_scatter(target.values))
+    answers = tuple(
+        Answer(
+            parameters=box.lower + box.range * each.point, half_widths=box.range * each.half_widths, weight=each.weight
+        )
+        for each in found.answers
+    )
+    misfits = [target.observation.misfit(each, found.target.values) for each in found.numbers]
+    first = answers[0].parameters
+    (predicted,) = forward.observe([first])
+    total = time.perf_counter() - began
+    return Result(
+        problem=problem,
+        target=target,
+        verdict=Verdict.UNCONFIRMED,
+        answers=answers,
+        forward="surrogate",
+        predicted=predicted,
+        deposit=forward.deposit(first),
+        iterations=[
+            {"unknowns": problem.named(box.lower + box.range * point), "loss": misfit}
+            for point, misfit in zip(found.points, misfits, strict=True)
+        ],
+        posterior=found.posterior,
+        seconds={"per_iteration": total / len(misfits), "mpm": 0.0, "total": total},
+        record={
+            "loss": {
+                "surrogate": target.observation.misfit(predicted, found.target.values),
+                "initial": misfits[0],
+            }
+        },
+        command=COMMAND,
+    )
+
+
+def of_mpm(problem: Problem, target: Target, forward: MpmForward, gradient: Gradient | None = None) -> Result:
+    """The minimum of the misfit of the MPM alone, which nothing has checked."""
     began = time.perf_counter()
     records = search(problem, target, forward, gradient)
     total, found = time.perf_counter() - began, lowest(records)
     seconds = {key: float(np.mean([getattr(e, f"{key}_s") for e in records])) for key in ("forward", "backward")}
-    by_mpm = isinstance(forward, MpmForward)
     return Result(
         problem=problem,
         target=target,
         verdict=Verdict.UNCONFIRMED,
         answers=(Answer(parameters=found.parameters),),
-        forward="MPM" if by_mpm else "surrogate",
+        forward="MPM",
         predicted=found.observation,
         deposit=forward.deposit(found.parameters),
         iterations=[as_json(problem, each) for each in records],
-        seconds=seconds | {"per_iteration": sum(seconds.values()), "mpm": total if by_mpm else 0.0, "total": total},
-        record={"loss": {"mpm" if by_mpm else "surrogate": found.loss, "initial": records[0].loss}},
+        seconds=seconds | {"per_iteration": sum(seconds.values()), "mpm": total, "total": total},
+        record={"loss": {"mpm": found.loss, "initial": records[0].loss}},
         command=COMMAND,
     )
 
@@ -134,11 +176,8 @@ def one_observed(forward: Forward, values: Values, components: int, at: Vector) 
     return observed(forward, values, [at], components=components)[0]
 
 
-def search(
-    problem: Problem, target: Target, forward: GnsForward | MpmForward, gradient: Gradient | None = None
-) -> list[Evaluation]:
+def search(problem: Problem, target: Target, forward: MpmForward, gradient: Gradient | None = None) -> list[Evaluation]:
     """Every evaluation of `forward` on the way to the minimum of its misfit."""
-    gradient = gradient or (Gradient.AD if isinstance(forward, GnsForward) else Gradient.FD)
     values, components = forward.select(target.values), target.observation.components
     settings, box, initial = problem.optimiser, problem.box, problem.initial
     spread: list[Evaluation] = []

@@ -64,8 +64,24 @@ def conclusion(found: Found) -> list[str]:
     fields = [f"`{each.name}`: {identified(each)}" for each in found.fields]
     remarks = [f"At the answer: {each}." for each in found.remarks]
     known = [numbers(found), angles(found), *fields, equifinality(found), quality(found)]
-    sentences = [verdict(found), *known, *remarks, price]
+    sentences = [first_found(found), verdict(found), *known, *remarks, price]
     return [each for each in sentences if each]
+
+
+def first_found(found: Found) -> str:
+    """What the surrogate found before any run of the MPM, and what the MPM said of it."""
+    said, root = found.surrogate or {}, found.target.observation.root_text
+    if "answers" not in said:
+        return ""
+    every, texts = found.problem.numbers, []
+    for answer in said["answers"]:
+        values, widths = answer["unknowns"], answer["half_widths"]
+        pairs = [(each, each.kind.text(values[each.name]), each.kind.text(widths[each.name])) for each in every[:NAMED]]
+        text = ", ".join(f"`{each.name}` = {value} ± {width}" for each, value, width in pairs)
+        more = f" and {len(every) - NAMED} more" if len(every) > NAMED else ""
+        texts.append(f"{text}{more}, where the MPM is {root(answer['mpm_error']['misfit'] ** 0.5)} off the target")
+    price = f"{said['predictions']} predictions in {said['seconds']:.1f} s"
+    return f"The surrogate found {'; or '.join(texts)} ({price})."
 
 
 def verdict(found: Found) -> str:

@@ -1,6 +1,8 @@
-"""The learned simulator as a forward model: from the scene to the deposit, differentiably."""
+"""The learned simulator as a forward model: from the scene to the deposit, differentiably, many scenes in one batch."""
 
+import dataclasses
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -9,13 +11,18 @@ from torch import Tensor
 
 from gns.initial import InitialState, initial_state
 from gns.simulator import Simulator
+from gns.state import Conditions, State, Tensors
 from gns.unroll import step_activation_bytes, unroll
+from inverse.forward.band import NORMAL, Band
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Vector, in_order
 from inverse.problem import Problem
 
 MEMORY_GIB = 0.5
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
+NODES = 4_000
+"""Particles of a batch without gradients, at most: more of them are no cheaper each."""
+T = TypeVar("T", bound=Tensors)
 
 
 class GnsForward:
@@ -25,34 +32,63 @@ class GnsForward:
     """
 
     def __init__(
-        self, simulator: Simulator, problem: Problem, observation: Observation, memory_gib: float = MEMORY_GIB
+        self,
+        simulator: Simulator,
+        problem: Problem,
+        observation: Observation,
+        memory_gib: float = MEMORY_GIB,
+        band: Band | None = None,
     ) -> None:
-        """The weights are frozen, which makes the backward pass much cheaper.
+        """The weights are frozen, which makes the backward pass much cheaper. band: its errors, the default if absent.
 
         Raises InputError as `gns.initial.check`.
         """
         self.simulator = simulator.requires_grad_(False)
-        self.observation, self.kinds = observation, problem.kinds
+        self.observation, self.kinds, self.band = observation, problem.kinds, band or Band()
         dtype = next(simulator.parameters()).dtype
         self.initial = initial_state(problem.scene, simulator.settings).to(dtype=dtype)
         self.indices, self.steps = self.initial.indices, self.initial.steps
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
-        self.kept_steps = min(self.steps, int(memory_gib * 2**30 / bytes_per_step))
+        self.kept_steps = int(memory_gib * 2**30 / bytes_per_step)
 
     def predict(self, parameters: Tensor, /) -> Tensor:
-        """The smooth observation, float64 of shape [m], of parameters, float64 of shape [U]."""
-        positions, volumes = self._path(parameters), self.initial.conditions.volume
-        return self.observation.predict(Rollout(positions=positions, times=self.initial.times, volumes=volumes))
+        """The smooth observation, float64 of shape [m] or [S, m], of parameters, float64 of shape [U] or [S, U].
+
+        Of several vectors all scenes lie side by side in one graph: a backward pass gives the gradients of all.
+        """
+        if parameters.dim() == 1:
+            return self.predict(parameters.unsqueeze(0))[0]
+        paths = self._paths(parameters)
+        flows = paths.reshape(len(paths), len(parameters), -1, paths.shape[2])
+        return torch.stack([self._observed(each) for each in flows.unbind(1)])
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
-        """The smooth observation [m] at each vector of parameters [U], one after the other."""
+        """The smooth observation [m] at each vector of parameters [U], in batches of at most `NODES` particles."""
+        size = max(1, NODES // len(self.indices))
+        batches = [np.stack(parameters[first : first + size]) for first in range(0, len(parameters), size)]
         with torch.no_grad():
-            return [self.predict(torch.from_numpy(values)).numpy() for values in parameters]
+            return [row for each in batches for row in self.predict(torch.from_numpy(each)).numpy()]
+
+    def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
+        """Errors of the numbers at parameters [U] by the band (`inverse.forward.band`), shape [K, m].
+
+        Of the numbers of single particles each has one of its own as well: between independent errors as large as that
+        of a profile, and one of all together of M^(1/2) times the effect.
+        """
+        with torch.no_grad():
+            path = self._paths(torch.from_numpy(parameters)[None])
+            own = self._observed(path)
+            found = torch.stack([self._observed(each) - own for each in self.band.moved(path)]).numpy()
+        if self.observation.every_particle:
+            count = found.shape[1]
+            extent = float(path[-1, :, 0].max() - path[0, :, 0].min())
+            found = np.concatenate([found, self.band.profile * extent / NORMAL * count**0.25 * np.eye(count)])
+        return found
 
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
         """Final positions of the particles [m], shape [n, D]."""
         with torch.no_grad():
-            return self._path(torch.from_numpy(parameters))[-1].numpy()
+            return self._paths(torch.from_numpy(parameters)[None])[-1].numpy()
 
     def select(self, target: Values, /) -> Values:
         """The part of an exact `target` [M] that is of the particles followed here, shape [m]."""
@@ -65,7 +101,39 @@ class GnsForward:
             initial = self.kinds[index].enter(initial, parameters[index])
         return initial
 
-    def _path(self, parameters: Tensor) -> Tensor:
-        """Positions [m] at the times of the initial state, shape [T, n, D]."""
-        initial = self.entered(parameters)
-        return unroll(self.simulator, initial.state, initial.conditions, self.steps, kept_steps=self.kept_steps)
+    def _observed(self, path: Tensor) -> Tensor:
+        """The smooth observation [m] of the positions of one flow [m], shape [T, n, D]."""
+        rollout = Rollout(positions=path, times=self.initial.times, volumes=self.initial.conditions.volume)
+        return self.observation.predict(rollout)
+
+    def _paths(self, parameters: Tensor) -> Tensor:
+        """Positions [m] at the times of the initial state with each of parameters [S, U], shape [T, S n, D]."""
+        start = side_by_side([self.entered(each) for each in parameters])
+        kept = min(self.steps, self.kept_steps // len(parameters))
+        return unroll(self.simulator, start.state, start.conditions, self.steps, kept_steps=kept)
+
+
+def side_by_side(flows: Sequence[InitialState]) -> InitialState:
+    """The first of flows of the same particles, with the state and the conditions of all, one after the other."""
+    first = flows[0]
+    if len(flows) == 1:
+        return first
+    state = State(
+        positions=torch.cat([each.state.positions for each in flows]),
+        displacements=torch.cat([each.state.displacements for each in flows], dim=1),
+    )
+    number = torch.arange(len(flows)).repeat_interleave(len(first.indices))
+    conditions: Conditions = joined([each.conditions for each in flows])
+    return dataclasses.replace(first, state=state, conditions=dataclasses.replace(conditions, batch=number))
+
+
+def joined(records: Sequence[T]) -> T:
+    """Records whose tensors have particles or samples along their first axis, as one."""
+    changes = {}
+    for name in (each.name for each in dataclasses.fields(records[0])):
+        values = [getattr(each, name) for each in records]
+        if isinstance(values[0], Tensor):
+            changes[name] = torch.cat(values)
+        elif isinstance(values[0], Tensors):
+            changes[name] = joined(values)
+    return dataclasses.replace(records[0], **changes)

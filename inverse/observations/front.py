@@ -9,7 +9,7 @@ from torch import Tensor
 
 from datasets import measures
 from datasets.scene import Scene
-from inverse.observations.observation import Observation, Values, harrell_davis
+from inverse.observations.observation import Observation, Values, fitted_tail
 from inverse.settings import ObservationSettings
 
 
@@ -31,7 +31,7 @@ class Front(Observation):
         return np.array([measures.front(positions)])
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        return harrell_davis(positions[:, 0], volumes, measures.FRONT_QUANTILE).reshape(1)
+        return fitted_tail(positions[:, 0], volumes).reshape(1)
 
     def front(self, values: Values) -> float:
         return float(values[-1])

@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.special import betainc
 from torch import Tensor
 
+from datasets import measures
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
@@ -240,17 +240,11 @@ def require_times(times: Values, scene: Scene) -> Values:
     return times
 
 
-def harrell_davis(values: Tensor, volumes: Tensor, quantile: float) -> Tensor:
-    """The quantile as a weighted mean of all order statistics: smooth, where the usual one depends on one particle.
+def fitted_tail(values: Tensor, volumes: Tensor) -> Tensor:
+    """The value that 99.5 % of the volume is behind, by a fit through the tail (`datasets.measures.fitted_front`).
 
-    Harrell & Davis, A new distribution-free quantile estimator, Biometrika 69 (1982) 635-640:
-    sum_i w_i x_(i) with w_i = I_{c_i}(a, b) - I_{c_(i-1)}(a, b), a = (n + 1) q, b = (n + 1) (1 - q), I the regularised
-    incomplete beta function and c_i = i/n, here the share of the volume up to the i-th particle. `values` and
-    `volumes` of shape [n].
+    Smooth, where the plain quantile depends on one particle; `values` and `volumes` of shape [n].
     """
     ordered, order = torch.sort(values.double())
-    count = len(values)
-    shares = np.cumsum(volumes.detach().double().numpy()[order.numpy()])
-    shares = np.concatenate([[0.0], shares / shares[-1]])
-    weights = np.diff(betainc((count + 1) * quantile, (count + 1) * (1.0 - quantile), shares))
+    weights = measures.tail_weights(volumes.detach().double().numpy()[order.numpy()])
     return (torch.from_numpy(weights) * ordered).sum()

@@ -9,7 +9,7 @@ from datasets import measures
 from datasets.errors import InputError
 from datasets.particles import mass_centroids, mass_volumes
 from datasets.scene import Scene
-from inverse.observations.observation import Measurement, Observation, Values, harrell_davis
+from inverse.observations.observation import Measurement, Observation, Values, fitted_tail
 from inverse.observations.table import Context, read_columns, require_inside
 from inverse.settings import ObservationSettings
 
@@ -59,7 +59,7 @@ class Outline(Observation):
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         extent = (positions[:, [0, 2]].double() - torch.from_numpy(self.centre)) @ torch.from_numpy(self.directions)
-        return torch.stack([harrell_davis(each, volumes, measures.FRONT_QUANTILE) for each in extent.T])
+        return torch.stack([fitted_tail(each, volumes) for each in extent.T])
 
     def of_line(self, vertices: NDArray[np.float64]) -> Values:
         """Of a measured outline, vertices x and z [m], shape [V, 2], in any order; shape [M]."""

@@ -18,7 +18,7 @@ next one, which is simpler there (history matching in waves: Vernon, Goldstein &
 uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -98,6 +98,8 @@ class Likelihood:
     """nu."""
     regime: Regime | None = None
     """Where flows are such as the target's; everywhere where absent."""
+    within: Callable[[Matrix], Row] | None = None
+    """Logarithm of the prior over the uniform one at points [S, U], shape [S]: what is excluded already."""
 
     def __call__(self, points: Matrix) -> Row:
         """Its logarithm at points [S, U], shape [S]."""
@@ -112,8 +114,12 @@ class Likelihood:
         return relative_density(square, len(self.target), self.freedom) + self.in_regime(points)
 
     def in_regime(self, points: Matrix) -> Row:
-        """Logarithm of the probability that points [S, U] are in the target's regime, shape [S]."""
-        return np.zeros(len(points)) if self.regime is None else self.regime(points)
+        """Logarithm of the probability that points [S, U] are in the target's regime, and not excluded, shape [S]."""
+        found = np.zeros(len(points))
+        for each in (self.regime, self.within):
+            if each is not None:
+                found += each(points)
+        return found
 
     def residual(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
         """y* - m(v) [S, r], the fixed part of C(v) [r, r], and what is on its diagonal besides [S, r]."""
@@ -181,12 +187,14 @@ def posterior(
     factor: float = 1.0,
     discretisation: Row | None = None,
     trends: Sequence[Trend] = (linear,),
+    within: Callable[[Matrix], Row] | None = None,
 ) -> Posterior:
     """The posterior given runs at points [n, U] that show `numbers` [n, M].
 
     scatter: expected standard deviation of each number from flow to flow [M]; region: what is not excluded and holds
     the runs that count, the whole box where absent; factor: F; discretisation: change of the numbers by the cells [M],
-    whose square D is; trends: the one is used that predicts the runs best which are left out one by one.
+    whose square D is; trends: the one is used that predicts the runs best which are left out one by one;
+    within: logarithm of what is excluded already (`Likelihood`).
     """
     unknowns = points.shape[1]
     region = region or Region(low=np.zeros(unknowns), high=np.ones(unknowns))
@@ -212,6 +220,7 @@ def posterior(
         fixed=factor**2 * (single + known),
         freedom=emulator.freedom * (1.0 + ratio) ** 2,
         regime=regime,
+        within=within,
     )
     samples = sample(likelihood, rng, low=region.low, high=region.high)
     while not region.holds(samples.points):
@@ -262,8 +271,8 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple
 
     With its degrees of freedom.
     Repeated runs are few: each component counts with `scatter_prior` further degrees of freedom of all together, as all
-    are in units of the scatter that was expected. It is `smallest_scatter` of that, `expected` [r], at least; and that
-    where no runs are repeated.
+    are in units of the scatter that was expected, and with one of half of that, `expected` [r]. It is that where no
+    runs are repeated.
     """
     _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     freedom = int((count - 1).sum())
@@ -272,9 +281,8 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple
     means = np.zeros((len(count), components.shape[1]))
     np.add.at(means, label, components)
     square = ((components - (means / count[:, None])[label]) ** 2).sum(axis=0)
-    total = square + CONSTANTS.scatter_prior * square.mean() / freedom
-    deviation = np.sqrt(total / (freedom + CONSTANTS.scatter_prior))
-    return np.maximum(deviation, CONSTANTS.smallest_scatter * expected), freedom
+    total = square + CONSTANTS.scatter_prior * square.mean() / freedom + (0.5 * expected) ** 2
+    return np.sqrt(total / (freedom + CONSTANTS.scatter_prior + 1.0)), freedom
 
 
 def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matrix:

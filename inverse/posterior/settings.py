@@ -73,6 +73,11 @@ class Constants:
     """Share of the emulator in the variance of the residuals, above which the region narrows."""
     converged: float = 0.15
     """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
+    converged_around: float = 0.3
+    """The same of runs around the answers of a surrogate: half-widths are a fifth wider than by any number of
+    runs, which are dear there."""
+    first_checks: int = 3
+    """Runs at the one answer of a surrogate, one less at each of several."""
     lack_of_fit: float = 0.9
     """Quantile of the ratio of variances up to which the scatter about the emulator is that of repeated runs."""
     margin: float = 0.25

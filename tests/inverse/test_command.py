@@ -49,33 +49,24 @@ PASSED = ('kind = "passed"\nline = 0.1', "value = 0.0")
 TOE = ('kind = "toe"', "values = [0.12, 0.01]")
 
 
-@pytest.mark.parametrize(
-    ("gradient", "method", "observed", "records"),
-    [
-        ("ad", "lbfgs-b", PASSED, 3),
-        ("fd", "gauss-newton", TOE, 3),
-        ("ad", "secants", TOE, 9 + 3),
-    ],
-)
+@pytest.mark.parametrize("observed", [PASSED, TOE])
 def test_an_inversion(
     tmp_path: Path,
     make_simulator: Any,
-    gradient: str,
-    method: str,
     observed: tuple[str, str],
-    records: int,
 ) -> None:
     checkpoint.save(tmp_path / "tiny.safetensors", make_simulator(2).float(), {})
     (tmp_path / "scene.toml").write_text(SCENE)
-    text = PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1]).replace("METHOD", method)
+    text = PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1]).replace("METHOD", "lbfgs-b")
     (tmp_path / "problem.toml").write_text(text)
     out = tmp_path / "out"
     arguments = [str(tmp_path / "problem.toml"), "--out", str(out), "--model", str(tmp_path / "tiny.safetensors")]
-    assert run(main, "inverse", [*arguments, "--gradient", gradient]) == 0
+    assert run(main, "inverse", [*arguments, "--gradient", "fd"]) == 2
+    assert run(main, "inverse", arguments) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["unknowns"].keys() == {"masses[0].velocity_x", "baffles[0].height"}
-    assert 1 <= len(result["iterations"]) <= records
-    assert (result["iterations"][0]["gradient"] is None) == (method == "secants")
+    assert result["certainty"].keys() == result["unknowns"].keys()
+    assert 14 < len(result["iterations"]) < 60
     assert result["loss"]["surrogate"] <= result["loss"]["initial"]
     assert result["seconds"]["mpm"] < 0.1
     assert "m/s" in (out / "report.md").read_text()

@@ -1,7 +1,8 @@
 """The search: runs of the MPM where they narrow the posterior most, until more of them would hardly narrow it.
 
-First runs fill the box. Then, in waves: the emulator of all runs around the posterior so far, its posterior, and runs
-where the emulator's variance hides most of it (`inverse.posterior`). A wave costs seconds, so that none is too many.
+First runs fill the box, or are where a surrogate leads (`validation.loop.guided`). Then, in waves: the emulator of all
+runs around the posterior so far, its posterior, and runs where the emulator's variance hides most of it
+(`inverse.posterior`). A wave costs seconds, so that none is too many.
 """
 
 import dataclasses
@@ -16,9 +17,12 @@ from inverse.observations import Values
 from inverse.posterior.emulator import Matrix, fewest_runs, linear
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
+from inverse.surrogate import Inversion
 from inverse.target import Target
-from validation.loop.surrogate import Surrogate
 from validation.loop.task import Task
+
+OUTERMOST = 0.2
+"""Share of the fall of the likelihood from its top to the edge of a region, within which a sample lies at the edge."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +30,8 @@ class Search:
     """All runs so far, and what they say."""
 
     task: Task
-    surrogate: Surrogate | None = None
+    guide: Inversion | None = None
+    """What the surrogate found: it confines the posterior to its region."""
     runs: tuple[MpmRun, ...] = ()
     known: tuple[MpmRun, ...] = ()
     """Runs that were made before, for other targets; no part of the budget."""
@@ -44,11 +49,6 @@ class Search:
     def left(self) -> int:
         """Runs of the budget that are left."""
         return max(0, self.task.budget - len(self.runs))
-
-    @property
-    def price(self) -> float:
-        """Wall time of a run, with others side by side [s]; the median, as the first ones compiled the kernels."""
-        return float(np.median([each.seconds for each in self.runs] or [0.0]))
 
     @property
     def posterior(self) -> Posterior:
@@ -80,7 +80,7 @@ class Search:
         """With the posterior by all runs so far."""
         state = dataclasses.replace(self, **changes)
         points, numbers = state.points, state.numbers
-        trends = (linear,) if state.surrogate is None else (linear, state.surrogate.trend)
+        guide = state.guide
         found = posterior(
             points,
             numbers,
@@ -90,7 +90,8 @@ class Search:
             rng=state.task.generator(len(state.runs)),
             factor=state.factor,
             discretisation=state.discretisation,
-            trends=trends,
+            trends=(linear,) if guide is None else (guide.trend, linear),
+            within=None if guide is None else guide.within,
         )
         box, problem = state.task.bounds, state.task.problem
         wave = {
@@ -105,7 +106,7 @@ class Search:
     def region(self, points: Matrix) -> Region | None:
         """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there."""
         if self.found is None:
-            return None
+            return None if self.guide is None else self.guide.posterior.region
         return self.found.next_region if self.found.next_region.suffices(points) else self.found.region
 
     def target_so_far(self) -> Target:
@@ -115,27 +116,42 @@ class Search:
         expected = self.numbers if self.found is None else self.found.expected(self.points)
         return dataclasses.replace(self.task.target, values=expected.min(axis=0))
 
+    @property
+    def at_edge(self) -> bool:
+        """Whether samples lie at the edge of the surrogate's region: the MPM leads beyond it."""
+        if self.guide is None:
+            return False
+        samples = self.posterior.samples
+        outermost = self.guide.beyond(samples.points) > -OUTERMOST * self.guide.fall
+        return float(samples.weights[outermost].sum()) > CONSTANTS.at_edge
 
-def first(task: Task, known: tuple[MpmRun, ...] = ()) -> Search:
+    def wider(self) -> "Search":
+        """With the surrogate's region twice as wide."""
+        assert self.guide is not None, "only its region has an edge"
+        return self.inferred(guide=self.guide.wider(2.0 * self.guide.factor))
+
+
+def first(task: Task, runs: tuple[MpmRun, ...] = (), known: tuple[MpmRun, ...] = ()) -> Search:
     """The runs that fill the box, and some in its middle; as many as an emulator must have of a small budget.
 
-    None where enough are known from other targets.
+    runs: those that there are already; known: from other targets, none are made where these are enough.
     """
     unknowns = len(task.problem.parameters)
     if len(known) >= fewest_runs(unknowns):
         return Search(task=task, known=known)
     count = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns
     repeats = CONSTANTS.repeats
-    if count + repeats > task.budget - task.checks:
-        count, repeats = max(unknowns + 3, task.budget - task.checks), 0
+    left = task.budget - task.checks - len(runs)
+    if count + repeats > left:
+        count, repeats = max(unknowns + 3, left), 0
     cube = qmc.LatinHypercube(unknowns, rng=task.generator(0), optimization="random-cd").random(count)
     middle = np.full((repeats, unknowns), 0.5)
-    return Search(task=task, known=known).ran(np.concatenate([cube, middle]), Purpose.WAVE)
+    return Search(task=task, runs=runs, known=known).ran(np.concatenate([cube, middle]), Purpose.WAVE)
 
 
-def searched(state: Search, surrogate: Surrogate | None = None) -> Search:
+def searched(state: Search) -> Search:
     """Run the MPM in waves until the emulator's share is small; runs for checks of an answer are left over."""
-    state = dataclasses.replace(state, surrogate=surrogate).inferred()
+    state = state.inferred()
     unknowns, spared = len(state.task.problem.parameters), CONSTANTS.repeats + state.task.checks
     size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
     while state.posterior.emulator_share > CONSTANTS.converged and state.left > spared:

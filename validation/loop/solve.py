@@ -6,6 +6,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +17,15 @@ from inverse.adaptation import deposits as adapted_runs
 from inverse.forward.interface import Simulate
 from inverse.found import MpmRun, Purpose, Verdict
 from inverse.parameters import Vector
+from inverse.posterior.emulator import fewest_runs
 from inverse.posterior.information import Information, information, measurements
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
+from inverse.surrogate import Inversion, inverted
 from inverse.target import read_target
 from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
+from validation.loop.guided import guided
 from validation.loop.search import Search, first, searched
 from validation.loop.task import Task
 from validation.loop.verdict import Outcome, concluded
@@ -90,17 +94,22 @@ def run(
 ) -> Result:
     """Search, check the answers, judge; load: in place of the learned surrogate; known: runs for other targets."""
     began = time.perf_counter()
-    state = first(
-        task,
-        tuple(
-            MpmRun(purpose=Purpose.KNOWN, parameters=parameters, trajectory=flow, target=task.target)
-            for parameters, flow in known
-        ),
+    before = tuple(
+        MpmRun(purpose=Purpose.KNOWN, parameters=parameters, trajectory=flow, target=task.target)
+        for parameters, flow in known
     )
-    predictions, reason = surrogate.choose(task, state.price, model=model, load=load)
-    if predictions is not None:
-        print(f"the surrogate is in the emulator's trend: {reason}", file=sys.stderr)
-    outcome = concluded(searched(state, predictions))
+    led, outcome = None, None
+    if len(before) >= fewest_runs(len(task.problem.parameters)):
+        forward, reason = None, f"{len(before)} runs of the MPM are known, which do what it would"
+    else:
+        forward, reason = surrogate.choose(task, model=model, load=load)
+    if forward is not None:
+        print(f"the surrogate is asked first: {reason}", file=sys.stderr)
+        led = inverted(forward, task.problem, task.target, task.scatter)
+        outcome = concluded(guided(task, led))
+    if outcome is None or outcome.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):
+        # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
+        outcome = concluded(searched(first(task, () if outcome is None else outcome.state.runs, before)))
     state, answer = outcome.state, outcome.answers[0]
     runs = (*state.runs, *state.coarse)
     mpm_seconds = sum(each.seconds for each in runs)
@@ -117,10 +126,25 @@ def run(
         posterior=state.posterior,
         further=tuple(further(outcome)),
         notes=(statement(state),),
-        surrogate={"asked": predictions is not None, "reason": reason},
+        surrogate={"asked": led is not None, "reason": reason} | ({} if led is None else told(task, led, state.runs)),
         seconds={"mpm": mpm_seconds, "total": time.perf_counter() - began},
         command="python -m validation.loop",
     )
+
+
+def told(task: Task, led: Inversion, runs: Sequence[MpmRun]) -> dict[str, Any]:
+    """What the surrogate found, heaviest answer first, and what the MPM said of it, as `result.json` has it."""
+    named, answers, box = task.problem.named, [], task.bounds
+    for part, parameters in zip(led.answers, task.at(np.stack([each.point for each in led.answers])), strict=True):
+        checks = [each for each in runs if np.array_equal(each.parameters, parameters)]
+        shown = np.mean([each.observation for each in checks], axis=0)
+        error = {"misfit": task.target.misfit(shown)}
+        if math.isfinite(task.target.front):
+            error["front_pct"] = 100.0 * float(np.mean([each.front_error for each in checks]))
+        widths = named(box.range * part.half_widths)
+        answer = {"unknowns": named(parameters), "half_widths": widths, "weight": part.weight, "mpm_error": error}
+        answers.append(answer)
+    return {**answers[0], "answers": answers, "seconds": led.seconds, "predictions": len(led.points)}
 
 
 def statement(state: Search) -> str:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
-from scipy.stats.mstats import hdquantiles
 
+from datasets import measures
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from inverse.observations import Observation, build
-from inverse.observations.observation import harrell_davis
+from inverse.observations.observation import fitted_tail
 from inverse.settings import ObservationSettings
 
 SCENE = Scene(
@@ -28,11 +28,10 @@ def made(kind: str) -> Observation:
     return build(ObservationSettings(kind=kind, line=0.3 if kind == "passed" else None), SCENE)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_quantile_is_harrell_and_davis(seed: int) -> None:
-    values = np.random.default_rng(seed).normal(size=300)
-    ours = harrell_davis(torch.from_numpy(values), torch.ones(300), 0.995).item()
-    assert ours == pytest.approx(float(hdquantiles(values, [0.995])[0]), rel=1e-9)
+def test_the_fit_through_the_tail_is_that_of_arrays() -> None:
+    positions, volumes = deposit(300), np.random.default_rng(1).uniform(0.5, 1.5, 300)
+    ours = fitted_tail(torch.from_numpy(positions[:, 0]), torch.from_numpy(volumes)).item()
+    assert ours == pytest.approx(measures.fitted_front(positions, volumes), rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -7,17 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from datasets.material import Material
 from datasets.particles import particle_count
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from inverse.observations import Observation, Values
 from inverse.parameters import Vector
 from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
 from inverse.result import Result
-from inverse.settings import ObservationSettings, TargetSettings
+from inverse.settings import ObservationSettings, Surrogate, TargetSettings
 from inverse.target import Target, read_target
 from mpm import ALL, Recording
 from validation.loop.solve import run
@@ -130,6 +133,50 @@ class Layers(FakeMpm):
         return np.asarray(self.moved(velocities) + self.scatter * waves)
 
 
+@dataclass(frozen=True)
+class Formula:
+    """A surrogate by a formula: as long as `FakeMpm`'s deposits, or `factor` times as long."""
+
+    observation: Observation
+    factor: float = 1.0
+    band: float = 0.05
+    """Of its length, of 95 of 100 deposits."""
+
+    def x(self, angle: Tensor) -> Tensor:
+        """Of the particles [m], shape [N]."""
+        found: Tensor = length(angle) * torch.from_numpy(SHAPE)
+        return found
+
+    def predict(self, parameters: Tensor, /) -> Tensor:
+        """Shape [S, m]."""
+        return torch.stack([self.observed(self.factor * self.x(each[0])) for each in parameters])
+
+    def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
+        """Shape [m] each."""
+        return list(self.predict(torch.from_numpy(np.stack(parameters))).numpy())
+
+    def observed(self, x: Tensor) -> Tensor:
+        """Smoothly, shape [m]."""
+        return self.observation.smooth(torch.stack([x, 0.1 * torch.ones_like(x)], dim=1), torch.ones(len(x)))
+
+    def select(self, target: Values, /) -> Values:
+        """All of it."""
+        return target
+
+    def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
+        """The change by a stretch of its deposit, shape [1, m]."""
+        x = self.factor * self.x(torch.from_numpy(parameters)[0])
+        return (self.observed((1.0 + self.band / 1.96) * x) - self.observed(x)).numpy()[None]
+
+
+class FoldedFormula(Formula):
+    """As `Folded`."""
+
+    def x(self, angle: Tensor) -> Tensor:
+        off = (angle - 30.0) / 20.0
+        return (1.0 - 0.5 * off**2) * torch.from_numpy(SHAPE) ** (1.0 + 0.2 * off)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """A problem with all that it takes to solve it."""
@@ -141,6 +188,11 @@ class Case:
 
     def task(self, out: Path) -> Task:
         return Task(problem=self.problem, target=self.target, folder=out / "mpm", simulate=self.mpm)
+
+    def led(self, surrogate: Formula) -> "Case":
+        """The same where this surrogate is asked."""
+        asked = dataclasses.replace(self.problem, surrogate=Surrogate.GNS)
+        return dataclasses.replace(self, problem=asked, surrogate=surrogate)
 
     def solve(self, out: Path) -> Result:
         return run(self.task(out), load=lambda *asked: (self.surrogate, "it was not trained on it"))

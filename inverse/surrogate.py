@@ -1,0 +1,325 @@
+"""The surrogate's own inversion: by its gradient from several starts in one batch, with its band as noise.
+
+    L(v) = r^T C^-1 r,    r = y(v) - y*,    C = N + S + E
+
+| symbol | variable | meaning |
+|---|---|---|
+| v | `points` | parameters in fractions of their ranges, shape [s, U] |
+| y | `numbers` | what the surrogate predicts, m numbers, shape [s, m] |
+| N, S | `Target.covariance` | errors of the measurement, scatter of one flow of the MPM |
+| E | - | error of the surrogate by its band (`inverse.forward.band`) |
+| J | - | dy/dv by an emulator of all predictions so far |
+
+Predictions that fill the box are the first emulator (`inverse.posterior`); the separate parts of its posterior are the
+starts. From all of them together steps are made in lockstep that minimise, within the box and a trust region,
+
+    g^T s + s^T J^T C^-1 J s
+
+with g = dL/dv, exact, of all starts by one backward pass through one batch: Gauss-Newton steps whose metric alone is an
+estimate, so that they end where the surrogate's own misfit is stationary. All predictions together give the posterior.
+"""
+
+import dataclasses
+import math
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import torch
+from scipy.optimize import lsq_linear
+from scipy.spatial import cKDTree
+from scipy.stats import chi2, qmc
+
+from inverse.forward.interface import Differentiable
+from inverse.observations import Values
+from inverse.parameters import Vector
+from inverse.posterior.answers import Part, half_widths, parts
+from inverse.posterior.emulator import Matrix, fewest_runs, fitted
+from inverse.posterior.posterior import Posterior, Region, next_points, posterior
+from inverse.posterior.reduction import reduction
+from inverse.posterior.settings import CONSTANTS
+from inverse.problem import Problem
+from inverse.target import Target
+
+FIRST, PER_UNKNOWN = 6, 4
+"""Predictions that fill the box, the problem's start among them."""
+STARTS = 6
+"""At most."""
+STEPS = 6
+"""From each start, at most."""
+RADIUS = 0.1
+"""First radius of the trust region, in ranges of the box."""
+NEGLIGIBLE = 0.02
+"""Decrease of L that no further step is made for: a seventh of a standard deviation of one number."""
+ROUNDS, KNOWN = 3, 0.3
+"""Searches for minima at most, with further predictions between them while its emulator has more than this share of the
+variance."""
+ROUGH = 0.05
+"""Expected roughness of the surrogate's own numbers, over their standard deviations by C."""
+EXCLUDED = 1e-3
+"""Probability of parameters beyond the surrogate's region, were its band right."""
+STEEP = 4.0
+"""By how much the logarithm of the probability falls beyond the region, for each that the likelihood falls."""
+
+
+class Surrogate(Differentiable, Protocol):
+    """What predicts here: `inverse.forward.gns.GnsForward`."""
+
+    def select(self, target: Values, /) -> Values:
+        """The part of exact numbers [M] that it predicts, shape [m]."""
+
+    def errors(self, parameters: Vector, /) -> Matrix:
+        """Its errors at parameters [U] by its band: columns e_k of their covariance, shape [K, m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inversion:
+    """What the surrogate found."""
+
+    forward: Surrogate
+    problem: Problem
+    target: Target
+    """Its part of the target's numbers, with S and E in their covariance, shape [m]."""
+    points: Matrix
+    """Where it predicted, shape [s, U]."""
+    numbers: Matrix
+    """What it predicted there, shape [s, m]."""
+    minima: Matrix
+    """Where the steps from each start ended, shape [k, U]."""
+    seconds: float
+    region: Region | None = None
+    """What of the box its posterior is looked for in; all of it where absent."""
+    factor: float = 1.0
+    """By which the region is wider than the band says, for what the MPM showed."""
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """By its emulator, in the units of the box."""
+        rng = np.random.default_rng([self.problem.optimiser.seed, len(self.points)])
+        scatter = ROUGH * self.target.deviation
+        return posterior(
+            self.points, self.numbers, self.target, scatter=scatter, rng=rng, factor=self.factor, region=self.region
+        )
+
+    @cached_property
+    def answers(self) -> list[Part]:
+        """The separate parts of its 95 % region, each with its minimum of L as the answer."""
+        found, answers = self.posterior, []
+        rng = np.random.default_rng([self.problem.optimiser.seed, 1])
+        for part in parts(found.samples, found.likelihood, rng):
+            low, high = part.points.min(axis=0), part.points.max(axis=0)
+            # No sample lies at a bound.
+            slack = 0.05 * (high - low)
+            own = self.minima[np.all((self.minima >= low - slack) & (self.minima <= high + slack), axis=1)]
+            point = own[int(np.argmin(self.losses(own)))] if len(own) else part.point
+            widths = half_widths(part.points, part.shares, point)
+            answers.append(dataclasses.replace(part, point=point, half_widths=widths))
+        return answers
+
+    def asked(self, points: Matrix) -> "Inversion":
+        """With predictions at further points [k, U]."""
+        box = self.problem.box
+        more = np.stack(self.forward.observe(list(box.lower + points * box.range)))
+        every, numbers = np.concatenate([self.points, points]), np.concatenate([self.numbers, more])
+        return dataclasses.replace(self, points=every, numbers=numbers)
+
+    def losses(self, points: Matrix) -> Values:
+        """L at some of `points` [k, U], shape [k]."""
+        index = [int(np.argmin(np.abs(self.points - each).sum(axis=1))) for each in points]
+        return losses(self.numbers[index] - self.target.values, self.precision)
+
+    @cached_property
+    def precision(self) -> Matrix:
+        """C^-1, shape [m, m]."""
+        assert self.target.covariance is not None, "`as_predicted` makes it"
+        return np.asarray(np.linalg.inv(self.target.covariance))
+
+    @property
+    def fall(self) -> float:
+        """By how much the logarithm of the likelihood falls from its top to the edge of the region."""
+        return 0.5 * float(chi2.isf(EXCLUDED, self.points.shape[1]))
+
+    def beyond(self, points: Matrix) -> Values:
+        """By how much the logarithm of the likelihood at points [S, U] falls below that at the region's edge, [S]."""
+        found = self.posterior
+        return np.asarray(found.samples.log_likelihood.max() - self.fall - found.likelihood(points))
+
+    def around(self, count: int, rng: np.random.Generator) -> Matrix:
+        """Points of its 95 % region that lie far from its answers and from each other, shape [count, U].
+
+        Of more than `few_parameters` points that fill the box around it evenly.
+        """
+        samples, unknowns = self.posterior.samples, self.points.shape[1]
+        if unknowns > CONSTANTS.few_parameters:
+            region = Region.around(samples)
+            cube = qmc.LatinHypercube(unknowns, rng=rng, optimization="random-cd").random(count)
+            return np.asarray(region.low + (region.high - region.low) * cube)
+        threshold = np.quantile(samples.log_likelihood, 1.0 - CONSTANTS.credible)
+        inside = samples.points[samples.log_likelihood >= threshold]
+        chosen = [each.point for each in self.answers]
+        scale = np.maximum(inside.std(axis=0), 1e-9)
+        for _ in range(count):
+            apart = cKDTree(np.stack(chosen) / scale).query(inside / scale)[0]
+            chosen.append(inside[int(np.argmax(apart))])
+        return np.stack(chosen[-count:])
+
+    def within(self, points: Matrix) -> Values:
+        """Logarithm of the probability that the region holds points [S, U]: 0 inside, steep beyond, shape [S]."""
+        return -STEEP * np.maximum(self.beyond(points), 0.0)
+
+    def trend(self, points: Matrix) -> Matrix:
+        """1 and its first U components at points [S, U], shape [S, 1 + U]: the trend of an emulator of the MPM."""
+        emulator = self.posterior.emulator
+        found = emulator.mean(points)[:, : points.shape[1]] / np.maximum(self._spread, 1e-300)
+        return np.concatenate([np.ones((len(points), 1)), found], axis=1)
+
+    @cached_property
+    def _spread(self) -> Values:
+        """Standard deviation of these components over the predictions."""
+        return np.asarray(self.posterior.emulator.numbers[:, : self.points.shape[1]].std(axis=0))
+
+    def compared(self, points: Matrix, shown: Matrix) -> "Inversion":
+        """Its region as wide as runs of the MPM at points [n, U] contradict it, that show numbers [n, M].
+
+        Off by more than the band allows: the squared difference, in units of C, that has a mean of 1 for each number.
+        """
+        found = self.posterior
+        every, label = np.unique(points, axis=0, return_inverse=True)
+        own = np.stack([self.forward.select(each) for each in shown])
+        means = found.reduction(np.stack([own[label == each].mean(axis=0) for each in range(len(every))]))
+        residual = means - found.emulator.mean(every)
+        fixed = found.likelihood.fixed / self.factor**2
+        square = np.einsum("sr,rs->s", residual, np.linalg.solve(fixed, residual.T))
+        factor = float(np.sqrt(square.max() / chi2.isf(0.05, residual.shape[1])))
+        return self if factor <= self.factor else self.wider(factor)
+
+    def wider(self, factor: float) -> "Inversion":
+        """With another factor."""
+        return dataclasses.replace(self, factor=factor)
+
+
+def inverted(forward: Surrogate, problem: Problem, target: Target, scatter: Values) -> Inversion:
+    """Find the answers of `forward`; scatter: standard deviation of each number of `target` per flow of the MPM [M]."""
+    began, unknowns = time.perf_counter(), len(problem.names)
+    rng = np.random.default_rng([problem.optimiser.seed, 0])
+    box = problem.box
+    cube = qmc.LatinHypercube(unknowns, rng=rng, optimization="random-cd").random(FIRST + PER_UNKNOWN * unknowns - 1)
+    points = np.concatenate([((problem.initial - box.lower) / box.range)[None], cube])
+    numbers = np.stack(forward.observe(list(box.lower + points * box.range)))
+    nearest = int(np.argmin(((numbers - forward.select(target.values)) ** 2).mean(axis=1)))
+    seen = as_predicted(forward, target, scatter, forward.errors(box.lower + points[nearest] * box.range))
+    state = Inversion(
+        forward=forward, problem=problem, target=seen, points=points, numbers=numbers, minima=points[:0], seconds=0.0
+    )
+    for _ in range(ROUNDS):
+        state = with_minima(state)
+        if state.posterior.emulator_share < KNOWN:
+            break
+        state = filled(state, rng)
+    return dataclasses.replace(state, seconds=time.perf_counter() - began)
+
+
+def with_minima(state: Inversion) -> Inversion:
+    """With the minima that its answers lead to, and a region as wide as the lowest of them asks for.
+
+    What the surrogate cannot fit it errs by: Birge's ratio, as in `inverse.noise`.
+    """
+    state = descended(state, np.stack([each.point for each in state.answers[:STARTS]]))
+    free = len(state.target.values) - state.points.shape[1]
+    ratio = math.sqrt(float(state.losses(state.minima).min()) / free) if free > 0 else 0.0
+    return state.wider(max(1.0, ratio))
+
+
+def filled(state: Inversion, rng: np.random.Generator) -> Inversion:
+    """With further predictions where its emulator knows too little; of many parameters in a region of their own."""
+    unknowns = state.points.shape[1]
+    if unknowns <= CONSTANTS.few_parameters:
+        return state.asked(next_points(state.posterior, PER_UNKNOWN, rng))
+    region = around_minima(state)
+    cube = qmc.LatinHypercube(unknowns, rng=rng, optimization="random-cd").random(fewest_runs(unknowns))
+    return dataclasses.replace(state.asked(region.low + (region.high - region.low) * cube), region=region)
+
+
+def as_predicted(forward: Surrogate, target: Target, scatter: Values, errors: Matrix) -> Target:
+    """What the surrogate predicts of `target`, with the errors that it may be off by."""
+    own = target.covariance
+    if own is None:
+        own = np.diag(forward.select(target.deviation) ** 2)
+    covariance = own + np.diag(forward.select(scatter) ** 2) + errors.T @ errors
+    values, deviation = forward.select(target.values), np.sqrt(np.diag(covariance))
+    return dataclasses.replace(target, values=values, deviation=deviation, covariance=covariance)
+
+
+def losses(residual: Matrix, precision: Matrix) -> Values:
+    """L of residuals [k, m], shape [k]."""
+    return np.asarray(((residual @ precision) * residual).sum(axis=1))
+
+
+def differentiated(state: Inversion, points: Matrix) -> tuple[Matrix, Matrix]:
+    """What the surrogate predicts at points [k, U], shape [k, m], and dL/dv there, shape [k, U]."""
+    box = state.problem.box
+    parameters = torch.tensor(box.lower + points * box.range, dtype=torch.float64, requires_grad=True)
+    predicted = state.forward.predict(parameters)
+    numbers = predicted.detach().numpy()
+    weights = 2.0 * (numbers - state.target.values) @ state.precision
+    (gradient,) = torch.autograd.grad(predicted, parameters, torch.from_numpy(weights))
+    return numbers, gradient.numpy() * box.range
+
+
+def descended(state: Inversion, starts: Matrix) -> Inversion:
+    """With the minima of L that steps in lockstep from `starts` [k, U] lead to."""
+    count = len(starts)
+    best, lowest, slopes = starts.copy(), np.full(count, np.inf), np.zeros_like(starts)
+    radius, moving, trial = np.full(count, RADIUS), np.arange(count), starts
+    for _ in range(STEPS):
+        numbers, gradients = differentiated(state, trial)
+        state = dataclasses.replace(
+            state, points=np.concatenate([state.points, trial]), numbers=np.concatenate([state.numbers, numbers])
+        )
+        found = losses(numbers - state.target.values, state.precision)
+        better = found < lowest[moving]
+        length = np.abs(trial - best[moving]).max(axis=1)
+        radius[moving] = np.where(better, 2.0 * radius[moving], 0.25 * length)
+        best[moving[better]], lowest[moving[better]] = trial[better], found[better]
+        slopes[moving[better]] = gradients[better]
+        steps, gains = stepped(state, best[moving], slopes[moving], radius[moving])
+        going = gains > NEGLIGIBLE
+        moving, trial = moving[going], (best[moving] + steps)[going]
+        if not len(moving):
+            break
+    return dataclasses.replace(state, minima=best)
+
+
+def stepped(state: Inversion, points: Matrix, slopes: Matrix, radius: Values) -> tuple[Matrix, Values]:
+    """Steps [k, U] from points [k, U] with dL/dv [k, U], and by how much L should fall with each, shape [k]."""
+    steps, gains = np.zeros_like(points), np.zeros(len(points))
+    for index, (point, slope, metric) in enumerate(zip(points, slopes, metrics(state, points), strict=True)):
+        lower = np.linalg.cholesky(metric + 1e-9 * max(float(np.trace(metric)), 1e-300) * np.eye(len(point)))
+        low, high = np.maximum(-point, -radius[index]) - 1e-12, np.minimum(1.0 - point, radius[index]) + 1e-12
+        step = lsq_linear(lower.T, np.linalg.solve(lower, -0.5 * slope), bounds=(low, high)).x
+        steps[index] = np.clip(point + step, 0.0, 1.0) - point
+        gains[index] = -float(slope @ steps[index] + steps[index] @ metric @ steps[index])
+    return steps, gains
+
+
+def metrics(state: Inversion, points: Matrix) -> Matrix:
+    """J^T C^-1 J at points [k, U] by an emulator of all predictions, shape [k, U, U]."""
+    reduced = reduction(state.numbers, state.points, state.target, scatter=ROUGH * state.target.deviation)
+    emulator = fitted(state.points, reduced.components, np.maximum(ROUGH * reduced.expected_scatter, 1e-12))
+    outward, width = reduced.basis.T / reduced.weights, 1e-4 * np.eye(points.shape[1])
+    inner = outward @ state.precision @ outward.T
+    rises = [(emulator.mean(each + width) - emulator.mean(each - width)) / 2e-4 for each in points]
+    return np.stack([rise @ inner @ rise.T for rise in rises])
+
+
+def around_minima(state: Inversion) -> Region:
+    """Three standard deviations about each minimum of L that its region holds, by L as it curves there."""
+    found, fall = state.losses(state.minima), chi2.isf(EXCLUDED, state.points.shape[1]) * state.factor**2
+    minima = state.minima[found <= found.min() + fall]
+    prior = 12.0 * np.eye(minima.shape[1])
+    inverse = np.linalg.inv(metrics(state, minima) / state.factor**2 + prior)
+    wide = 3.0 * np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
+    low, high = (minima - wide).min(axis=0), (minima + wide).max(axis=0)
+    return Region(low=np.maximum(low, 0.0), high=np.minimum(high, 1.0))

@@ -1,0 +1,174 @@
+"""Where a surrogate leads: its answers, what the MPM says of them, and what the MPM alone would find."""
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datasets.errors import InputError
+from datasets.scene import Solid
+from gns import card, checkpoint
+from gns.settings import ModelSettings
+from gns.simulator import Normalisation, Simulator
+from inverse import deposits
+from inverse.forward.gns import GnsForward
+from inverse.found import Purpose, Verdict
+from inverse.parameters.parameter import Parameter
+from inverse.problem import read_problem
+from inverse.settings import ObservationSettings, Surrogate, TargetSettings
+from inverse.target import read_target
+from tests.validation.loop.flows import Case, FakeMpm, Folded, FoldedFormula, Formula, length, wedge
+from validation.loop import surrogate
+from validation.loop.surrogate import choose, learned
+from validation.loop.task import Task
+
+
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(deposits, "RESOLUTION", 40)
+
+
+@pytest.mark.parametrize(("kind", "factor"), [("front", 1.0), ("front", 1.03), ("profile", 0.97)])
+def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, kind: str, factor: float) -> None:
+    case = wedge(tmp_path, truth=24.0, kind=kind, scatter=0.002)
+    result = case.led(Formula(case.target.observation, factor)).solve(tmp_path / "out")
+    assert result.verdict is Verdict.CONFIRMED
+    assert len(result.mpm_runs) <= 14
+    assert result.certainty is not None
+    assert result.surrogate is not None
+    own, width = (result.surrogate[key]["friction_deg"] for key in ("unknowns", "half_widths"))
+    # Its own answer is off by its error, 16 mm a degree, and by no more than its band.
+    assert own - 24.0 == pytest.approx((factor - 1.0) * length(24.0) / 0.0164, abs=0.5)
+    assert abs(own - 24.0) < width < 4.0
+    assert abs(result.unknowns["friction_deg"] - 24.0) < 2.0 * result.certainty["friction_deg"] < 1.5
+    assert result.mpm_runs[0].purpose is Purpose.CHECK
+    result.save(tmp_path / "out")
+    stored = json.loads((tmp_path / "out" / "result.json").read_text())["surrogate"]
+    assert stored.keys() == {
+        *("asked", "reason", "unknowns", "half_widths", "weight", "mpm_error", "answers", "seconds", "predictions")
+    }
+    assert stored["mpm_error"]["misfit"] == pytest.approx(((factor - 1.0) * length(24.0)) ** 2, rel=0.8, abs=1e-4)
+    assert "- The surrogate found `friction_deg` = " in (tmp_path / "out" / "report.md").read_text()
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_surrogate_that_is_wrong_by_more_than_its_band_costs_runs_and_no_truth(tmp_path: Path, factor: float) -> None:
+    case = wedge(tmp_path, truth=27.0, scatter=0.002)
+    result = case.led(Formula(case.target.observation, factor)).solve(tmp_path)
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.certainty is not None
+    assert abs(result.unknowns["friction_deg"] - 27.0) < 2.0 * result.certainty["friction_deg"] < 2.0
+    assert len(result.mpm_runs) <= 30
+
+
+def test_each_of_two_answers_is_checked(tmp_path: Path) -> None:
+    case = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002))
+    result = case.led(FoldedFormula(case.target.observation, 1.02)).solve(tmp_path)
+    assert result.verdict is Verdict.AMBIGUOUS
+    found = sorted(float(answer.parameters[0]) for answer in result.answers)
+    assert found == pytest.approx([22.0, 38.0], abs=1.0)
+    assert result.surrogate is not None
+    assert len(result.surrogate["answers"]) == 2
+    assert len(result.mpm_runs) <= 24
+
+
+def test_an_answer_at_a_bound(tmp_path: Path) -> None:
+    """A truth just inside of it is found; a target beyond it is unreachable, by the word of the whole box."""
+    case = wedge(tmp_path, truth=12.5, scatter=0.002)
+    result = case.led(Formula(case.target.observation, 0.97)).solve(tmp_path / "inside")
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.surrogate is not None
+    assert result.surrogate["unknowns"]["friction_deg"] == 12.0
+    assert abs(result.unknowns["friction_deg"] - 12.5) < 0.5
+    case = wedge(tmp_path, value=length(5.0), scatter=0.001)
+    result = case.led(Formula(case.target.observation)).solve(tmp_path / "beyond")
+    assert result.verdict is Verdict.UNREACHABLE
+    assert result.unknowns["friction_deg"] == pytest.approx(12.0, abs=1.0)
+
+
+@dataclass(frozen=True)
+class Level:
+    """A card in place of a model's own: trained on level floors."""
+
+    ranges: tuple[()] = ()
+
+
+@pytest.fixture
+def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file of a tiny model with a card."""
+    settings = ModelSettings(body_length=0.2, width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
+    scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
+    checkpoint.save(tmp_path / "tiny.safetensors", Simulator(settings, scales), {})
+    monkeypatch.setattr(card, "read", lambda path: Level())
+    monkeypatch.setattr(
+        surrogate, "outside", lambda scene, _: [f"slope_deg {scene.slope_deg:g}"] if scene.slope_deg else []
+    )
+    monkeypatch.setattr(card, "warning", lambda path, scene: None)
+    return tmp_path / "tiny.safetensors"
+
+
+PARAMETERS = {
+    name: Parameter(name=name, initial=initial, lower=0.5 * initial, upper=1.5 * initial)
+    for name, initial in (("floor_friction", 0.4), ("solids[0].friction", 0.4), ("young", 1e6), ("damping", 0.1))
+}
+GROUND = Solid(kind="terrain", points=((0.0, 0.0), (1.0, 0.0)), friction=0.4)
+WALL = Solid(lower=(0.8, 0.0), size=(0.05, 0.1), friction=0.4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "unknown", "expected"),
+    [
+        ({}, None, None),
+        ({}, "floor_friction", None),
+        ({}, "damping", None),
+        ({"solids": (GROUND,)}, "solids[0].friction", None),
+        ({}, "young", "young is no input of it"),
+        ({"slope_deg": 20.0}, None, "tiny.safetensors was not trained on such a flow: slope_deg 20"),
+        ({"solids": (WALL,)}, "solids[0].friction", "expected baffles and terrain alone"),
+        ({"open_sides": ("x+",)}, None, "expected a closed box"),
+    ],
+)
+def test_whether_it_knows_the_flow_follows_from_the_problem(
+    model: Path, changes: dict[str, Any], unknown: str | None, expected: str | None
+) -> None:
+    shipped = read_problem("friction-tall-42")
+    problem = dataclasses.replace(
+        shipped,
+        scene=dataclasses.replace(shipped.scene, **changes),
+        parameters=shipped.parameters if unknown is None else (PARAMETERS[unknown],),
+        observations=(ObservationSettings(kind="front", value=0.5),),
+        target=TargetSettings(),
+    )
+    target = read_target(problem, FakeMpm().run)
+    forward, reason = learned(problem, target, model)
+    assert isinstance(forward, GnsForward if expected is None else type(None))
+    assert (expected or "") in reason
+
+
+def task(case: Case, out: Path, surrogate: Surrogate) -> Task:
+    return dataclasses.replace(case, problem=dataclasses.replace(case.problem, surrogate=surrogate)).task(out)
+
+
+def test_a_surrogate_is_asked_where_a_run_of_the_mpm_is_dear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = wedge(tmp_path)
+
+    def load(*asked: object) -> tuple[Any, str]:
+        return Formula(case.target.observation), ""
+
+    auto = task(case, tmp_path, Surrogate.AUTO)
+    found, reason = choose(auto, model=None, load=load)
+    assert found is None
+    assert "less than 5 predictions" in reason
+    assert choose(task(case, tmp_path, Surrogate.NONE), model=None, load=load)[1] == "the problem asks for none"
+    asked = task(case, tmp_path, Surrogate.GNS)
+    assert choose(asked, model=None, load=load)[0] is not None
+    with pytest.raises(InputError, match="expected auto or none, it was not trained"):
+        choose(asked, model=None, load=lambda *_: (None, "it was not trained on it"))
+    # On a processor a million times slower.
+    monkeypatch.setattr(surrogate, "SPEED", {2: 35.0})
+    found, reason = choose(auto, model=None, load=load)
+    assert found is not None
+    assert "a run of the MPM takes" in reason

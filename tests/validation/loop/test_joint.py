@@ -1,0 +1,103 @@
+"""The loop on joint observations."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datasets.command_line import WorkFailed
+from datasets.scene import Domain, Mass, Scene
+from inverse import deposits
+from inverse.found import Verdict
+from inverse.parameters.parameter import Parameter
+from inverse.problem import Problem
+from inverse.result import Result
+from inverse.settings import ObservationSettings, Surrogate, TargetSettings
+from tests.validation.loop.flows import SHAPE, Case, FakeMpm, TwinAngles, length, wedge
+from validation.loop.__main__ import print_outcome
+from validation.loop.solve import solve
+
+FRONT = float(np.quantile(SHAPE, 0.995))
+JOINT = (
+    ObservationSettings(kind="front", noise="1%"),
+    ObservationSettings(kind="profile", noise="3%"),
+    ObservationSettings(kind="passed", line=0.4, noise=0.01),
+    ObservationSettings(kind="front", times=(0.5, 1.0), noise=0.005),
+)
+
+
+@pytest.fixture(autouse=True)
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(deposits, "RESOLUTION", 40)
+
+
+def alone(problem: Problem, mpm: FakeMpm, out: Path) -> Result:
+    return solve(dataclasses.replace(problem, surrogate=Surrogate.NONE), out, simulate=mpm)
+
+
+def joint(case: Case, observations: tuple[ObservationSettings, ...], **changes: Any) -> Problem:
+    return dataclasses.replace(case.problem, observations=observations, **changes)
+
+
+def test_joint_observations_find_it_together(tmp_path: Path) -> None:
+    case = wedge(tmp_path, truth=24.0, scatter=0.002)
+    result = alone(joint(case, JOINT), case.mpm, tmp_path)
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.certainty is not None
+    assert abs(result.unknowns["friction_deg"] - 24.0) <= result.certainty["friction_deg"] < 2.0
+    stored = json.loads((tmp_path / "result.json").read_text())["observation"]
+    assert [part["name"] for part in stored["parts"]] == ["front", "profile", "passed", "front 2"]
+    # In their own units, not in standard deviations.
+    assert stored["mpm"][0] == pytest.approx(length(24.0) * FRONT, rel=0.02)
+    assert "| front 2" in (tmp_path / "report.md").read_text()
+
+
+def test_contradictions_widen_the_half_width(tmp_path: Path) -> None:
+    case = wedge(tmp_path, truth=24.0, scatter=0.0005)
+    parts = tuple(
+        ObservationSettings(kind="front", value=FRONT * (length(24.0) + error), noise=0.004)
+        for error in (-0.03, 0.0, 0.03)
+    )
+    result = alone(joint(case, parts, target=TargetSettings()), case.mpm, tmp_path)
+    assert result.verdict is Verdict.UNCONFIRMED
+    assert result.certainty is not None
+    assert result.answers[0].fit is not None
+    assert result.answers[0].fit.factor > 3.0
+    # 12 mm a degree: the half-width is that of the 30 mm by which they differ, not of the 4 mm that were stated.
+    assert 0.8 < result.certainty["friction_deg"] < 6.0
+    assert abs(result.unknowns["friction_deg"] - 24.0) < result.certainty["friction_deg"]
+    with pytest.raises(WorkFailed, match="unconfirmed"):
+        print_outcome(result, tmp_path)
+    assert "times worse than noise" in (tmp_path / "report.md").read_text()
+
+
+@pytest.mark.slow
+def test_a_ridge_of_answers_is_one_ambiguous_answer(tmp_path: Path) -> None:
+    names = ["masses[0].friction_deg", "masses[1].friction_deg"]
+    scene = Scene(
+        domain=Domain(size=(1.2, 0.4), cell=0.01),
+        material=wedge(tmp_path).problem.scene.material,
+        masses=(Mass(lower=(0.0, 0.0), size=(0.3, 0.1)), Mass(lower=(0.0, 0.1), size=(0.3, 0.1))),
+    )
+    problem = Problem(
+        name="twins",
+        folder=tmp_path,
+        scene=scene,
+        parameters=tuple(Parameter(name=name, initial=30.0, lower=12.0, upper=52.0) for name in names),
+        observations=(ObservationSettings(kind="profile"),),
+        target=TargetSettings(twin=True, seed=7, truth=dict.fromkeys(names, 25.0)),
+    )
+    result = alone(problem, TwinAngles(scatter=0.001), tmp_path)
+    assert result.verdict is Verdict.AMBIGUOUS
+    assert result.certainty is not None
+    assert min(result.certainty.values()) > 8.0
+    assert sum(result.unknowns.values()) == pytest.approx(50.0, abs=1.5)
+    # The sum is known from 12 + 38 to 38 + 12 degrees.
+    np.testing.assert_allclose(result.samples.sum(axis=1), 50.0, atol=3.0)
+    assert np.ptp(result.samples[:, 0]) > 20.0
+    report = (tmp_path / "report.md").read_text()
+    assert "Not identifiable: `masses[0].friction_deg`, `masses[1].friction_deg`" in report
+    assert "**Identifiable**: `masses[0].friction_deg` and `masses[1].friction_deg` up or down together" in report
