@@ -210,8 +210,6 @@ class Solid(Record):
     """Coulomb coefficient [-]: a number, or one per vertex, point or height, linear between them."""
     contact: str = "coulomb"
     """`coulomb` or `no-slip`."""
-    adhesion: float = 0.0
-    """Tension that the surface bears [Pa]."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -94,8 +94,6 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
     turned = solid.turned_deg
     require(usual(turned) and (turned == 0.0 or solid.kind == "box"), f"{key}.turned_deg", "a turn of a box", turned)
     require(solid.contact in CONTACTS, f"{key}.contact", " or ".join(map(repr, CONTACTS)), repr(solid.contact))
-    tension = "a tension of at least 0 Pa, up to 1e15"
-    require(0.0 <= solid.adhesion <= 1.0e15, f"{key}.adhesion", tension, solid.adhesion)
     if solid.kind == "box":
         check_vector(solid.lower or (), f"{key}.lower", dimension)
         check_vector(solid.size or (), f"{key}.size", dimension)

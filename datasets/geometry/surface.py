@@ -58,8 +58,6 @@ class Surface:
     """The solid that each face belongs to: first the scene's baffles, then its solids; shape [F]."""
     friction: Floats
     """Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]."""
-    adhesion: Floats
-    """Tension that each face bears [Pa], shape [F]."""
 
     @property
     def dimension(self) -> int:
@@ -107,7 +105,6 @@ def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...])
     margin, high = KEPT * domain.cell, np.array(domain.size)
     near = ((found.corners.max(axis=1) >= -margin) & (found.corners.min(axis=1) <= high + margin)).all(axis=1)
     found.friction[stuck] = np.inf
-    found.adhesion[:] = np.array([solid.adhesion for solid in solids])[found.solid]
     return found.chosen(near)
 
 
@@ -117,7 +114,7 @@ def surface_around(vertices: Floats, faces: Integers) -> Surface:
 
 
 def boundary(bodies: list[Body], gap: float) -> Surface:
-    """The boundary of the union of `bodies`, without adhesion; those that are no more than `gap` [m] apart are one."""
+    """The boundary of the union of `bodies`; those that are no more than `gap` [m] apart are one."""
     if len(bodies) == 1:
         (body,) = bodies
         vertices, faces, friction = body.vertices, body.faces, body.friction[body.faces]
@@ -133,7 +130,6 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
         edge_normals=edge_normals,
         solid=owner,
         friction=friction,
-        adhesion=np.zeros(len(faces)),
     )
     # Triangles without area have no normal.
     return found.chosen(np.asarray(normals.any(axis=1)))

@@ -101,9 +101,8 @@ def check_known(scene: Scene, who: str, where: str = "") -> None:
         (len(densities) > 1, "masses", "masses of one density"),
     ]
     for index, solid in enumerate(scene.solids):
-        other = solid.contact != "coulomb" or solid.adhesion > 0.0
         refused.append((solid.kind != "terrain", f"solids[{index}].kind", "baffles and terrain alone"))
-        refused.append((other, f"solids[{index}].contact", "Coulomb friction alone"))
+        refused.append((solid.contact != "coulomb", f"solids[{index}].contact", "Coulomb friction alone"))
     for bad, key, expected in refused:
         if bad:
             raise InputError(f"expected {expected}, {who} knows no other", where=where, key=key)

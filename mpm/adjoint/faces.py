@@ -4,7 +4,7 @@ Distance d, normal n and friction at the nearest face are those of the point of 
 lies inside the face, on an edge or at a corner is given: so they are closed forms, which are traced (`at_face`).
 
 A particle that a step has put back onto a face lost d n of its displacement, x'' = x' - d n, and of its velocity what
-`after_contact` takes. The bars of faces are those of their corners, normals, friction and adhesion, each as if it stood
+`after_contact` takes. The bars of faces are those of their corners, normals and friction, each as if it stood
 alone: whoever moves a solid moves all of them (`mpm.adjoint.gradient.Gradient.along`). Where a node begins to be deep
 in a solid, or the nearest face changes, the flow has a corner in the position of the solid, and the bar is that of one
 side. A particle that is put back beyond the end of the face that it crossed, over a ridge, is taken as not put back.
@@ -58,7 +58,6 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
             face = ti.cast(arrays.history_lanes[contact + Contact.FACE * lanes], ti.i32)
             n_bar = lane_numbers(arrays.adjoint_lanes, at + Contact.NORMAL * lanes, arrays)
             friction_bar = arrays.adjoint_lanes[at + Contact.FRICTION * lanes]
-            add_face(face, features.face_adhesion, arrays.adjoint_lanes[at + Contact.ADHESION * lanes], arrays)
             share = ti.min(distance / width, 1.0)
             d_bar = arrays.adjoint_lanes[at + Contact.DISTANCE * lanes] + arrays.adjoint_lanes[
                 at + Contact.DELTA * lanes

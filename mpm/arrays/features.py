@@ -131,7 +131,6 @@ def parts(features: Features) -> list[dict[str, int]]:
             "face_corners": size**2,
             "face_normal": size * (1 + size + (3 if size == 3 else 0)),
             "face_friction": size,  # at each corner [-]
-            "face_adhesion": 1,  # [Pa]
             "face_solid": 1,  # its number
             "face_columns": 0,
         },

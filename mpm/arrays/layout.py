@@ -104,7 +104,6 @@ class Contact(Column):
 
     DELTA = auto()  # delta_h of the distance [1/m]
     DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
-    ADHESION = auto()  # of that face [Pa]
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
     FACE = auto()  # the line of that face in `faces`
     IMPULSE = auto()  # one component of what a particle gives to its solid; before that its mass

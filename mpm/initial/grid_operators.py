@@ -60,7 +60,7 @@ class ContactOperator:
         found = initial_contacts(scene, positions)
         self.touching = np.flatnonzero(found[:, Contact.DELTA] > 0.0)
         here = found[self.touching]
-        self.delta, self.adhesion = here[:, Contact.DELTA], here[:, Contact.ADHESION]
+        self.delta = here[:, Contact.DELTA]
         self.normal = here[:, Contact.NORMAL : Contact.NORMAL + dimension]
         rough = np.array([clings(mass) for mass in scene.masses])[particles.mass[chosen]]
         self.friction = np.where(rough[self.touching], here[:, Contact.FRICTION], 0.0)
@@ -100,8 +100,8 @@ class ContactOperator:
         return np.asarray(self.foot.T @ (self.share[:, None] * (traction - normal_stress[:, None] * self.normal)))
 
     def pushing(self, stress: Floats) -> Floats:
-        """sigma_nn [Pa] without what is more than the adhesion, shape [M]."""
-        return np.minimum(self.normal_stress(stress), self.adhesion)
+        """sigma_nn [Pa] where it is a pressure, 0 where it is a tension, shape [M]."""
+        return np.minimum(self.normal_stress(stress), 0.0)
 
     def coulomb_limited(self, stress: Floats, traction: Floats) -> Floats:
         """Shear tractions [Pa], shape [M, D], within Coulomb's bound for the `stress` [Pa]."""

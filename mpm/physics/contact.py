@@ -19,7 +19,7 @@ virtual power a particle gives to a node
 Stress and contact belong to one energy: a layer at rest neither gains any nor sinks, wherever the surface cuts the
 grid, and a uniform stress is in equilibrium with its surface. It is Nitsche's condition (Nitsche 1971) with the
 particle's own stress as the multiplier and no penalty; the delta is that of an immersed boundary (Peskin 2002, section
-6) and makes it smooth in the place of the solid. The normal traction pushes, and pulls up to the surface's adhesion.
+6) and makes it smooth in the place of the solid. The normal traction pushes and never pulls.
 
 **Friction.** The shear traction q is elastic until it slips, dq/dt = -mu_s delta (v_f - n (n . v_f)) with the sand's
 shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
@@ -78,7 +78,7 @@ def surface_force(stress: ti.template(), contact: ti.template(), dimension: ti.t
     delta, distance = contact[Contact.DELTA], contact[Contact.DISTANCE]
     n = [contact[Contact.NORMAL + k] for k in ti.static(range(dimension))]
     q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
-    pull = minimum(normal_stress(stress, contact, dimension), contact[Contact.ADHESION])
+    pull = minimum(normal_stress(stress, contact, dimension), 0.0 * delta)
     force = [delta * (q[k] - pull * n[k]) for k in ti.static(range(dimension))]
     return force + [distance * n[k] for k in ti.static(range(dimension))]
 
@@ -118,7 +118,7 @@ def jump_at_contact(
     Sand without pressure leaves a surface without strain.
     """
     opening = opening_velocity(foot_velocity(velocity, affine, contact, dimension), contact, dimension)
-    separated = (normal_stress(stress, contact, dimension) >= contact[Contact.ADHESION]) & (opening > 0.0)
+    separated = (normal_stress(stress, contact, dimension) >= 0.0) & (opening > 0.0)
     return ti.select(separated, 0.0, dt * contact[Contact.DELTA] * opening)
 
 
@@ -338,7 +338,6 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
         distance = ti.min(d, distance)
         q = ti.min(d / arrays.settings[scene, Setting.CONTACT_WIDTH], 1.0)
         delta = 2.0 / arrays.settings[scene, Setting.CONTACT_WIDTH] * (1.0 - q * q * (3.0 - 2.0 * q))
-        arrays.lanes[contact + Contact.ADHESION * lanes] = arrays.faces[face, features.face_adhesion]
         arrays.lanes[contact + Contact.FRICTION * lanes] = friction
         arrays.lanes[contact + Contact.FACE * lanes] = face
         # The shear traction turns with the surface, and ends where the particle leaves it.

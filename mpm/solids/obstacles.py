@@ -35,8 +35,8 @@ class Obstacles:
     """Solids for the kernel: F faces, C cells, K nodes that are held."""
 
     faces: Array
-    """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], adhesion [Pa],
-    number of its solid; see `mpm.arrays.layout.Features.face_normal` and what follows it; shape [F, columns]."""
+    """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], number
+    of its solid; see `mpm.arrays.layout.Features.face_normal` and what follows it; shape [F, columns]."""
     cell_faces: Array
     """Where the list of each cell begins in `near_faces`, shape [C + 1]."""
     near_faces: Array
@@ -115,7 +115,6 @@ def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles
                     for part in (surface.corners, surface.normals, surface.corner_normals, surface.edge_normals)
                 ),
                 np.minimum(surface.friction, NO_SLIP),
-                surface.adhesion[:, None],
                 surface.solid[:, None],
             ],
             axis=1,
@@ -207,7 +206,6 @@ def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np
     _, _, weights = feet(surface.corners[nearest_points.face], positions)
     found[:, Contact.DELTA] = 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
     found[:, Contact.DISTANCE] = np.clip(nearest_points.distance, 0.0, cutoff)
-    found[:, Contact.ADHESION] = surface.adhesion[nearest_points.face]
     found[:, Contact.FRICTION] = (weights * np.minimum(surface.friction, NO_SLIP)[nearest_points.face]).sum(axis=1)
     found[:, Contact.FACE] = nearest_points.face
     found[:, Contact.NORMAL : Contact.NORMAL + dimension] = nearest_points.normal

@@ -57,13 +57,12 @@ def test_a_mesh_that_stands_on_or_in_the_floor(where: float) -> None:
 
 
 def test_terrain_and_what_stands_on_it_are_one() -> None:
-    ground = Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.2), (2.0, 0.2)), friction=(0.2, 0.4, 0.6), adhesion=5.0)
+    ground = Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.2), (2.0, 0.2)), friction=(0.2, 0.4, 0.6))
     wall = Solid(lower=(1.5, 0.1), size=(0.1, 0.3), friction=0.9)
     found = surface(scene_of(ground, wall))
     seen = nearest(found, np.array([[0.5, 0.36], [1.25, 0.21], [1.55, 0.41], [1.49, 0.3], [1.55, 0.2]]))
     assert found.solid[seen.face].tolist()[:4] == [0, 0, 1, 1]
     assert seen.distance[4] < -0.04
-    assert found.adhesion[seen.face[:3]].tolist() == [5.0, 5.0, 0.0]
     flat = (found.solid == 0) & (found.normals[:, 1] > 0.999)
     (face,) = np.flatnonzero(flat & (found.corners[:, :, 0].max(axis=1) < 1.51))
     order = np.argsort(found.corners[face, :, 0])
