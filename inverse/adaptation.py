@@ -103,7 +103,7 @@ def require_learnable(problem: Problem, settings: ModelSettings) -> None:
     if problem.fields:
         raise InputError("expected numbers, a surrogate knows no fields", where=problem.name, key="unknowns")
     for index, each in enumerate(problem.parameters):
-        if not each.kind.differentiable:
+        if not each.kind.predicted:
             message = f"expected an input of the surrogate, {each.name} is none"
             raise InputError(message, where=problem.name, key=f"unknowns[{index}]")
     for index, measured in enumerate(read_each(problem)):

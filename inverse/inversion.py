@@ -88,7 +88,7 @@ def forward_model(
         from inverse.forward.adjoint import AdjointForward
 
         return AdjointForward(problem, target.observation, simulate_many)
-    unsupported = [each.name for each in problem.numbers if not each.kind.differentiable]
+    unsupported = [each.name for each in problem.numbers if not each.kind.predicted]
     if unsupported or not target.observation.of_positions:
         what = ", ".join(unsupported) or "forces"
         raise InputError(f"expected mpm, no surrogate predicts {what}", where="--forward gns")

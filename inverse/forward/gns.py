@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.scene import Scene
 from gns.initial import InitialState, initial_state
 from gns.simulator import Simulator
 from gns.state import Conditions, State, Tensors
@@ -28,7 +29,9 @@ T = TypeVar("T", bound=Tensors)
 class GnsForward:
     """A rollout of the surrogate from rest that is a differentiable function of the problem's parameters.
 
-    State, conditions and positions are in SI units of the scene; `unroll` scales them to the model's.
+    State, conditions and positions are in SI units of the scene; `unroll` scales them to the model's. Unknowns that
+    change the particles (thickness of a layer) are no inputs: each flow then begins with an initial state of its own,
+    one after the other, and derivatives in these unknowns are central differences.
     """
 
     def __init__(
@@ -44,9 +47,9 @@ class GnsForward:
         Raises InputError as `gns.initial.check`.
         """
         self.simulator = simulator.requires_grad_(False)
-        self.observation, self.kinds, self.band = observation, problem.kinds, band or Band()
-        dtype = next(simulator.parameters()).dtype
-        self.initial = initial_state(problem.scene, simulator.settings).to(dtype=dtype)
+        self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()
+        self.other_particles = [index for index, kind in enumerate(self.kinds) if not kind.differentiable]
+        self.initial = self._initial(problem.scene)
         self.indices, self.steps = self.initial.indices, self.initial.steps
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = int(memory_gib * 2**30 / bytes_per_step)
@@ -58,9 +61,13 @@ class GnsForward:
         """
         if parameters.dim() == 1:
             return self.predict(parameters.unsqueeze(0))[0]
-        paths = self._paths(parameters)
+        starts = [self.entered(each) for each in parameters]
+        if self.other_particles:
+            found = [self._observed(self._unrolled(start), start) for start in starts]
+            return torch.stack([self._differentiable(*each) for each in zip(found, parameters, strict=True)])
+        paths = self._unrolled(side_by_side(starts), len(starts))
         flows = paths.reshape(len(paths), len(parameters), -1, paths.shape[2])
-        return torch.stack([self._observed(each) for each in flows.unbind(1)])
+        return torch.stack([self._observed(each, self.initial) for each in flows.unbind(1)])
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The smooth observation [m] at each vector of parameters [U], in batches of at most `NODES` particles."""
@@ -76,9 +83,10 @@ class GnsForward:
         of a profile, and one of all together of M^(1/2) times the effect.
         """
         with torch.no_grad():
-            path = self._paths(torch.from_numpy(parameters)[None])
-            own = self._observed(path)
-            found = torch.stack([self._observed(each) - own for each in self.band.moved(path)]).numpy()
+            start = self.entered(torch.from_numpy(parameters))
+            path = self._unrolled(start)
+            own = self._observed(path, start)
+            found = torch.stack([self._observed(each, start) - own for each in self.band.moved(path)]).numpy()
         if self.observation.every_particle:
             count = found.shape[1]
             extent = float(path[-1, :, 0].max() - path[0, :, 0].min())
@@ -88,29 +96,49 @@ class GnsForward:
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
         """Final positions of the particles [m], shape [n, D]."""
         with torch.no_grad():
-            return self._paths(torch.from_numpy(parameters)[None])[-1].numpy()
+            return self._unrolled(self.entered(torch.from_numpy(parameters)))[-1].numpy()
 
     def select(self, target: Values, /) -> Values:
         """The part of an exact `target` [M] that is of the particles followed here, shape [m]."""
         return self.observation.of_particles(target, self.indices)
 
     def entered(self, parameters: Tensor) -> InitialState:
-        """The initial state with parameters [U], differentiable in them."""
+        """The initial state with parameters [U], differentiable in those that are inputs."""
         initial = self.initial
+        if self.other_particles:
+            initial = self._initial(self.problem.scene_at(parameters.detach().numpy()))
         for index in in_order(self.kinds):
-            initial = self.kinds[index].enter(initial, parameters[index])
+            if self.kinds[index].differentiable:
+                initial = self.kinds[index].enter(initial, parameters[index])
         return initial
 
-    def _observed(self, path: Tensor) -> Tensor:
-        """The smooth observation [m] of the positions of one flow [m], shape [T, n, D]."""
-        rollout = Rollout(positions=path, times=self.initial.times, volumes=self.initial.conditions.volume)
+    def _initial(self, scene: Scene) -> InitialState:
+        """The initial state of a scene, in the precision of the weights."""
+        dtype = next(self.simulator.parameters()).dtype
+        return initial_state(scene, self.simulator.settings).to(dtype=dtype)
+
+    def _observed(self, path: Tensor, start: InitialState) -> Tensor:
+        """The smooth observation [m] of the positions of one flow [m], shape [T, n, D], from its initial state on."""
+        rollout = Rollout(positions=path, times=start.times, volumes=start.conditions.volume)
         return self.observation.predict(rollout)
 
-    def _paths(self, parameters: Tensor) -> Tensor:
-        """Positions [m] at the times of the initial state with each of parameters [S, U], shape [T, S n, D]."""
-        start = side_by_side([self.entered(each) for each in parameters])
-        kept = min(self.steps, self.kept_steps // len(parameters))
-        return unroll(self.simulator, start.state, start.conditions, self.steps, kept_steps=kept)
+    def _unrolled(self, start: InitialState, flows: int = 1) -> Tensor:
+        """Positions [m] at the times of the initial state of so many flows side by side, shape [T, flows n, D]."""
+        kept = min(start.steps, self.kept_steps // flows)
+        return unroll(self.simulator, start.state, start.conditions, start.steps, kept_steps=kept)
+
+    def _differentiable(self, found: Tensor, parameters: Tensor) -> Tensor:
+        """An observation [m] at parameters [U], differentiable in the unknowns that change the particles too."""
+        if not parameters.requires_grad:
+            return found
+        values = parameters.detach().numpy()
+        for index in self.other_particles:
+            change = np.where(np.arange(len(values)) == index, self.problem.steps, 0.0)
+            ends = [self.problem.box.clip(values + change), self.problem.box.clip(values - change)]
+            ahead, behind = self.observe(ends)
+            slope = torch.from_numpy((ahead - behind) / (ends[0] - ends[1])[index])
+            found = found + slope * (parameters[index] - parameters[index].detach())
+        return found
 
 
 def side_by_side(flows: Sequence[InitialState]) -> InitialState:

@@ -15,7 +15,8 @@
 | `masses[I].k0` | - | ratio of the initial stresses of mass I |
 | `masses[I].height`, `.thickness` | m | extent of a box along y from its foot; thickness of a layer |
 
-The last four rows are the MPM's alone: no surrogate has them among its inputs, the loop then runs without one.
+`young`, `residual_...`, `k0` and those of mu(I) are the MPM's alone: no surrogate has them among its inputs, the loop
+then runs without one. Height and thickness make other particles: a surrogate begins anew with them, without a gradient.
 
 >>> scene = with_parameters(scene, ["friction_deg", "masses[0].velocity_x"], [32.0, 1.5])
 

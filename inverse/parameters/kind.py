@@ -52,7 +52,7 @@ class Kind:
     """Parameters are set in ascending order: shared constants (0), then those of a mass, which take precedence (2), and
     each time residual strengths last (1, 3), because the cohesion of their material scales them."""
     input: Input | None = None
-    """How it enters the surrogate (`inverse.parameters.inputs`); None of what the MPM alone knows."""
+    """How it enters the surrogate (`inverse.parameters.inputs`); None of what is no input of it."""
 
     @property
     def group(self) -> str:
@@ -68,6 +68,11 @@ class Kind:
     def differentiable(self) -> bool:
         """Whether it is an input of the surrogate, which is differentiable in it."""
         return self.input is not None
+
+    @property
+    def predicted(self) -> bool:
+        """Whether the surrogate knows flows with other values of it: it is an input, or it makes other particles."""
+        return self.differentiable or self.changes_volume
 
     def text(self, value: float) -> str:
         """A value with its unit."""

@@ -64,7 +64,7 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Surrogate | N
 def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Surrogate | None, str]:
     """The learned surrogate, or None and the reason why it does not know the flow. Raises InputError."""
     observation = target.observation
-    if without := [each.name for each in problem.parameters if not each.kind.differentiable]:
+    if without := [each.name for each in problem.parameters if not each.kind.predicted]:
         return None, f"{', '.join(without)} is no input of it"
     if not observation.of_positions:
         return None, f"it does not predict {observation.label}"

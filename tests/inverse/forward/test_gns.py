@@ -12,6 +12,7 @@ from gns.simulator import Normalisation, Simulator
 from gns.unroll import unroll
 from inverse.forward.gns import GnsForward
 from inverse.observations import Rollout, build
+from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 
@@ -82,3 +83,23 @@ def test_between_two_steps_particles_move_straight(problem: Problem, share: floa
         between = (1.0 - share) * path[3] + share * path[4]
         alone = Rollout(positions=between[None], times=np.array([time]), volumes=initial.conditions.volume)
         torch.testing.assert_close(seen[0], observation.predict(alone)[0], rtol=1e-5, atol=1e-7)
+
+
+def test_a_thickness_makes_other_particles_and_is_differentiable_by_differences(problem: Problem) -> None:
+    layer = Mass(kind="layer", thickness=0.06, outline=((0.0,), (0.08,)))
+    thickness = Parameter(name="masses[0].thickness", initial=0.06, lower=0.04, upper=0.08, step=0.01)
+    other = dataclasses.replace(
+        problem,
+        scene=dataclasses.replace(problem.scene, masses=(layer,)),
+        parameters=(*problem.parameters, thickness),
+    )
+    forward = forward_of(other)
+    values = np.array([30.0, 0.05])
+    assert len(forward.deposit(values)) != len(forward.deposit(np.array([30.0, 0.08])))
+    asked = torch.from_numpy(np.array([values, values])).requires_grad_()
+    (rows,) = torch.autograd.grad(forward.predict(asked).sum(), asked)
+    alone = torch.tensor([30.0], dtype=torch.float64, requires_grad=True)
+    fixed = forward_of(dataclasses.replace(other, scene=other.scene_at(values), parameters=problem.parameters))
+    (slope,) = torch.autograd.grad(fixed.predict(alone).sum(), alone)
+    ahead, behind = forward.observe([np.array([30.0, 0.06]), np.array([30.0, 0.04])])
+    np.testing.assert_allclose(rows.numpy(), [[slope.item(), ((ahead - behind) / 0.02).item()]] * 2, rtol=1e-4)
