@@ -58,7 +58,7 @@ class Family(Record):
     """Whether a run of the MPM is: each problem is then solved a second time, without a surrogate."""
     criteria: Criteria
 
-    def solved(self) -> list[tuple[Problem, str]]:
+    def inversions(self) -> list[tuple[Problem, str]]:
         """What is solved, in turn: problems, and the names of their folders."""
         found = []
         for name in self.problems:
@@ -166,7 +166,7 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
     requested, failed = only or (QUICK if quick else tuple(names)), []
     found: dict[str, list[Outcome]] = {}
     for family in families:
-        for problem, name in family.solved():
+        for problem, name in family.inversions():
             folder = keep / name
             if problem.name in requested and not is_current(problem, folder) and not ran(problem, folder):
                 failed.append(name)

@@ -87,7 +87,7 @@ def test_results_are_gathered_once(tmp_path: Path, loop: list[str]) -> None:
     assert call(tmp_path, "nothing") == 2
 
 
-def test_a_dear_problem_is_solved_without_a_surrogate_too(tmp_path: Path, loop: list[str]) -> None:
+def test_a_dear_problem_runs_without_a_surrogate_too(tmp_path: Path, loop: list[str]) -> None:
     assert call(tmp_path, DEAR) == 0
     assert loop == [DEAR, DEAR]
     text = (tmp_path / "docs" / "problems.md").read_text()
