@@ -74,8 +74,8 @@ class Constants:
     converged: float = 0.15
     """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
     converged_around: float = 0.3
-    """The same of runs around the answers of a surrogate: half-widths are a fifth wider than by any number of
-    runs, which are dear there."""
+    """The same of runs around the answers of a surrogate, and where runs for other targets are known: half-widths are a
+    fifth wider than by any number of runs."""
     first_checks: int = 3
     """Runs at the one answer of a surrogate, one less at each of several."""
     lack_of_fit: float = 0.9

@@ -154,7 +154,8 @@ def searched(state: Search) -> Search:
     state = state.inferred()
     unknowns, spared = len(state.task.problem.parameters), CONSTANTS.repeats + state.task.checks
     size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
-    while state.posterior.emulator_share > CONSTANTS.converged and state.left > spared:
+    enough = CONSTANTS.converged_around if state.known else CONSTANTS.converged
+    while state.posterior.emulator_share > enough and state.left > spared:
         points = next_points(state.posterior, min(size, state.left - spared), state.task.generator(len(state.runs)))
         repeated = np.repeat(state.posterior.samples.mean[None], CONSTANTS.repeats, axis=0)
         state = state.ran(np.concatenate([repeated, points]), Purpose.WAVE).inferred()
