@@ -81,11 +81,12 @@ def adapt(
     require_learnable(asked, settings)
     if runs < FEWEST:
         raise InputError(f"expected at least {FEWEST} runs, of which two are held out, got {runs}", key="--runs")
-    units, duration = Units.of_model(asked.scene, settings), asked.scene.duration
-    training = training_settings(settings, steps=round(duration / (units.time * settings.step)), minutes=minutes)
     flows = definition(asked, runs, settings, seed=seed)
+    entries = flows.entries(seed=seed)
+    steps = min(entry.scene.frames for entry in entries) - 1
+    training = training_settings(settings, steps=steps, minutes=minutes)
     try:
-        missing = len(missing_entries(flows.entries(seed=seed), out / DATA))
+        missing = len(missing_entries(entries, out / DATA))
     except InputError as error:
         expected = f"expected no flows but those of {asked.name}, seed {seed}, at most {runs} of them"
         raise InputError(f"{expected}; found {error.where}", where=str(out)) from None
@@ -121,20 +122,20 @@ def require_learnable(problem: Problem, settings: ModelSettings) -> None:
 
 def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: int) -> Definition:
     """The flows of a problem: those of more `runs` begin with those of fewer."""
-    box, units = problem.box, Units.of_model(problem.scene, settings)
+    box, length = problem.box, Units.of_model(problem.scene, settings).length
     sequence = qmc.Sobol(len(box.lower), rng=np.random.default_rng(seed))
     places = box.lower + box.range * sequence.random_base2((runs - 1).bit_length())
 
     def draw(stream: Stream, index: int) -> Scene:
         scene = problem.scene_at(places[index], int(stream.integers(2**31)))
-        return dataclasses.replace(scene, frame_dt=units.time * settings.step)
+        return dataclasses.replace(scene, frame_dt=Units.of_model(scene, settings).time * settings.step)
 
     return Definition(
         name="flow",
         size=runs,
         split=lambda index: Split.VALID if index % HELD_OUT == 1 else Split.TRAIN,
         draw=draw,
-        storage=Storage(cell=units.length * settings.cell, kept=KEPT, deposit=True),
+        storage=Storage(cell=length * settings.cell, kept=KEPT, deposit=True),
     )
 
 

@@ -88,7 +88,9 @@ def generate(
     if jobs < 1:
         raise InputError(f"expected at least 1 job, got {jobs}", key="jobs")
     entries = definition.entries(seed=seed, count=count)
-    if len({entry.scene.frame_dt for entry in entries}) > 1:
+    # Those of an inversion are read each in units of its own.
+    alike = definition.storage is None or not definition.storage.deposit
+    if alike and len({entry.scene.frame_dt for entry in entries}) > 1:
         raise InputError(f"expected the same time between frames in all scenes of {definition.name}", key="frame_dt")
     with locked(out), pool(jobs) if scheduler is None else connected(scheduler) as workers:
         simulate_all(workers, missing_entries(entries, out), out, total=len(entries), storage=definition.storage)

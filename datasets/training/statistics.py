@@ -91,7 +91,7 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
         "sequence_length": max(each.frames for each in scenes),
         "default_connectivity_radius": 2.0 * scene.domain.cell,
         "dim": scene.dimension,
-        "dt": scene.frame_dt,
+        "dt": shared("frame_dt"),
         "vel_mean": statistics.mean[0].tolist(),
         "vel_std": statistics.std[0].tolist(),
         "acc_mean": statistics.mean[1].tolist(),
