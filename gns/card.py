@@ -2,10 +2,9 @@
 
     python -m gns.card runs/mine/best.safetensors
 
-writes `runs/mine/best.json` beside the weights, as a training does at its end. Its ranges are the least and the
-greatest value of each quantity (`gns.ranges`) over the scenes that the model was trained on, in the folders that it
-names. A network interpolates; outside of these ranges its error is unknown.
-`python -m gns.score DATASET... --model MODEL --keep` adds scores and bands.
+writes `runs/mine/best.json` beside the weights, as a training does at its end. For each dataset of the training it has
+the least and the greatest value of each quantity (`gns.ranges`). A network interpolates; outside of all ranges its
+error is unknown. `python -m gns.score DATASET... --model MODEL --keep` adds scores and the calibration of the bands.
 """
 
 import dataclasses
@@ -36,31 +35,41 @@ LICENCE = "MIT"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Data(Record):
-    """What a model was trained on, and by which command."""
+class Calibration(Record):
+    """How far a deposit may be from the MPM's, by flows that no training saw (`gns.uncertainty`)."""
 
-    scenes: dict[str, int]
-    """Definition or folder -> training scenes."""
-    cells_across: dict[str, Range]
-    """The same -> fewest and most cells of the MPM over the length of the released body."""
+    front: dict[str, float]
+    """Level -> quantile of the front's absolute error over the extent [-]."""
+    profile: dict[str, float]
+    """Level -> quantile of the profile's error over the extent [-]."""
+    flows: int
+    """Number of flows that it was found on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dataset(Record):
+    """What a model was trained on: a definition or a folder."""
+
+    scenes: int
+    """For training."""
+    cells_across: Range
+    """Fewest and most cells of the MPM over the length of the released body."""
+    ranges: dict[str, Range]
+    """Quantity (`gns.ranges.quantities`) -> least and greatest value."""
+    calibration: Calibration | None = None
+    """None before `python -m gns.score --keep`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training(Record):
+    """How a model was made."""
+
     command: str
     """What began the last training."""
     seed: int | None
     """Of its weights and samples."""
     updates: int | None
     """Updates of the weights in all; None where the model does not say."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Calibration(Record):
-    """How far a predicted front may be from the MPM's, by the spread of an ensemble (`gns.uncertainty`)."""
-
-    floor: float
-    """b: error that the members have in common, over the extent of the flow [-]."""
-    quantiles: dict[str, float]
-    """Level -> q, the quantile of the absolute errors over sqrt(spread^2 + (b extent)^2) [-]."""
-    flows: int
-    """Number of flows that it was found on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,15 +81,46 @@ class Card(Record):
     """Features of a particle in their order -> how many numbers."""
     normalisation: dict[str, float]
     """Scales of displacement and acceleration [m per step], mean and standard deviation of tan(phi) [-]."""
-    data: Data
+    training: Training
     licence: str
     """Of the weights."""
     scores: str
     """Tables in Markdown of whole rollouts, by `python -m gns.score`; empty where none were given."""
-    ranges: dict[str, Range]
-    """Quantity (`gns.ranges.quantities`) -> least and greatest value in the training data."""
-    calibration: Calibration | None = None
-    """None before `python -m gns.score --keep`."""
+    datasets: dict[str, Dataset]
+    """Definition or folder -> what it holds."""
+
+    @property
+    def ranges(self) -> dict[str, Range]:
+        """Quantity -> least and greatest value in all training data."""
+        found: dict[str, Range] = {}
+        for each in self.datasets.values():
+            for name, (low, high) in each.ranges.items():
+                least, most = found.get(name, (low, high))
+                found[name] = min(low, least), max(high, most)
+        return found
+
+    def calibration(self, scene: Scene, level: str = "0.95") -> Calibration | None:
+        """That of the dataset with the narrowest band of `level` whose ranges hold `scene`; the widest where none does.
+
+        None where no dataset has one.
+        """
+        known = [each for each in self.datasets.values() if each.calibration is not None]
+        holding = [each.calibration for each in known if not outside(scene, each.ranges)]
+
+        def width(calibration: Calibration | None) -> float:
+            return calibration.front[level] if calibration is not None else 0.0
+
+        if holding:
+            return min(holding, key=width)
+        return max((each.calibration for each in known), key=width, default=None)
+
+    def keeping(self, calibrations: Mapping[str, Calibration | None]) -> "Card":
+        """This card with calibrations of datasets by name; of those that it does not have none is kept."""
+        datasets = {
+            name: dataclasses.replace(each, calibration=calibrations.get(name, each.calibration))
+            for name, each in self.datasets.items()
+        }
+        return dataclasses.replace(self, datasets=datasets)
 
 
 def describe(
@@ -89,23 +129,26 @@ def describe(
     """The card of a model of this history that was trained on these scenes, by definition or folder."""
     settings = simulator.settings
     constants = ("displacement_scale", "acceleration_scale", "friction_mean", "friction_std")
-    across = {
-        name: [Units.of_body(scene).length / scene.domain.cell for scene in some] for name, some in scenes.items()
-    }
+    datasets = {}
+    for name, some in scenes.items():
+        across = [Units.of_body(scene).length / scene.domain.cell for scene in some]
+        datasets[name] = Dataset(
+            scenes=len(some),
+            cells_across=(round(min(across), 2), round(max(across), 2)),
+            ranges=ranges_of(some, settings),
+        )
     return Card(
         settings=settings,
         features=features(settings),
         normalisation={name: float(getattr(simulator, name)) for name in constants},
-        data=Data(
-            scenes={name: len(some) for name, some in scenes.items()},
-            cells_across={name: (round(min(some), 2), round(max(some), 2)) for name, some in across.items()},
+        training=Training(
             command=str(provenance.get("command", "")),
             seed=provenance.get("seed"),
             updates=total_updates(provenance) or None,
         ),
         licence=LICENCE,
         scores=scores,
-        ranges=ranges_of((scene for some in scenes.values() for scene in some), settings),
+        datasets=datasets,
     )
 
 
@@ -150,7 +193,7 @@ def warning(weights: Path, scene: Scene) -> str | None:
     reasons = []
     if found := outside(scene, card.ranges):
         reasons.append(f"{weights.name} is outside of its training range: {'; '.join(found)}")
-    updates = card.data.updates
+    updates = card.training.updates
     if updates is not None and (share_of_shipped(updates, scene.dimension) or 1.0) < SHORT:
         reasons.append(f"{weights.name}: {length_of_training(updates, scene.dimension)}")
     return "; ".join(reasons) or None
@@ -166,7 +209,7 @@ def share_of_shipped(updates: int, dimension: int) -> float | None:
     """So many updates over those of the shipped model in 2D or 3D; None where none ships, or its card does not say."""
     path = shipped(dimension)
     reference = read(path) if path.exists() else None
-    return updates / reference.data.updates if reference and reference.data.updates else None
+    return updates / reference.training.updates if reference and reference.training.updates else None
 
 
 def length_of_training(updates: int, dimension: int) -> str:
@@ -200,9 +243,11 @@ def main(model: Path, /, *datasets: Path) -> None:
         raise InputError("expected the datasets in the model's provenance, there are none", where=str(model))
     card = describe(loaded.simulator, loaded.provenance, scenes)
     if former is not None:
-        card = dataclasses.replace(card, scores=former.scores, calibration=former.calibration)
+        card = dataclasses.replace(card, scores=former.scores)
+        card = card.keeping({name: each.calibration for name, each in former.datasets.items()})
     write(model, card)
-    print(f"{card_path(model)}: {len(card.ranges)} ranges over {sum(card.data.scenes.values())} scenes")
+    count = sum(each.scenes for each in card.datasets.values())
+    print(f"{card_path(model)}: {len(card.ranges)} ranges over {count} scenes")
 
 
 if __name__ == "__main__":

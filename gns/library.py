@@ -1,7 +1,5 @@
-"""The models that ship, and where the members of an ensemble lie. Nothing here needs torch."""
+"""The models that ship. Nothing here needs torch."""
 
-import itertools
-import re
 from pathlib import Path
 
 WEIGHTS = Path(__file__).parent / "weights"
@@ -10,8 +8,6 @@ ENDING = ".safetensors"
 """Of the file of a model."""
 BEST = f"best{ENDING}"
 """What a training leaves in its folder: the model to use."""
-MEMBER = re.compile(r".*-\d+")
-"""How a member of the ensemble of a model is called: its name and a number."""
 
 
 def shipped(dimension: int) -> Path:
@@ -20,19 +16,8 @@ def shipped(dimension: int) -> Path:
 
 
 def models(folder: Path = WEIGHTS) -> list[Path]:
-    """The models in a folder, by name; without the members of ensembles."""
-    found = [path for path in folder.glob(f"*{ENDING}") if not MEMBER.fullmatch(path.stem)]
-    return sorted(found, key=lambda path: path.stem)
-
-
-def members(model: Path) -> list[Path]:
-    """The members of the ensemble of a model, NAME-1, NAME-2 and so on beside it."""
-    return list(itertools.takewhile(Path.exists, (member_path(model, number) for number in itertools.count(1))))
-
-
-def member_path(model: Path, number: int) -> Path:
-    """The file of a member of the ensemble of a model, counted from 1."""
-    return model.with_name(f"{model.stem}-{number}{ENDING}")
+    """The models in a folder, by name."""
+    return sorted(folder.glob(f"*{ENDING}"), key=lambda path: path.stem)
 
 
 def model_path(model: str | Path) -> Path:

@@ -15,7 +15,7 @@ from datasets import command_line, measures
 from datasets.errors import InputError
 from datasets.training.samples import Flow
 from gns import card
-from gns.library import members, model_path
+from gns.library import model_path
 
 if TYPE_CHECKING:
     from gns.simulator import Simulator
@@ -140,8 +140,7 @@ def score(
     threads
         Threads of torch.
     keep
-        Write the table onto the model's card, and where members NAME-1 and so on lie beside it, models of the same
-        settings that were trained apart, how far it may be from the MPM, by the flows of the valid split.
+        Write the table onto the model's card, and how far it may be from the MPM by the flows of the valid split.
     """
     import torch
 
@@ -157,6 +156,13 @@ def score(
     described = card.read(path)
     if keep and described is None:
         raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
+    if (
+        described is not None
+        and keep
+        and (other := [each.name for each in datasets if each.name not in described.datasets])
+    ):
+        message = f"expected datasets that the model was trained on, {', '.join(described.datasets)}, got {other[0]}"
+        raise InputError(message, key="DATASET")
     lines = []
     for dataset in datasets:
         flows = flows_of(dataset, split, settings, progress=True)
@@ -166,11 +172,12 @@ def score(
     text = "\n".join(lines)
     print(text)
     if keep and described is not None:
-        card.write(path, dataclasses.replace(described, scores=text))
-    if keep and members(path):
-        valid = [flow for dataset in datasets for flow in flows_of(dataset, "valid", settings, progress=True)]
-        bands = uncertainty.calibrate(path, valid)
-        print(f"bands by {bands.flows} flows are on {card.card_path(path)}")
+        found = {}
+        for dataset in datasets:
+            valid = flows_of(dataset, "valid", settings, progress=True)
+            found[dataset.name] = uncertainty.calibrated(evaluate(loaded.simulator, valid))
+        card.write(path, dataclasses.replace(described, scores=text).keeping(found))
+        print(f"bands by {sum(each.flows for each in found.values())} flows are on {card.card_path(path)}")
 
 
 if __name__ == "__main__":

@@ -302,7 +302,7 @@ def described(path: Path, datasets: Sequence[Path], scores: str) -> str:
     model = checkpoint.load(path)
     written = card.describe(model.simulator, model.provenance, card.stored(datasets), scores)
     card.write(path, written)
-    return f"{path}: {card.length_of_training(written.data.updates or 0, model.simulator.settings.dimension)}"
+    return f"{path}: {card.length_of_training(written.training.updates or 0, model.simulator.settings.dimension)}"
 
 
 def save(path: Path, settings: ModelSettings, parts: Mapping[str, Any], position: Position) -> None:

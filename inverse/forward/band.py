@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from datasets.scene import Scene
+from gns import card
 
 WAVES = 3
 """K."""
@@ -51,5 +52,7 @@ class Band:
 
 
 def band_of(weights: Path, scene: Scene) -> Band:
-    """That of the model in the file `weights` for `scene`, by its card."""
-    return Band()
+    """That of the model in the file `weights` for `scene`, by its card; the usual one where it says nothing."""
+    described = card.read(weights)
+    known = described.calibration(scene) if described is not None else None
+    return Band() if known is None else Band(front=known.front["0.95"], profile=known.profile["0.95"])

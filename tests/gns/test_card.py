@@ -18,7 +18,7 @@ from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.scene import Baffle, Channel, Domain, Mass, Scene, Solid
 from gns import card, checkpoint
-from gns.card import Card
+from gns.card import Calibration, Card
 from gns.library import models, shipped
 from gns.ranges import outside, quantities
 from gns.settings import ModelSettings
@@ -60,11 +60,11 @@ def test_a_card_says_what_the_model_is(model: Path) -> None:
     assert sum(found.features.values()) == first.in_features
     assert found.settings == SCALED
     assert found.normalisation["friction_mean"] == pytest.approx(NORMALISATION.friction_mean)
-    assert found.data.scenes == {"flow2d": 200}
-    assert found.data.cells_across["flow2d"][1] == pytest.approx(56.6, abs=0.1)
-    assert (found.data.command, found.data.seed, found.data.updates) == (PROVENANCE["command"], 4, 3000)
+    assert found.datasets["flow2d"].scenes == 200
+    assert found.datasets["flow2d"].cells_across[1] == pytest.approx(56.6, abs=0.1)
+    assert (found.training.command, found.training.seed, found.training.updates) == (PROVENANCE["command"], 4, 3000)
     assert f'license = "{found.licence}"' in (ROOT / "pyproject.toml").read_text()
-    assert (found.scores, found.calibration) == ("", None)
+    assert (found.scores, found.calibration(COLUMN)) == ("", None)
 
 
 def test_the_ranges_are_those_of_the_training_scenes(model: Path) -> None:
@@ -88,13 +88,15 @@ def test_a_card_is_written_again_from_the_folders_of_the_data(
     assert "expected trajectories in train" in capsys.readouterr().err
     assert command_line.run(card.main, "gns.card", [str(own), str(dataset)]) == 0
     found = known(own)
-    assert found.data.scenes == {dataset.name: 4}
+    assert found.datasets[dataset.name].scenes == 4
     assert found.ranges["friction_deg"] == (20.0, 44.0)
-    # A model names the folders of its training; scores that a former card has stay.
-    card.write(own, dataclasses.replace(found, scores="a table"))
+    # A model names the folders of its training; scores and bands that a former card has stay.
+    bands = Calibration(front={"0.95": 0.1}, profile={"0.95": 0.05}, flows=20)
+    card.write(own, dataclasses.replace(found.keeping({dataset.name: bands}), scores="a table"))
     checkpoint.save(own, checkpoint.load(model).simulator, {"datasets": [str(dataset)]})
     assert command_line.run(card.main, "gns.card", [str(own)]) == 0
     assert known(own).scores == "a table"
+    assert known(own).datasets[dataset.name].calibration == bands
 
 
 COLUMN = read_scene("column-tall-42")
@@ -173,13 +175,27 @@ def test_a_quantity_outside_is_named_with_its_range_and_by_how_much(model: Path)
     assert outside(near, ranges | {"damping": (0.0, 0.12)}) == []
 
 
+def test_the_band_is_that_of_the_narrowest_dataset_that_holds_the_scene(model: Path) -> None:
+    wide = known(model).datasets["flow2d"]
+    narrow = dataclasses.replace(wide, ranges=wide.ranges | {"friction_deg": (40.0, 45.0)})
+    bands = {
+        name: Calibration(front={"0.95": q}, profile={"0.95": q}, flows=20) for name, q in (("a", 0.2), ("b", 0.1))
+    }
+    found = dataclasses.replace(known(model), datasets={"a": wide, "b": narrow}).keeping(bands)
+    assert found.calibration(sand(friction_deg=42.0)) == bands["b"]
+    assert found.calibration(sand(friction_deg=30.0)) == bands["a"]
+    # Outside of all the widest: the warning is another matter.
+    assert found.calibration(sand(friction_deg=70.0)) == bands["a"]
+    assert found.ranges["friction_deg"] == (min(wide.ranges["friction_deg"][0], 40.0), wide.ranges["friction_deg"][1])
+
+
 def test_a_model_without_a_card_or_of_a_short_training_says_so(
     model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = tmp_path / "new.safetensors"
     assert "has no card" in (card.warning(own, COLUMN) or "")
     data = json.loads(card.card_path(model).read_text())
-    data["data"]["updates"] = 300
+    data["training"]["updates"] = 300
     card.card_path(own).write_text(json.dumps(data))
     reference = tmp_path / "flow2d.safetensors"
     monkeypatch.setattr(card, "shipped", lambda _: reference)
@@ -187,7 +203,7 @@ def test_a_model_without_a_card_or_of_a_short_training_says_so(
     assert card.warning(own, COLUMN) is None
     assert card.length_of_training(300, 2) == "300 updates in all"
     reference.touch()
-    data["data"]["updates"] = 12000
+    data["training"]["updates"] = 12000
     card.card_path(reference).write_text(json.dumps(data))
     assert card.warning(own, COLUMN) == (
         "new.safetensors: 300 updates in all, 2.5 % of those of flow2d.safetensors: "
@@ -201,7 +217,9 @@ def test_a_model_without_a_card_or_of_a_short_training_says_so(
 
 def test_the_page_names_every_key() -> None:
     page = (ROOT / "docs" / "formats.md").read_text().split("## A model\n")[1].split("\n## ")[0]
-    keys = [each.name for kind in (Card, card.Data, card.Calibration) for each in dataclasses.fields(kind)]
+    keys = [
+        each.name for kind in (Card, card.Training, card.Dataset, card.Calibration) for each in dataclasses.fields(kind)
+    ]
     buffers = [name for name, _ in gns.load("flow2d").named_buffers() if "." not in name]
     assert [key for key in (*keys, *buffers) if f"`{key}`" not in page] == []
 
@@ -210,9 +228,8 @@ def test_the_page_names_every_key() -> None:
 def test_every_model_that_ships_has_a_card(weights: Path) -> None:
     found = known(weights)
     assert set(found.ranges) <= set(quantities(COLUMN))
-    assert found.data.updates
-    # That of the models that are used where none is named is known.
-    assert found.calibration is not None or weights not in (shipped(2), shipped(3))
+    assert found.training.updates
+    assert all(each.calibration is not None for each in found.datasets.values())
 
 
 @pytest.mark.skipif(not shipped(2).exists(), reason="no 2D model ships")

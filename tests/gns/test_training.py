@@ -134,7 +134,7 @@ def test_a_training_leaves_a_model_with_its_card(
     assert "far too short" in capsys.readouterr().out
     found, best = card.read(tmp_path / "best.safetensors"), checkpoint.load(tmp_path / "best.safetensors")
     assert found is not None
-    assert (found.data.scenes, found.data.updates) == ({dataset.name: 4}, 1)
+    assert (found.datasets[dataset.name].scenes, found.training.updates) == (4, 1)
     assert "released at rest" in (tmp_path / "scores.md").read_text() == found.scores
     assert (best.provenance["seed"], best.provenance["datasets"]) == (0, [str(dataset)])
     # The card again, of the folders that the model names.

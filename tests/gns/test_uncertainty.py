@@ -1,4 +1,4 @@
-"""How far a rollout may be from the MPM: scores, spread of an ensemble, calibrated bands, and the command."""
+"""How far a rollout may be from the MPM: scores, calibrated bands, and the command."""
 
 import dataclasses
 from pathlib import Path
@@ -12,125 +12,96 @@ from datasets import command_line, measures
 from datasets.errors import InputError
 from datasets.training.samples import Flow
 from gns import card, checkpoint
-from gns.library import member_path
 from gns.samples import flows_of
 from gns.score import Score, evaluate, score, table, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
-from gns.uncertainty import LEVELS, calibrated, half_width, predict
+from gns.uncertainty import LEVELS, calibrated, predict
 from tests.gns.conftest import NORMALISATION, spreading
 
-FLOWS = 20
 
-
-def drawn(rng: np.random.Generator, count: int, *, heavy: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors of twice sqrt(s^2 + (0.03 L)^2), Gaussian or with heavy tails, with spreads s and extents L [m]."""
-    spreads, extents = 0.01 * np.exp(rng.normal(0.0, 1.0, count)), rng.uniform(0.3, 2.0, count)
-    chance = rng.standard_t(3, count) if heavy else rng.normal(size=count)
-    return 2.0 * chance * np.hypot(spreads, 0.03 * extents), spreads, extents
+def scores_of(errors: np.ndarray) -> list[Score]:
+    """Of flows with these errors of the front, and half of them of the profile [-]."""
+    return [Score(released=True, front_error=float(each), profile_error=0.5 * abs(float(each))) for each in errors]
 
 
 def test_bands_are_conformal_quantiles() -> None:
-    # Without any spread u = b L: the bands are quantiles of the errors themselves, of the rank ceil((n + 1) level).
-    errors, count = 0.01 * np.arange(1.0, 20.0) * (-1.0) ** np.arange(19), np.ones(19)
-    found = calibrated(errors, 0.0 * count, count)
-    widths = [float(half_width(found, 0.0, 1.0, level)) for level in LEVELS]
-    assert widths == pytest.approx([0.10, 0.16, 0.19])
-    assert float(half_width(found, 0.0, 3.0, 0.8)) == pytest.approx(0.48)
-    with pytest.raises(InputError, match="expected at least 19 flows for a band of 95%, got 18"):
-        calibrated(errors[1:], 0.0 * count[1:], count[1:])
-    with pytest.raises(InputError, match=r"level: expected one of 0\.5, 0\.8, 0\.95, got 0\.9"):
-        half_width(found, 0.0, 1.0, 0.9)
+    # Of the rank ceil((n + 1) level) = 10, 16, 19.
+    errors = 0.01 * np.arange(1.0, 20.0) * (-1.0) ** np.arange(19)
+    found = calibrated(scores_of(errors))
+    assert list(found.front.values()) == pytest.approx([0.10, 0.16, 0.19])
+    assert list(found.profile.values()) == pytest.approx([0.05, 0.08, 0.095])
+    assert found.flows == 19
+    # Of fewer flows than the level asks for by Student's law, which is the normal law of many and 12.7 sigma of one.
+    assert calibrated(scores_of(errors[:1])).front["0.95"] == pytest.approx(0.01 * 12.706, rel=1e-3)
 
 
-@pytest.mark.parametrize("heavy", [False, True])
-def test_new_flows_are_within_as_often_as_the_level_says(heavy: bool) -> None:
+@pytest.mark.parametrize(("heavy", "count"), [(False, 60), (True, 60), (False, 8)])
+def test_new_flows_are_within_as_often_as_the_level_says(heavy: bool, count: int) -> None:
     rng = np.random.default_rng(1)
+
+    def drawn(number: int) -> np.ndarray:
+        return 0.03 * (rng.standard_t(3, number) if heavy else rng.normal(size=number))
+
     shares = []
-    for _ in range(60):
-        found = calibrated(*drawn(rng, 60, heavy=heavy))
-        errors, spreads, extents = drawn(rng, 200, heavy=heavy)
-        shares.append([np.mean(np.abs(errors) <= half_width(found, spreads, extents, level)) for level in LEVELS])
-    # Split conformal prediction: level to level + 1 / 61, less what the one fitted number costs.
-    assert np.mean(shares, axis=0) == pytest.approx(LEVELS, abs=0.03)
+    for _ in range(300):
+        found, errors = calibrated(scores_of(drawn(count))).front, np.abs(drawn(200))
+        shares.append([np.mean(errors <= found[f"{level:g}"]) for level in LEVELS])
+    # Split conformal prediction: level to level + 1 / (n + 1).
+    assert np.mean(shares, axis=0) == pytest.approx(np.add(LEVELS, 0.5 / (count + 1)), abs=0.02 + 0.5 / (count + 1))
 
 
 @pytest.fixture
-def model(settings: ModelSettings, tmp_path: Path) -> Path:
-    """A tiny model that hardly pushes, its two members, and its card."""
+def model(settings: ModelSettings, dataset: Path, tmp_path: Path) -> Path:
+    """A tiny model, and its card."""
     path = tmp_path / "model.safetensors"
-    for number, strength in ((0, 0.02), (1, 0.05), (2, 0.08)):
-        torch.manual_seed(number)
-        simulator = Simulator(settings, NORMALISATION)
-        with torch.no_grad():
-            simulator.network.decoder.mlp[-1].weight.normal_(std=strength)
-        checkpoint.save(member_path(path, number) if number else path, simulator, {})
+    torch.manual_seed(0)
+    checkpoint.save(path, Simulator(settings, NORMALISATION), {})
     scenes = [spreading(angle, duration=0.1).scene for angle in (20.0, 40.0)]
-    card.write(path, card.describe(checkpoint.load(path).simulator, {}, {"columns": scenes}))
+    card.write(path, card.describe(checkpoint.load(path).simulator, {}, {dataset.name: scenes}))
     return path
-
-
-@pytest.fixture(scope="module")
-def flows(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Short flows of columns, to calibrate on and to check."""
-    folder = tmp_path_factory.mktemp("columns")
-    for index in range(FLOWS):
-        flow = spreading(20.0 + index, length=0.06, height=0.05 + 0.002 * index, duration=0.05, seed=index)
-        for split in ("valid", "test"):
-            flow.save(folder / split / f"{index:04d}.npz")
-    return folder
 
 
 def call(model: Path, *arguments: str | Path) -> int:
     return command_line.run(score, "python -m gns.score", ["--model", str(model), *map(str, arguments), "--keep"])
 
 
-def test_a_calibrated_model_predicts_a_band(model: Path, flows: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = dataclasses.replace(spreading(30.0).scene, duration=0.1)
     with pytest.raises(InputError, match=r"model\.json: calibration: expected a calibration"):
         predict(scene, model=model)
-    assert call(model, flows) == 0
-    said = capsys.readouterr().out
-    known = card.read(model)
+    assert call(model, dataset) == 0
+    said, known = capsys.readouterr().out, card.read(model)
     assert known is not None
-    assert known.calibration is not None
-    assert known.calibration.flows == FLOWS
+    calibration = known.calibration(scene)
+    assert calibration is not None
+    assert calibration.flows == 2
     assert known.scores in said
-    assert f"{flows.name}, test" in known.scores
+    assert f"{dataset.name}, test" in known.scores
 
     found = predict(scene, model=model, level=0.8)
-    deposits = [
-        gns.simulate(scene, model=path).positions[-1] for path in (model, member_path(model, 1), member_path(model, 2))
-    ]
-    fronts = [measures.front(deposit) for deposit in deposits]
-    calibration = known.calibration
-    spread = float(np.std(fronts[1:], ddof=1))
-    assert spread > 0.0
-    assert found.front == pytest.approx(fronts[0])
-    assert found.spread == pytest.approx(spread, rel=1e-4)
-    extent = fronts[0] - gns.simulate(scene, model=model).positions[0, :, 0].min()
-    expected = calibration.quantiles["0.8"] * np.hypot(spread, calibration.floor * extent)
-    assert found.half_width == pytest.approx(expected, rel=1e-4)
+    rollout = gns.simulate(scene, model=model)
+    rear, front = measures.ends(rollout.positions[-1], rollout.volumes)
+    assert (found.front, found.extent) == pytest.approx((front, front - rear))
+    assert found.half_width == pytest.approx(calibration.front["0.8"] * (front - rear))
+    assert found.profile_error == pytest.approx(calibration.profile["0.8"] * (front - rear))
     assert found.warning is None
-    steep = dataclasses.replace(scene, slope_deg=20.0)
-    assert "slope_deg 20" in (predict(steep, model=model).warning or "")
+    assert "slope_deg 20" in (predict(dataclasses.replace(scene, slope_deg=20.0), model=model).warning or "")
+    with pytest.raises(InputError, match=r"level: expected one of 0\.5, 0\.8, 0\.95, got 0\.9"):
+        predict(scene, model=model, level=0.9)
 
 
 def test_what_cannot_be_calibrated_is_an_input_error(
-    model: Path, flows: Path, settings: ModelSettings, capsys: pytest.CaptureFixture[str]
+    model: Path, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def said(*arguments: str | Path) -> str:
         assert call(model, *arguments) == 2
         return capsys.readouterr().err.splitlines()[-1]
 
     assert "expected at least one dataset" in said()
-    wider = Simulator(dataclasses.replace(settings, width=24), NORMALISATION)
-    checkpoint.save(member_path(model, 2), wider, {})
-    assert "model-2.safetensors: settings: expected the settings of model.safetensors" in said(flows)
-    member_path(model, 2).unlink()
-    assert "expected at least two members, such as model-1.safetensors, got 1" in said(flows)
+    assert f"expected datasets that the model was trained on, {dataset.name}, got other" in said(tmp_path / "other")
     card.card_path(model).unlink()
-    assert "expected the model's card" in said(flows)
+    assert "expected the model's card" in said(dataset)
 
 
 def flying(flow: Flow) -> Flow:

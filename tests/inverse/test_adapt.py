@@ -77,7 +77,7 @@ def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, make_prob
     assert found is not None
     low, high = found.ranges["friction_deg"]
     assert problem.box.lower[0] <= low < high <= problem.box.upper[0]
-    assert sum(found.data.scenes.values()) == 5
+    assert sum(each.scenes for each in found.datasets.values()) == 5
     assert "released at rest" in found.scores or "moving" in found.scores
     runs = deposits(adapted, problem)
     assert len(runs) == 7
