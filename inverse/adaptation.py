@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import qmc
@@ -19,7 +20,9 @@ from tqdm import tqdm
 from datasets import measures
 from datasets.definitions.definition import DEPOSITS, Definition, Split, Storage, Stream
 from datasets.errors import InputError
+from datasets.files import make_folder, write_json
 from datasets.processes import processors
+from datasets.records import read_json
 from datasets.scene import Scene
 from datasets.training.samples import Flow
 from datasets.trajectory import Trajectory, trajectory_files
@@ -39,8 +42,8 @@ from inverse.target import read_each
 from mpm.generate import generate, missing_entries
 
 COMMAND = "python -m inverse.adapt"
-DATA = "data"
-"""Folder of a run for its flows."""
+DATA, PROBLEM = "data", "problem.json"
+"""In the folder of a run: its flows, and what problem they are of."""
 HELD_OUT = 4
 """Of so many flows one is held out."""
 FEWEST = 6
@@ -85,11 +88,16 @@ def adapt(
     entries = flows.entries(seed=seed)
     steps = min(entry.scene.frames for entry in entries) - 1
     training = training_settings(settings, steps=steps, minutes=minutes)
+    if (known := read_json(out / PROBLEM)) not in (None, identity(asked)):
+        expected = f"expected a new folder, or one of {asked.name} on the same cells"
+        raise InputError(f"{expected}, it is of another problem: {', '.join(known['unknowns'])}", where=str(out))
     try:
         missing = len(missing_entries(entries, out / DATA))
     except InputError as error:
         expected = f"expected no flows but those of {asked.name}, seed {seed}, at most {runs} of them"
         raise InputError(f"{expected}; found {error.where}", where=str(out)) from None
+    make_folder(out)
+    write_json(out / PROBLEM, identity(asked))
     began = time.perf_counter()
     generate(flows, out / DATA, seed=seed, count=None, jobs=processors() if jobs is None else jobs)
     simulated = f"{missing} runs of the MPM in {time.perf_counter() - began:.0f} s"
@@ -103,6 +111,11 @@ def adapt(
     errors = f"{change(before, after)} on {len(held_out)} held-out flows"
     print(f"{simulated}, {minutes:.1f} minutes of training, {errors}{scatter(deposits(out, asked), asked)}")
     return best
+
+
+def identity(problem: Problem) -> dict[str, Any]:
+    """What the flows of two problems have in common if they are the same: unknowns, and the scene but for these."""
+    return {"unknowns": problem.names, "scene": problem.scene_at(problem.initial, 0).to_json()}
 
 
 def require_learnable(problem: Problem, settings: ModelSettings) -> None:
@@ -186,11 +199,7 @@ def deposits(run: Path, problem: Problem) -> list[tuple[Vector, Trajectory]]:
 
     None for a folder of another problem, or of none. Raises InputError for a broken file.
     """
-    found = []
-    for path in trajectory_files(run / DATA / DEPOSITS):
-        flow = Trajectory.load(path)
-        values = np.array([each.kind.read(flow.scene) for each in problem.numbers])
-        if dataclasses.replace(problem.scene_at(values, flow.scene.seed), frame_dt=flow.scene.frame_dt) != flow.scene:
-            return []
-        found.append((values, flow))
-    return found
+    if read_json(run / PROBLEM) != identity(problem):
+        return []
+    flows = [Trajectory.load(path) for path in trajectory_files(run / DATA / DEPOSITS)]
+    return [(np.array([each.read(flow.scene) for each in problem.kinds]), flow) for flow in flows]

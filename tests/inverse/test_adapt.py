@@ -9,6 +9,7 @@ import pytest
 
 from datasets.command_line import run
 from datasets.definitions.definition import Split
+from datasets.errors import InputError
 from datasets.trajectory import Trajectory
 from gns import card, checkpoint
 from gns.checkpoint import Model
@@ -71,7 +72,9 @@ def test_flows_are_stored_as_a_rollout_runs_them(adapted: Path, make_problem: Ma
     assert flow.volume.sum() * units.length**2 == pytest.approx(stored.volumes.sum(), rel=1e-5)
 
 
-def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, make_problem: MakeProblem) -> None:
+def test_an_adapted_model_has_its_card_and_its_deposits(
+    adapted: Path, weights: Path, make_problem: MakeProblem
+) -> None:
     problem = make_problem(2, *NAMES)
     found = card.read(model_path(adapted))
     assert found is not None
@@ -85,7 +88,10 @@ def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, make_prob
         assert len(flow.time) == 1
         assert flow.time[0] == pytest.approx(problem.scene.duration)
         np.testing.assert_allclose(values, [each.read(flow.scene) for each in problem.kinds])
-    assert deposits(adapted, make_problem(2, "cohesion")) == []
+    other = make_problem(2, "cohesion")
+    assert deposits(adapted, other) == []
+    with pytest.raises(InputError, match=r"expected a new folder, or one of small on the same cells, it is of another"):
+        adapt(other, adapted, runs=7, model=weights)
 
 
 @pytest.mark.slow
@@ -122,5 +128,5 @@ def test_wrong_input_ends_in_a_line(
 def test_what_no_surrogate_knows_is_refused(make_problem: MakeProblem, tmp_path: Path, weights: Path) -> None:
     young = Parameter(name="young", initial=2e6, lower=1e6, upper=3e6)
     problem = dataclasses.replace(make_problem(2, "friction_deg"), parameters=(young,))
-    with pytest.raises(ValueError, match=r"unknowns\[0\]: expected an input of the surrogate, young is none"):
+    with pytest.raises(InputError, match=r"unknowns\[0\]: expected an input of the surrogate, young is none"):
         adapt(problem, tmp_path, model=weights)

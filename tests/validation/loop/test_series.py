@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
+from datasets.files import write_json
 from inverse import deposits
+from inverse.adaptation import PROBLEM, identity
 from inverse.problem import Problem
 from inverse.settings import Surrogate
 from mpm import LAST
@@ -49,6 +51,7 @@ def adapted(problem: Problem, mpm: FakeMpm, tmp_path: Path) -> Path:
     for number, angle in enumerate(np.linspace(12.2, 51.8, 48)):
         scene = dataclasses.replace(problem.scene_at(np.array([angle]), 2000 + number), frame_dt=0.02)
         mpm([scene], record=LAST)[0].save(tmp_path / "run" / "data" / "deposits" / f"{number:04d}.npz")
+    write_json(tmp_path / "run" / PROBLEM, identity(problem))
     mpm.scenes.clear()
     return tmp_path / "run"
 
