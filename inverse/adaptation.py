@@ -26,14 +26,15 @@ from datasets.records import read_json
 from datasets.scene import Scene
 from datasets.training.samples import Flow
 from datasets.trajectory import Trajectory, trajectory_files
-from gns import checkpoint
+from gns import card, checkpoint
 from gns.initial import check
 from gns.library import model_path, shipped
 from gns.samples import flows_of
-from gns.score import Score, evaluate
+from gns.score import Score, evaluate, table
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.training import LAST, fit
+from gns.uncertainty import calibrated
 from gns.units import Units
 from inverse.parameters import Vector
 from inverse.posterior.emulator import fewest_runs, fitted
@@ -108,6 +109,10 @@ def adapt(
     fit([out / DATA], out, model=settings, training=training, begin=begun, resume=resume, seed=seed, command=COMMAND)
     best = model_path(out)
     after = scored(checkpoint.load(best).simulator, held_out, best.stem)
+    described = card.read(best)
+    assert described is not None, "the training has written it"
+    banded = described.keeping({DATA: calibrated(after)})
+    card.write(best, dataclasses.replace(banded, scores=table(after)))
     errors = f"{change(before, after)} on {len(held_out)} held-out flows"
     print(f"{simulated}, {minutes:.1f} minutes of training, {errors}{scatter(deposits(out, asked), asked)}")
     return best
