@@ -43,11 +43,10 @@ def invert(
 
     >>> from inverse import invert, read_problem
     >>> result = invert(read_problem("friction-tall-42"))
-    >>> result.unknowns
-    {'friction_deg': 41.59...}
+    >>> result.unknowns, result.certainty
 
-    forward: the surrogate where absent, unless the problem asks for none; gradient: reverse mode of the surrogate,
-    central differences of the MPM where absent; model: weights, those that ship where absent; out: folder for
+    forward: the surrogate where absent, unless the problem asks for none; gradient: reverse mode, the surrogate's only
+    one, or central differences, the MPM's where absent; model: weights, those that ship where absent; out: folder for
     `result.json`, `report.md` and pictures. Fields are found by the MPM's adjoint, with their posterior. Raises
     InputError for a combination that there is none of, WorkFailed where a run blows up.
     """

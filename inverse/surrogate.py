@@ -264,7 +264,8 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Matrix, Matrix]:
     predicted = state.forward.predict(parameters)
     numbers = predicted.detach().numpy()
     weights = 2.0 * (numbers - state.target.values) @ state.precision
-    (gradient,) = torch.autograd.grad(predicted, parameters, torch.from_numpy(weights))
+    # Of a sum: a tensor of weights makes torch load sympy.
+    (gradient,) = torch.autograd.grad((predicted * torch.from_numpy(weights)).sum(), parameters)
     return numbers, gradient.numpy() * box.range
 
 

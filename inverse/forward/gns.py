@@ -24,6 +24,8 @@ MEMORY_GIB = 0.5
 NODES = 4_000
 """Particles of a batch without gradients, at most: more of them are no cheaper each."""
 T = TypeVar("T", bound=Tensors)
+Flow = tuple[Tensor, InitialState]
+"""Positions [m] at the times of an initial state, shape [T, n, D], and this state."""
 
 
 class GnsForward:
@@ -41,15 +43,18 @@ class GnsForward:
         observation: Observation,
         memory_gib: float = MEMORY_GIB,
         band: Band | None = None,
+        flows: dict[bytes, Flow] | None = None,
     ) -> None:
         """The weights are frozen, which makes the backward pass much cheaper. band: its errors, the default if absent.
 
+        flows: those that it has predicted, by their parameters: all observations of one scene may share them.
         Raises InputError as `gns.initial.check`.
         """
         self.simulator = simulator.requires_grad_(False)
         self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()
         self.other_particles = [index for index, kind in enumerate(self.kinds) if not kind.differentiable]
         self.initial = self._initial(problem.scene)
+        self.flows = {} if flows is None else flows
         self.indices, self.steps = self.initial.indices, self.initial.steps
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = int(memory_gib * 2**30 / bytes_per_step)
@@ -61,20 +66,21 @@ class GnsForward:
         """
         if parameters.dim() == 1:
             return self.predict(parameters.unsqueeze(0))[0]
-        starts = [self.entered(each) for each in parameters]
-        if self.other_particles:
-            found = [self._observed(self._unrolled(start), start) for start in starts]
-            return torch.stack([self._differentiable(*each) for each in zip(found, parameters, strict=True)])
-        paths = self._unrolled(side_by_side(starts), len(starts))
-        flows = paths.reshape(len(paths), len(parameters), -1, paths.shape[2])
-        return torch.stack([self._observed(each, self.initial) for each in flows.unbind(1)])
+        found = torch.stack([self._observed(*each) for each in self._flows(parameters)])
+        if not self.other_particles:
+            return found
+        return torch.stack([self._differentiable(*each) for each in zip(found, parameters, strict=True)])
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The smooth observation [m] at each vector of parameters [U], in batches of at most `NODES` particles."""
         size = max(1, NODES // len(self.indices))
-        batches = [np.stack(parameters[first : first + size]) for first in range(0, len(parameters), size)]
+        missing = [each for each in parameters if each.tobytes() not in self.flows]
         with torch.no_grad():
-            return [row for each in batches for row in self.predict(torch.from_numpy(each)).numpy()]
+            for first in range(0, len(missing), size):
+                batch = missing[first : first + size]
+                flows = self._flows(torch.from_numpy(np.stack(batch)))
+                self.flows |= {each.tobytes(): flow for each, flow in zip(batch, flows, strict=True)}
+            return [self._observed(*self.flows[each.tobytes()]).numpy() for each in parameters]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
         """Errors of the numbers at parameters [U] by the band (`inverse.forward.band`), shape [K, m].
@@ -121,6 +127,15 @@ class GnsForward:
         """The smooth observation [m] of the positions of one flow [m], shape [T, n, D], from its initial state on."""
         rollout = Rollout(positions=path, times=start.times, volumes=start.conditions.volume)
         return self.observation.predict(rollout)
+
+    def _flows(self, parameters: Tensor) -> list[Flow]:
+        """The flow with each of parameters [S, U], all in one batch where their particles are the same."""
+        starts = [self.entered(each) for each in parameters]
+        if self.other_particles:
+            return [(self._unrolled(each), each) for each in starts]
+        paths = self._unrolled(side_by_side(starts), len(starts))
+        flows = paths.reshape(len(paths), len(starts), -1, paths.shape[2])
+        return [(each, self.initial) for each in flows.unbind(1)]
 
     def _unrolled(self, start: InitialState, flows: int = 1) -> Tensor:
         """Positions [m] at the times of the initial state of so many flows side by side, shape [T, flows n, D]."""

@@ -32,7 +32,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
+from scipy.special import logsumexp, polygamma
 
 from inverse.posterior.settings import CONSTANTS
 
@@ -84,6 +84,8 @@ class Emulator:
     lengths: Matrix
     """Shape [U]."""
     trend: Trend = linear
+    repeats: int = 0
+    """Degrees of freedom by which repeated runs show that scatter; 0 where none are."""
 
     @property
     def freedom(self) -> int:
@@ -119,7 +121,9 @@ class Emulator:
         variance = np.maximum((1.0 / total) @ roots**2 / len(values), 1e-30)
         likelihood = -0.5 * (len(values) * np.log(variance) + np.log(total).sum(axis=1)[:, None])
         scatter = 0.5 * np.log(nuggets[:, None] * variance) - np.log(self.expected_scatter)
-        likelihood = likelihood - 0.5 * (scatter / CONSTANTS.scatter_spread) ** 2
+        # That of few repeated runs is often far too small: the variance of the logarithm of a chi-square is added.
+        variety = float(polygamma(1, 0.5 * self.repeats)) / 4.0 if self.repeats else 0.0
+        likelihood = likelihood - 0.5 * scatter**2 / (CONSTANTS.scatter_spread**2 + variety)
         whole = logsumexp(likelihood, axis=0)
         return np.exp(likelihood - whole), variance, float(whole.sum())
 
@@ -240,7 +244,9 @@ class Emulator:
         return np.asarray(np.maximum(mean, CONSTANTS.smallest_ratio))
 
 
-def fitted(points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: Trend = linear) -> Emulator:
+def fitted(
+    points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: Trend = linear, repeats: int = 0
+) -> Emulator:
     """The emulator of runs at points [n, U] with the likeliest correlation lengths.
 
     Where the parameters are more than `separate_lengths`, all have the same one. Raises ValueError for no more runs
@@ -258,6 +264,7 @@ def fitted(points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: 
             expected_scatter=expected_scatter,
             lengths=np.broadcast_to(np.exp(logarithms), (count,)),
             trend=trend,
+            repeats=repeats,
         )
 
     middle = round(math.log(CONSTANTS.length_scale * np.sqrt(count)) / LENGTH_STEPS[-1])

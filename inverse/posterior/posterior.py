@@ -239,7 +239,7 @@ def emulated(
     reduced = reduction(numbers, points, target, scatter=scatter)
     expected, repeats = repeated_scatter(points, reduced.components, reduced.expected_scatter)
     made = [
-        fitted(points, reduced.components, expected, trend=trend)
+        fitted(points, reduced.components, expected, trend=trend, repeats=repeats)
         for trend in trends
         if len(points) > trend(points[:1]).shape[1] + 1
     ]
@@ -271,8 +271,8 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple
 
     With its degrees of freedom.
     Repeated runs are few: each component counts with `scatter_prior` further degrees of freedom of all together, as all
-    are in units of the scatter that was expected, and with one of half of that, `expected` [r]. It is that where no
-    runs are repeated.
+    are in units of the scatter that was expected. It is `smallest_scatter` of that, `expected` [r], at least; and that
+    where no runs are repeated.
     """
     _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     freedom = int((count - 1).sum())
@@ -281,8 +281,9 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple
     means = np.zeros((len(count), components.shape[1]))
     np.add.at(means, label, components)
     square = ((components - (means / count[:, None])[label]) ** 2).sum(axis=0)
-    total = square + CONSTANTS.scatter_prior * square.mean() / freedom + (0.5 * expected) ** 2
-    return np.sqrt(total / (freedom + CONSTANTS.scatter_prior + 1.0)), freedom
+    total = square + CONSTANTS.scatter_prior * square.mean() / freedom
+    deviation = np.sqrt(total / (freedom + CONSTANTS.scatter_prior))
+    return np.maximum(deviation, CONSTANTS.smallest_scatter * expected), freedom
 
 
 def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matrix:

@@ -24,7 +24,7 @@ from datasets.files import write_json
 from datasets.records import Record, from_mapping, read_json
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
-from inverse.settings import TargetSettings
+from inverse.settings import Surrogate, TargetSettings
 from mpm import LAST, simulate_many
 from mpm.cluster import connected
 from validation.loop.solve import solve
@@ -53,6 +53,8 @@ class Family:
     """Of each observed number, as in `inverse.settings.ObservationSettings`."""
     finer: float = 1.0
     """Cells of the target's flow, as a share of the scene's: what the inversion's own cells get wrong."""
+    surrogate: Surrogate = Surrogate.NONE
+    """Whether one leads."""
 
 
 FAMILIES = {
@@ -65,6 +67,13 @@ FAMILIES = {
     "layers": Family(title="Friction of four layers, deposit", problem="slope-layers"),
     "velocities": Family(title="Velocities of ten layers, deposit", problem="velocity-layers-10"),
     "baffles": Family(title="Two baffles, toe", problem="baffles-2"),
+    "front-gns": Family(
+        title="Friction, front, the surrogate leads", problem="friction-tall-42", surrogate=Surrogate.GNS
+    ),
+    "velocities-gns": Family(
+        title="Velocities of ten layers, the surrogate leads", problem="velocity-layers-10", surrogate=Surrogate.GNS
+    ),
+    "baffles-gns": Family(title="Two baffles, the surrogate leads", problem="baffles-2", surrogate=Surrogate.GNS),
 }
 DEFAULT = ("front", "profile")
 """Families that are solved where none is named."""
@@ -104,7 +113,8 @@ def bench(
         Of each family.
     only
         Families to solve (front, profile, front-noise, cohesion, front-fine, profile-fine, layers, velocities,
-        baffles); the page has all that there are in `keep`.
+        baffles; where the surrogate leads: front-gns, velocities-gns, baffles-gns); the page has all that there are in
+        `keep`.
     scheduler
         Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
     """
@@ -166,6 +176,7 @@ def drawn(family: Family, number: int) -> Problem:
         scene=dataclasses.replace(asked.scene, seed=int(rng.integers(2**31))),
         observations=tuple(dataclasses.replace(each, noise=family.noise) for each in asked.observations),
         target=TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth),
+        surrogate=family.surrogate,
     )
 
 

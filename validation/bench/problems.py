@@ -6,7 +6,7 @@ import math
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,8 +54,8 @@ class Family(Record):
     problems: tuple[str, ...]
     pictures: tuple[str, ...] = ()
     """PROBLEM/PICTURE that the page shows, without the ending."""
-    dear: bool = False
-    """Whether a run of the MPM is: each problem is then solved a second time, without a surrogate."""
+    second: Surrogate | None = None
+    """Each problem is solved a second time, with this in place of what it asks for."""
     criteria: Criteria
 
     def inversions(self) -> list[tuple[Problem, str]]:
@@ -64,8 +64,8 @@ class Family(Record):
         for name in self.problems:
             problem = read_problem(name)
             found.append((problem, name))
-            if self.dear:
-                found.append((dataclasses.replace(problem, surrogate=Surrogate.NONE), f"{name}-{Surrogate.NONE}"))
+            if self.second is not None:
+                found.append((dataclasses.replace(problem, surrogate=self.second), f"{name}-{self.second}"))
         return found
 
 
@@ -142,7 +142,8 @@ class Outcome:
 def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> str:
     """Solve every shipped problem, fields included, that has no result in `keep`; the dear ones take most of the time.
 
-    Each is a `python -m validation.loop` of its own in KEEP/NAME, of a dear one without a surrogate in KEEP/NAME-none.
+    Each is a `python -m validation.loop` of its own in KEEP/NAME; of those that are solved with a surrogate and without
+    the second one is in KEEP/NAME-gns or KEEP/NAME-none.
     A result is kept unless the problem or the surrogate's weights have changed since. An answer that the MPM does not
     confirm is part of the page. Raises WorkFailed, once the page is written, where a problem could not be run.
 
@@ -231,7 +232,8 @@ def page(
         another initial jitter than the inversion's. Loss and front are those of the MPM at the answer; ± are 95 %
         half-widths, of a problem with more than one answer those of the heaviest. The paper (Choi and Kumar 2024)
         takes its targets from its own MPM; its front is the largest x, here the x that 99.5 % of the particles are
-        behind.
+        behind. The surrogate's own answer is found by its gradient alone, before any run of the MPM, which then shows
+        the loss and the front there.
     """)
     for title, group in found.items():
         result.section(title)
@@ -274,6 +276,12 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
     runs = [len(each.result["mpm_runs"]) for each in outcomes]
     seconds = [each.result["seconds"]["total"] for each in outcomes]
     sentences.append(f"A problem takes {between(runs, '.0f')} MPM runs and {between(seconds, '.0f')} s.")
+    if both := both_ways(outcomes, lambda result: len(result["mpm_runs"])):
+        with_it, without = ([each[asked] for each in both] for asked in (True, False))
+        sentences.append(
+            f"Where both ways were gone, it takes {between(with_it, '.0f')} MPM runs with a surrogate that leads, "
+            f"{between(without, '.0f')} without."
+        )
     if ratios := speed_up(outcomes):
         sentences.append(
             f"Where a run of the MPM is dear, the loop takes {between(ratios, '.0%')} of the seconds that it takes"
@@ -282,13 +290,19 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
     return sentences
 
 
-def speed_up(outcomes: Sequence[Outcome]) -> list[float]:
-    """Seconds with a surrogate that was asked over those without any, of each problem that was solved both ways."""
+def both_ways(outcomes: Sequence[Outcome], figure: Callable[[dict[str, Any]], float]) -> list[dict[bool, float]]:
+    """A figure of the results of each problem that was solved with a surrogate (True) and without (False)."""
     ways: dict[str, dict[bool, float]] = {}
     for each in outcomes:
-        if each.surrogate or each.problem.surrogate is Surrogate.NONE:
-            ways.setdefault(each.problem.name, {})[each.surrogate] = each.result["seconds"]["total"]
-    return [seconds[True] / seconds[False] for seconds in ways.values() if len(seconds) == len((True, False))]
+        ways.setdefault(each.problem.name, {})[each.surrogate] = figure(each.result)
+    return [each for each in ways.values() if len(each) == len((True, False))]
+
+
+def speed_up(outcomes: Sequence[Outcome]) -> list[float]:
+    """Seconds with a surrogate over those without, of the problems that ask for one where a run of the MPM is dear."""
+    dear = {each.problem.name for each in outcomes if each.surrogate and each.problem.surrogate is Surrogate.AUTO}
+    some = [each for each in outcomes if each.problem.name in dear]
+    return [each[True] / each[False] for each in both_ways(some, lambda result: result["seconds"]["total"])]
 
 
 def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:
@@ -299,7 +313,7 @@ def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:
         "problem": f"`{outcome.problem.name}`",
         "the paper": paper.get(outcome.problem.name, ""),
         "verdict": result["verdict"],
-        "surrogate": "asked" if outcome.surrogate else "-",
+        "the surrogate's own": own_text(outcome),
         "found": found_text(outcome),
         "largest error": error_text(outcome),
         "truth inside": f"{outcome.inside} of {len(outcome.errors)}" if outcome.errors else "-",
@@ -309,6 +323,17 @@ def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:
         "MPM runs": len(result["mpm_runs"]),
         "s": f"{result['seconds']['total']:.0f}",
     }
+
+
+def own_text(outcome: Outcome) -> str:
+    """The surrogate's own first answer, and what the MPM shows there."""
+    said = outcome.result.get("surrogate") or {}
+    if "unknowns" not in said:
+        return "-"
+    names, error = outcome.problem.names, said["mpm_error"]
+    texts = [text_of(outcome.problem, each, said["unknowns"][each]) for each in names] if len(names) <= NAMED else []
+    front = [f"front {error['front_pct']:.2f} % off"] if "front_pct" in error else []
+    return ", ".join([*texts, f"loss {error['misfit']:.1e}", *front])
 
 
 def text_of(problem: Problem, name: str, value: float) -> str:

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from inverse.found import Purpose
+from inverse.found import MpmRun, Purpose
 from inverse.posterior.emulator import fewest_runs
 from inverse.posterior.posterior import next_points
 from inverse.posterior.settings import CONSTANTS
@@ -18,23 +18,32 @@ from validation.loop.task import Task
 from validation.loop.verdict import checked
 
 
-def guided(task: Task, found: Inversion) -> Search:
-    """Runs at the answers that a surrogate `found`, around them, and on until its answers so corrected hold."""
-    unknowns, answers = len(task.problem.parameters), np.stack([each.point for each in found.answers])
-    count = CONSTANTS.first_checks if len(answers) == 1 else CONSTANTS.first_checks - 1
-    state = Search(task=task).ran(np.repeat(answers, count, axis=0), Purpose.CHECK)
-    found = found.compared(state.points, state.numbers)
+def guided(task: Task, found: Inversion, known: tuple[MpmRun, ...] = ()) -> tuple[Search, bool]:
+    """Runs at the answers that a surrogate `found`, around them, and on until its answers so corrected hold.
+
+    With it, whether the MPM confirms one of them: if not, more runs near the others would be of no use.
+    known: runs for other targets; where they are enough for an emulator, its answers are corrected by them at once.
+    """
+    unknowns, state = len(task.problem.parameters), Search(task=task, known=known)
     size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
-    state = state.ran(found.around(size, task.generator(0)), Purpose.WAVE)
+    if len(known) < fewest_runs(unknowns):
+        answers = np.stack([each.point for each in found.answers])
+        count = CONSTANTS.first_checks if len(answers) == 1 else CONSTANTS.first_checks - 1
+        state = state.ran(np.repeat(answers, count, axis=0), Purpose.CHECK)
+        found = found.compared(state.points, state.numbers)
+        state = state.ran(found.around(size, task.generator(0)), Purpose.WAVE)
     state = dataclasses.replace(state, guide=found).inferred()
     while True:
         while state.at_edge:
             state = state.wider()
-        state, _ = checked(state)
-        if state.at_edge:
-            continue
         left = state.left - task.checks
-        if state.posterior.emulator_share <= CONSTANTS.converged_around or left <= 0:
-            return state
+        # The answers of many parameters move until their emulator knows enough: checks of them come last.
+        if unknowns <= CONSTANTS.few_parameters or state.converged or left <= 0:
+            state, corrected = checked(state, again=False)
+            if state.at_edge:
+                continue
+            left, confirmed = state.left - task.checks, corrected[0].confirmed
+            if not confirmed or state.converged or left <= 0:
+                return state, confirmed
         points = next_points(state.posterior, min(size, left), task.generator(len(state.runs)))
         state = state.ran(points, Purpose.WAVE).inferred()

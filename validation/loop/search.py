@@ -106,7 +106,8 @@ class Search:
     def region(self, points: Matrix) -> Region | None:
         """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there."""
         if self.found is None:
-            return None if self.guide is None else self.guide.posterior.region
+            few = self.guide is None or self.guide.region is None
+            return None if few else Region(low=points.min(axis=0), high=points.max(axis=0))
         return self.found.next_region if self.found.next_region.suffices(points) else self.found.region
 
     def target_so_far(self) -> Target:
@@ -124,6 +125,11 @@ class Search:
         samples = self.posterior.samples
         outermost = self.guide.beyond(samples.points) > -OUTERMOST * self.guide.fall
         return float(samples.weights[outermost].sum()) > CONSTANTS.at_edge
+
+    @property
+    def converged(self) -> bool:
+        """Whether further runs around the answers of a surrogate would shorten half-widths little."""
+        return self.posterior.emulator_share <= CONSTANTS.converged_around
 
     def wider(self) -> "Search":
         """With the surrogate's region twice as wide."""

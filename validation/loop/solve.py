@@ -1,5 +1,6 @@
 """The loop: runs of the MPM narrow the posterior over the whole box, confirm its answers, and give the verdict."""
 
+import dataclasses
 import math
 import sys
 import tempfile
@@ -17,7 +18,6 @@ from inverse.adaptation import deposits as adapted_runs
 from inverse.forward.interface import Simulate
 from inverse.found import MpmRun, Purpose, Verdict
 from inverse.parameters import Vector
-from inverse.posterior.emulator import fewest_runs
 from inverse.posterior.information import Information, information, measurements
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
@@ -98,18 +98,18 @@ def run(
         MpmRun(purpose=Purpose.KNOWN, parameters=parameters, trajectory=flow, target=task.target)
         for parameters, flow in known
     )
-    led, outcome = None, None
-    if len(before) >= fewest_runs(len(task.problem.parameters)):
-        forward, reason = None, f"{len(before)} runs of the MPM are known, which do what it would"
-    else:
-        forward, reason = surrogate.choose(task, model=model, load=load)
+    led, outcome, tried = None, None, tuple[MpmRun, ...]()
+    forward, reason = surrogate.choose(task, model=model, load=load)
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
         led = inverted(forward, task.problem, task.target, task.scatter)
-        outcome = concluded(guided(task, led))
+        state, confirmed = guided(task, led, before)
+        outcome = concluded(state) if confirmed else None
+        tried = state.runs if outcome is None else outcome.state.runs
     if outcome is None or outcome.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
-        outcome = concluded(searched(first(task, () if outcome is None else outcome.state.runs, before)))
+        tried = tuple(dataclasses.replace(each, purpose=Purpose.WAVE) for each in tried)
+        outcome = concluded(searched(first(task, tried, before)))
     state, answer = outcome.state, outcome.answers[0]
     runs = (*state.runs, *state.coarse)
     mpm_seconds = sum(each.seconds for each in runs)
@@ -126,20 +126,26 @@ def run(
         posterior=state.posterior,
         further=tuple(further(outcome)),
         notes=(statement(state),),
-        surrogate={"asked": led is not None, "reason": reason} | ({} if led is None else told(task, led, state.runs)),
+        surrogate={"asked": led is not None, "reason": reason} | ({} if led is None else of_surrogate(led, state)),
         seconds={"mpm": mpm_seconds, "total": time.perf_counter() - began},
         command="python -m validation.loop",
     )
 
 
-def told(task: Task, led: Inversion, runs: Sequence[MpmRun]) -> dict[str, Any]:
-    """What the surrogate found, heaviest answer first, and what the MPM said of it, as `result.json` has it."""
-    named, answers, box = task.problem.named, [], task.bounds
+def of_surrogate(led: Inversion, state: Search) -> dict[str, Any]:
+    """What the surrogate found, heaviest answer first, and what the MPM said of it, as `result.json` has it.
+
+    That is by the runs there; where none were necessary, by the emulator of those around.
+    """
+    task, answers = state.task, []
+    named, box = task.problem.named, task.bounds
     for part, parameters in zip(led.answers, task.at(np.stack([each.point for each in led.answers])), strict=True):
-        checks = [each for each in runs if np.array_equal(each.parameters, parameters)]
-        shown = np.mean([each.observation for each in checks], axis=0)
+        checks = [each for each in state.runs if np.array_equal(each.parameters, parameters)]
+        (shown,) = state.posterior.expected(part.point[None])
+        if checks:
+            shown = np.mean([each.observation for each in checks], axis=0)
         error = {"misfit": task.target.misfit(shown)}
-        if math.isfinite(task.target.front):
+        if checks and math.isfinite(task.target.front):
             error["front_pct"] = 100.0 * float(np.mean([each.front_error for each in checks]))
         widths = named(box.range * part.half_widths)
         answer = {"unknowns": named(parameters), "half_widths": widths, "weight": part.weight, "mpm_error": error}

@@ -1,21 +1,25 @@
-"""Whether a learned surrogate is asked: where the scene is in its range, and a run of the MPM is worth it.
+"""Whether a learned surrogate is asked: where the scene is in its range and a run of the MPM is dear.
 
 It inverts first (`inverse.surrogate`); the MPM then runs where its answers are (`validation.loop.search`).
 """
 
+import dataclasses
 import sys
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.processes import processors
+from datasets.scene import Scene
 from gns import card, checkpoint
 from gns.initial import check
 from gns.library import model_path, shipped
 from gns.ranges import outside
+from gns.simulator import Simulator
 from inverse.forward.band import band_of
-from inverse.forward.gns import GnsForward
+from inverse.forward.gns import Flow, GnsForward
 from inverse.problem import Problem
 from inverse.settings import Surrogate as Requested
 from inverse.surrogate import Surrogate
@@ -25,9 +29,11 @@ from validation.loop.task import Task
 
 Load = Callable[[Problem, Target, Path | None], tuple[Surrogate | None, str]]
 """Problem, target, weights -> the surrogate, or None and why there is none."""
-WORTH = 5.0
+PREDICTIONS = 5.0
 """Predictions that a run of the MPM costs, from which on it is asked: it predicts two to five times for each run that
 it saves."""
+JITTER = 0
+"""Jitter seed of the flows that it predicts."""
 QUICKEST = 0.1
 """Seconds of a prediction at least: where even that costs too much, no weights are read."""
 SPEED = {2: 35e6, 3: 15e6}
@@ -37,8 +43,8 @@ SPEED = {2: 35e6, 3: 15e6}
 def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Surrogate | None, str]:
     """The surrogate that is asked, or None, and the reason in words.
 
-    model: weights, those that ship where absent; load: `learned`. Raises InputError for a problem that asks for one
-    that there is none of.
+    model: weights, which are asked at any price; those that ship where absent; load: `learned`. Raises InputError for a
+    problem that asks for one that there is none of.
     """
     problem, requested = task.problem, task.problem.surrogate
     if requested is Requested.NONE:
@@ -46,19 +52,21 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Surrogate | N
     if problem.target.minimise:
         return None, "a design is looked for by the MPM alone"
     run = particle_steps(problem.scene) / (SPEED[problem.scene.dimension] * processors())
-    if requested is Requested.AUTO and run < WORTH * QUICKEST:
-        return None, f"a run of the MPM takes {run:.2g} s, which is less than {WORTH:g} predictions"
+    by_price = requested is Requested.AUTO and model is None
+    if by_price and run < PREDICTIONS * QUICKEST:
+        return None, f"a run of the MPM takes {run:.2g} s, which is less than {PREDICTIONS:g} predictions"
     forward, reason = load(problem, task.target, model)
     if forward is None:
         if requested is Requested.GNS:
             raise InputError(f"expected auto or none, {reason}", key="surrogate")
         return None, reason
     began = time.perf_counter()
-    forward.observe([problem.initial])
-    price = f"a run of the MPM takes {run:.2g} s, a prediction {time.perf_counter() - began:.2g} s"
-    if requested is Requested.AUTO and run < WORTH * (time.perf_counter() - began):
-        return None, f"{price}, a {WORTH:g}th of it or more"
-    return forward, price if requested is Requested.AUTO else f"the problem asks for it; {price}"
+    forward.errors(problem.initial)
+    prediction = time.perf_counter() - began
+    price = f"a run of the MPM takes {run:.2g} s, a prediction {prediction:.2g} s"
+    if by_price and run < PREDICTIONS * prediction:
+        return None, f"{price}, a {PREDICTIONS:g}th of it or more"
+    return forward, price if by_price else f"it is asked for; {price}"
 
 
 def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Surrogate | None, str]:
@@ -69,7 +77,10 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Surro
     if not observation.of_positions:
         return None, f"it does not predict {observation.label}"
     weights = model_path(model or shipped(problem.scene.dimension))
-    simulator = checkpoint.load(weights).simulator
+    # Of another jitter its flow is none that the MPM runs, and the same for every target.
+    problem = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=JITTER))
+    stamp = weights.stat().st_mtime_ns if weights.exists() else 0
+    simulator, flows = loaded(weights, stamp, problem.scene, tuple(problem.names))
     scene = problem.scene_at(problem.initial)
     known = card.read(weights)
     unknown = outside(scene, known.ranges) if known is not None else []
@@ -81,4 +92,10 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Surro
         return None, f"{weights.name} was not trained on such a flow: {'; '.join(unknown)}"
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
-    return GnsForward(simulator, problem, observation, band=band_of(weights, scene)), ""
+    return GnsForward(simulator, problem, observation, band=band_of(weights, scene), flows=flows), ""
+
+
+@lru_cache(maxsize=1)
+def loaded(weights: Path, stamp: int, scene: Scene, names: tuple[str, ...]) -> tuple[Simulator, dict[bytes, Flow]]:
+    """The model in a file as it was at `stamp`, and its predictions of a scene with numbers of these names."""
+    return checkpoint.load(weights).simulator, {}

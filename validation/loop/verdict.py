@@ -16,7 +16,7 @@ from inverse.posterior.settings import CONSTANTS
 from validation.loop.search import Search
 from validation.loop.task import Task
 
-CLOSE = 0.25
+CLOSE = 0.35
 """Of a half-width: checks this close to an answer are checks of it."""
 EXCLUDED = 1e-3
 """Probability of the nearest fit of all, below which no parameters between the bounds give the target."""
@@ -50,14 +50,17 @@ def concluded(state: Search) -> Outcome:
     return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
 
 
-def checked(state: Search) -> tuple[Search, tuple[Answer, ...]]:
-    """Runs at every answer, and once more where the answers have moved by what these showed."""
+def checked(state: Search, *, again: bool = True) -> tuple[Search, tuple[Answer, ...]]:
+    """Runs at every answer, and once more where the answers have moved by what these showed.
+
+    again: so, too, where the MPM does not confirm the first of them.
+    """
     for _ in range(CONSTANTS.rounds):
         found = separate(state)
         locations = [each.point for each in found if not is_checked(state, each)]
         if not locations:
             answers = answers_of(state, found)
-            if answers[0].confirmed:
+            if answers[0].confirmed or not again:
                 break
             # Where the mean of few runs is not near enough, that of more may be.
             locations = [state.task.unit(answers[0].parameters)]
