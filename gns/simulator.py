@@ -16,6 +16,8 @@ from gns.state import Conditions, State
 
 SLOW = 0.1
 """Displacement over the root mean square one below which the direction of motion fades from the features [-]."""
+AT_REST = 0.2
+"""Root mean square speed of a deposit at rest over the speed of rest, at most [-]."""
 FORCES = 5
 """Known forces: basal friction, traction, damping, shear and pressure on the grid."""
 DAMPING = 5.0
@@ -51,6 +53,7 @@ class Simulator(nn.Module):
         v' = v + a                       displacement in the coming step (semi-implicit Euler)
         x' = keep_out(x + v')            walls, ground and baffles are impenetrable; what remains of v' is x' - x
         v' <- v' r^4 / (1 + r^4)         r = |v'| / (rest_speed dt): static friction
+        v' <- 0                          in a flow that is at rest (`moving`), but not while training
 
     | symbol | variable                                | unit             |
     | A, c   | `Network`                               | -                |
@@ -97,7 +100,9 @@ class Simulator(nn.Module):
         fall = conditions.of_particles(conditions.gravity) * settings.step**2
         stopped = keep_out(positions + state.displacements[-1] + contact + fall, positions, conditions)
         if settings.rest_speed > 0.0:
-            stopped = positions + settled(stopped - positions, settings.rest_speed * settings.step)
+            limit = settings.rest_speed * settings.step
+            moved = settled(stopped - positions, limit)
+            stopped = positions + (moved if self.training else moved * moving(moved, AT_REST * limit, conditions))
             if conditions.baffles is not None or conditions.ground is not None:
                 # A shortened displacement around a corner may end inside the baffle.
                 stopped = keep_out(stopped, positions, conditions)
@@ -149,6 +154,19 @@ class Simulator(nn.Module):
         }
         forces = (basal, tractions[:, :axes], damped, internal[:, :axes], internal[:, axes:])
         return torch.cat([found[name] for name in features(settings)], dim=1), torch.stack(forces, dim=1)
+
+
+def moving(displacements: Tensor, limit: float, conditions: Conditions) -> Tensor:
+    """1 for particles of flows whose displacements [m], [N, D], are above `limit` [m] (rms), else 0; shape [N, 1].
+
+    Below it the deposit is at rest, as a run of the MPM ends where its kinetic energy is small: what remains are errors
+    of the acceleration. Positions that rest have the gradient of those before.
+    """
+    square, batch = displacements.detach().square().sum(dim=1), conditions.batch
+    if batch is None:
+        batch = torch.zeros(len(square), dtype=torch.long, device=square.device)
+    excess = torch.zeros_like(conditions.damping).index_add(0, batch, square - limit**2)
+    return (excess > 0.0).to(square).index_select(0, batch).unsqueeze(1)
 
 
 def settled(displacements: Tensor, limit: float) -> Tensor:

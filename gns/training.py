@@ -277,7 +277,7 @@ def validate(
 ) -> None:
     """Score the averaged weights by rollouts, write a row of log.csv, keep them if they are the best so far."""
     assert isinstance(simulator, Simulator)
-    scores = evaluate(simulator, flows)
+    scores = evaluate(simulator.eval(), flows)
     total = validation_score(scores)
     row = {
         "minutes": round(position.seconds / 60.0, 2),

@@ -13,7 +13,7 @@ import gns
 from datasets import measures
 from datasets.library import read_scene
 from gns.initial import initial_state
-from gns.simulator import Simulator
+from gns.simulator import Simulator, moving
 from gns.state import Conditions, State
 from gns.unroll import step_activation_bytes, unroll
 from tests.gns.conftest import Cloud
@@ -72,13 +72,26 @@ def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> No
     state, conditions = cloud(lower=(0.4, 0.4))
     conditions = dataclasses.replace(conditions, gravity=torch.zeros(1, 2))
     speeds = []
-    for rest_speed in (0.0, 0.05):
-        lively.settings = dataclasses.replace(lively.settings, rest_speed=rest_speed)
+    two = dataclasses.replace(conditions, batch=torch.tensor([0, 0, 1]), damping=torch.zeros(2))
+    for rest_speed, training in ((0.0, True), (0.05, True), (0.05, False)):
+        lively.train(training).settings = dataclasses.replace(lively.settings, rest_speed=rest_speed)
         with torch.no_grad():
             moved = unroll(lively, state, conditions, 40)[-1] - state.positions
         speeds.append(float(moved.norm(dim=1).mean()) / (40 * lively.settings.step))
     assert speeds[0] > 1e-3
     assert speeds[1] < 0.05 * speeds[0]
+    # It is at rest, not nearly so; one flow's rest is not another's.
+    assert speeds[2] < 1e-4
+    assert moving(torch.tensor([[0.1, 0.0], [0.0, 0.0], [2.0, 0.0]]), 1.0, two).flatten().tolist() == [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("name", ["column-tall-42", "layers-10"])
+def test_shipped_flows_come_to_rest(name: str) -> None:
+    scene = read_scene(name)
+    flow = gns.simulate(dataclasses.replace(scene, duration=1.2 * scene.duration))
+    assert flow.positions[-2:, :, 0].max() > flow.positions[0, :, 0].max() + 0.1
+    speeds = np.linalg.norm(flow.positions[-1] - flow.positions[-2], axis=1) / (flow.time[-1] - flow.time[-2])
+    assert speeds.max() < 1e-4
 
 
 STEPS = 6
