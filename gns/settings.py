@@ -134,6 +134,8 @@ class TrainingSettings:
     """Random walk in the given displacements while training through single steps [m]."""
     loss_scale: float = 0.25
     """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
+    tail: float = 0.0
+    """Weight of the ends of a flow after the last step, which few particles are: one number of each side."""
     first: float = 0.15
     """Share of samples that start with the flow itself: from positions and velocities alone."""
     average: float = 0.998

@@ -34,7 +34,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 from tqdm import tqdm
 
-from datasets import files
+from datasets import files, measures
 from datasets.errors import InputError, WorkFailed
 from datasets.files import reading
 from datasets.lock import locked
@@ -46,8 +46,9 @@ from gns.distributed import joined, rank, sums
 from gns.library import BEST
 from gns.samples import Batch, Sampler, flows_of, statistics
 from gns.score import evaluate, table, validation_score
-from gns.settings import ModelSettings, TrainingSettings
+from gns.settings import UP, ModelSettings, TrainingSettings
 from gns.simulator import Simulator
+from gns.state import Conditions
 from gns.unroll import step_activation_bytes, unroll
 
 LAST = "last.pt"
@@ -98,6 +99,7 @@ class UnrolledLoss(nn.Module):
     def __init__(self, simulator: Simulator, training: TrainingSettings) -> None:
         super().__init__()
         self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
+        self.tail = training.tail
         self._particle_bytes = 0.0
         simulator.network.half_precision = bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
 
@@ -109,7 +111,32 @@ class UnrolledLoss(nn.Module):
             self._particle_bytes = MARGIN * step_activation_bytes(self.simulator, state, conditions) / particles
         kept = min(steps, int(self.memory / (self._particle_bytes * particles)))
         positions = unroll(self.simulator, state, conditions, steps, kept_steps=kept)
-        return rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
+        scale = self.scale * self.simulator.acceleration_scale
+        loss = rollout_loss(positions, batch.targets, scale)
+        if self.tail > 0.0:
+            both = torch.stack((positions[-1], batch.targets[-1]))
+            loss = loss + self.tail * tail_loss(both, conditions, steps * scale)
+        return loss
+
+
+def tail_loss(positions: Tensor, conditions: Conditions, scale: float | Tensor) -> Tensor:
+    """h((e - E) / scale), the mean over samples and the ends e along their level axes (`measures.tail_weights`).
+
+    A mean over particles hardly sees the few that a front is made of, and a mean of sprays is no spray: it comes short.
+    positions: of the model and of the MPM at the same time [m], shape [2, N, D]; scale: [m].
+    """
+    batch = conditions.batch
+    samples = [slice(None)] if batch is None else [batch == each for each in range(len(conditions.size))]
+    ends = []
+    for own in samples:
+        volume = conditions.volume[own]
+        for axis in (axis for axis in range(positions.shape[2]) if axis != UP):
+            for side in (1.0, -1.0):
+                x, order = (side * positions[:, own, axis]).sort(dim=1)
+                weights = np.stack([measures.tail_weights(each.cpu().numpy()) for each in volume[order]])
+                ends.append((torch.from_numpy(weights).to(x) * x).sum(dim=1))
+    error = torch.stack(ends) / scale
+    return functional.smooth_l1_loss(error[:, 0], error[:, 1])
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:

@@ -166,6 +166,7 @@ def training_settings(settings: ModelSettings, *, steps: int, minutes: float) ->
         learning_rate=5.0e-4,
         warmup=10,
         loss_scale=0.5,
+        tail=0.3,
         first=0.7,
         average=0.97,
         validations=1,
@@ -199,11 +200,13 @@ def scatter(runs: Sequence[tuple[Vector, Trajectory]], problem: Problem) -> str:
     return f", whose fronts scatter by {100.0 * math.sqrt(emulator.scatter[0, 0]):.1f} %"
 
 
-def deposits(run: Path, problem: Problem) -> list[tuple[Vector, Trajectory]]:
-    """Parameters and deposits, with all particles, of the runs of the MPM in the folder of an adaptation to `problem`.
+def deposits(model: Path | str, problem: Problem) -> list[tuple[Vector, Trajectory]]:
+    """Parameters and deposits, with all particles, of the MPM's runs that a model was adapted to `problem` by.
 
-    None for a folder of another problem, or of none. Raises InputError for a broken file.
+    model: its folder or its file. None where it was adapted to another problem, or to none. Raises InputError for a
+    broken file.
     """
+    run = Path(model) if Path(model).is_dir() else Path(model).parent
     if read_json(run / PROBLEM) != identity(problem):
         return []
     flows = [Trajectory.load(path) for path in trajectory_files(run / DATA / DEPOSITS)]

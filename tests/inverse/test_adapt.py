@@ -86,7 +86,7 @@ def test_an_adapted_model_has_its_card_and_its_deposits(
     assert band is not None
     assert band.flows == 2
     runs = deposits(adapted, problem)
-    assert len(runs) == 7
+    assert len(runs) == len(deposits(model_path(adapted), problem)) == 7
     for values, flow in runs:
         assert len(flow.time) == 1
         assert flow.time[0] == pytest.approx(problem.scene.duration)
