@@ -10,7 +10,8 @@ from torch import Tensor
 from datasets.errors import InputError
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
-from inverse.observations.observation import Observation, Values
+from datasets.trajectory import Trajectory
+from inverse.observations.observation import Observation, Rollout, Values
 from inverse.observations.table import require_inside
 from inverse.settings import ObservationSettings
 
@@ -54,6 +55,11 @@ class Gauges(Observation):
 
     def gathered(self, rows: Any) -> Any:
         return rows.diagonal()
+
+    def observe(self, trajectory: Trajectory) -> Values:
+        # By the run's own volumes: those of the scene are another release where that is unknown.
+        positions, volumes = torch.from_numpy(trajectory.positions), torch.from_numpy(trajectory.volumes)
+        return np.asarray(self.predict(Rollout(positions=positions, times=trajectory.time, volumes=volumes)).numpy())
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         volumes = particle_volumes(self.scene, len(positions))

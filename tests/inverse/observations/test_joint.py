@@ -168,6 +168,9 @@ def test_gauges_read_the_height_of_a_layer_up_to_the_walls() -> None:
     run.positions[-1] = layer
     gauges = build(ObservationSettings(kind="height", spacing=0.1, x=(0.0, 0.5, 0.99)), SCENE)
     np.testing.assert_allclose(gauges.observe(run), 0.08, rtol=0.01)
+    # A run of another release than the scene's has its own.
+    half = dataclasses.replace(run, volume=np.float32(0.5 * run.volumes))
+    np.testing.assert_allclose(gauges.observe(half), 0.04, rtol=0.01)
 
 
 def test_the_impulse_is_that_of_the_solid() -> None:
