@@ -1,6 +1,5 @@
 """Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `Batch`."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -101,20 +100,6 @@ def batched(samples: Sequence[Sample], settings: ModelSettings) -> Batch:
     )
 
 
-def perturbed(batch: Batch, noise: float, generator: torch.Generator) -> Batch:
-    """The batch with a random walk in the past displacements, `noise` [m] at its end (Sanchez-Gonzalez et al. 2020).
-
-    The targets move with the particles, so that the true displacement is asked for from a wrong past. The walk is
-    drawn on the CPU: it is the same on every device.
-    """
-    past = batch.state.displacements
-    walk = torch.randn(past.shape, generator=generator).cumsum(0) * (noise / len(past) ** 0.5)
-    walk = walk.to(past.device)
-    shift = walk.sum(0)
-    noisy = State(positions=batch.state.positions + shift, displacements=past + walk)
-    return dataclasses.replace(batch, state=noisy, targets=batch.targets + shift)
-
-
 class Sampler:
     """Draws training samples of the datasets, their flows alike, each in a random one of its symmetries."""
 
@@ -124,12 +109,9 @@ class Sampler:
         self._shares = shares / shares.sum()
 
     def batch(self, steps: int, rng: np.random.Generator) -> Batch:
-        """Samples with `steps` targets, side by side; of a single step with noise in their past."""
+        """Samples with `steps` targets, side by side."""
         samples = [self.sample(steps, rng) for _ in range(self._training.batch)]
-        batch = batched(samples, self._settings)
-        if steps == 1 and self._training.noise > 0.0:
-            return perturbed(batch, self._training.noise, torch.Generator().manual_seed(int(rng.integers(2**63))))
-        return batch
+        return batched(samples, self._settings)
 
     def sample(self, steps: int, rng: np.random.Generator) -> Sample:
         """A sample with `steps` targets."""

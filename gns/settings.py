@@ -130,8 +130,6 @@ class TrainingSettings:
     """Updates over which the learning rate rises from zero."""
     clip: float = 1.0
     """Largest norm of the gradient."""
-    noise: float = 5.0e-5
-    """Random walk in the given displacements while training through single steps [m]."""
     loss_scale: float = 0.25
     """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
     tail: float = 0.0

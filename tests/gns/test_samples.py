@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from datasets.training.samples import Flows, Sample, Surroundings, cut
-from gns.samples import Sampler, batched, flows_of, perturbed, statistics, turned
+from gns.samples import Sampler, batched, flows_of, statistics, turned
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 
@@ -45,16 +45,6 @@ def test_baffles_and_ground_of_one_sample_have_no_effect_on_another(lively: Simu
     alone = [after(lively, [sample]) for sample in (first, rough)]
     assert (alone[1] - after(lively, [second])).abs().max() > 1e-3
     torch.testing.assert_close(after(lively, [first, rough]), torch.cat(alone), atol=1e-6, rtol=0.0)
-
-
-def test_noise_ends_where_the_true_path_goes_on(settings: ModelSettings, dataset: Path) -> None:
-    batch = batched(samples(dataset, settings), settings)
-    noisy = perturbed(batch, 1e-3, torch.Generator().manual_seed(0))
-    before, after = batch.state, noisy.state
-    torch.testing.assert_close(noisy.targets - after.positions, batch.targets - before.positions)
-    walk = after.displacements - before.displacements
-    assert 0.8e-3 < walk[-1].std() < 1.2e-3
-    torch.testing.assert_close(walk.sum(0), after.positions - before.positions, atol=1e-6, rtol=0.0)
 
 
 @pytest.fixture
