@@ -38,6 +38,11 @@ def length(friction_deg: Any) -> Any:
     return 1.0 - 0.02 * (friction_deg - 12.0) + 0.5 * 0.0003 * (friction_deg - 12.0) ** 2
 
 
+def scatter_of(seed: int, angle: float) -> float:
+    """That of `FakeMpm` at a friction angle [deg] by the jitter seed, in standard deviations."""
+    return float(np.random.default_rng([seed, round(angle * 1e6)]).normal())
+
+
 def at_rest(x: NDArray[np.float64], scene: Scene) -> Trajectory:
     """A flow of `scene` whose particles are at `x` [m], shape [N], all the time."""
     positions = np.stack([np.stack([x, 0.1 * np.ones(len(x))], axis=1)] * 2).astype(np.float32)
@@ -77,8 +82,7 @@ class FakeMpm:
 
     def x(self, scene: Scene) -> NDArray[np.float64]:
         angle = scene.material.friction_deg
-        scatter = np.random.default_rng([scene.seed, round(angle * 1e6)]).normal() * self.scatter
-        return np.asarray((length(angle) + scatter) * SHAPE)
+        return np.asarray((length(angle) + scatter_of(scene.seed, angle) * self.scatter) * SHAPE)
 
 
 class Coarse(FakeMpm):

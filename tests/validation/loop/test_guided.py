@@ -3,10 +3,13 @@
 import dataclasses
 import json
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.stats import norm
 
 from datasets.errors import InputError
 from datasets.scene import Scene, Solid
@@ -20,7 +23,7 @@ from inverse.parameters.parameter import Parameter
 from inverse.problem import read_problem
 from inverse.settings import ObservationSettings, Surrogate, TargetSettings
 from inverse.target import read_target
-from tests.validation.loop.flows import Case, FakeMpm, Folded, FoldedFormula, Formula, length, wedge
+from tests.validation.loop.flows import Case, FakeMpm, Folded, FoldedFormula, Formula, length, scatter_of, wedge
 from validation.loop import surrogate
 from validation.loop.surrogate import choose, learned
 from validation.loop.task import Task
@@ -62,6 +65,23 @@ def test_a_surrogate_that_is_wrong_by_more_than_its_band_costs_runs_and_no_truth
     assert result.certainty is not None
     assert abs(result.unknowns["friction_deg"] - 27.0) < 2.0 * result.certainty["friction_deg"] < 2.0
     assert len(result.mpm_runs) <= 30
+
+
+@pytest.mark.slow
+def test_half_widths_by_few_runs_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None:
+    """Of twenty twins whose own scatter takes twenty evenly spaced quantiles: with all of the MPM known, 19 would."""
+    inside, runs = 0, []
+    for number in range(20):
+        rng = np.random.default_rng([6, number])
+        truth, factor = round(float(rng.uniform(13.0, 50.0)), 3), 1.0 + 0.025 * float(rng.standard_normal())
+        quantile = norm.ppf((7 * number % 20 + 0.5) / 20)
+        seed = next(each for each in count(1) if abs(scatter_of(each, truth) - quantile) < 0.03)
+        case = wedge(tmp_path, seed=seed, truth=truth, scatter=0.002)
+        result = case.led(Formula(case.target.observation, factor)).solve(tmp_path / str(number))
+        inside += len(result.inside)
+        runs.append(len(result.mpm_runs))
+    assert inside >= 17
+    assert np.median(runs) <= 10
 
 
 def test_each_of_two_answers_is_checked(tmp_path: Path) -> None:
