@@ -166,7 +166,7 @@ def training_settings(settings: ModelSettings, *, steps: int, minutes: float) ->
         learning_rate=5.0e-4,
         warmup=10,
         loss_scale=0.5,
-        tail=0.3,
+        tail=0.2,
         first=0.7,
         average=0.97,
         validations=1,
