@@ -1,6 +1,7 @@
 """How good a model is: whole rollouts of held-out flows. `python -m gns.score DATASET... --model MODEL`."""
 
 import dataclasses
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,16 +10,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 from tabulate import tabulate
 
 from datasets import command_line, measures
 from datasets.errors import InputError
 from datasets.training.samples import Flow
 from gns import card
+from gns.card import Calibration
 from gns.library import model_path
 
 if TYPE_CHECKING:
     from gns.simulator import Simulator
+
+
+LEVELS = (0.5, 0.8, 0.95)
+"""Of the bands that a card has quantiles for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +106,22 @@ def validation_score(scores: Sequence[Score]) -> float:
     return float(np.mean([abs(score.front_error) + score.profile_error for score in scores]))
 
 
+def calibrated(scores: Sequence[Score]) -> Calibration:
+    """The calibration by the scores of flows that no training saw."""
+    errors = {name: np.sort([abs(getattr(each, name)) for each in scores]) for name in ("front_error", "profile_error")}
+    front, profile = ({f"{level:g}": quantile(each, level) for level in LEVELS} for each in errors.values())
+    return Calibration(front=front, profile=profile, flows=len(scores))
+
+
+def quantile(errors: NDArray[np.float64], level: float) -> float:
+    """q of absolute errors in ascending order, shape [n]."""
+    count = len(errors)
+    rank = math.ceil((count + 1) * level - 1.0e-9)
+    if rank <= count:
+        return float(errors[rank - 1])
+    return float(np.sqrt(np.mean(errors**2)) * student.ppf(0.5 * (1.0 + level), count))
+
+
 def table(scores: Sequence[Score]) -> str:
     """Markdown: releases and moving starts apart, mean over the flows of each and the worst front."""
     rows = []
@@ -144,7 +167,7 @@ def score(
     """
     import torch
 
-    from gns import checkpoint, uncertainty
+    from gns import checkpoint
     from gns.samples import flows_of
 
     torch.set_num_threads(threads)
@@ -175,7 +198,7 @@ def score(
         found = {}
         for dataset in datasets:
             valid = flows_of(dataset, "valid", settings, progress=True)
-            found[dataset.name] = uncertainty.calibrated(evaluate(loaded.simulator, valid))
+            found[dataset.name] = calibrated(evaluate(loaded.simulator, valid))
         card.write(path, dataclasses.replace(described, scores=text).keeping(found))
         print(f"bands by {sum(each.flows for each in found.values())} flows are on {card.card_path(path)}")
 

@@ -16,26 +16,19 @@ are Gaussian. A model has such quantiles for each dataset that it was trained on
 ranges hold the scene count (`gns.card.Card.calibration`). Outside of all ranges nothing is promised.
 """
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from datasets import measures
 from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.scene import Scene
 from gns import card, library
-from gns.card import Calibration
 from gns.inference import simulate
-from gns.score import Score
-
-LEVELS = (0.5, 0.8, 0.95)
-"""Of the bands that a card has quantiles for."""
+from gns.score import LEVELS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,22 +47,6 @@ class Prediction:
     """Distance along x of equal shares of the two deposits, rms, at most, at that level [m]."""
     warning: str | None = None
     """Why it may not be: the scene is outside of the training data."""
-
-
-def calibrated(scores: Sequence[Score]) -> Calibration:
-    """The calibration by the scores of flows that no training saw."""
-    errors = {name: np.sort([abs(getattr(each, name)) for each in scores]) for name in ("front_error", "profile_error")}
-    front, profile = ({f"{level:g}": quantile(each, level) for level in LEVELS} for each in errors.values())
-    return Calibration(front=front, profile=profile, flows=len(scores))
-
-
-def quantile(errors: NDArray[np.float64], level: float) -> float:
-    """q of absolute errors in ascending order, shape [n]."""
-    count = len(errors)
-    rank = math.ceil((count + 1) * level - 1.0e-9)
-    if rank <= count:
-        return float(errors[rank - 1])
-    return float(np.sqrt(np.mean(errors**2)) * student.ppf(0.5 * (1.0 + level), count))
 
 
 def predict(scene: Scene | str | Path, *, model: str | Path | None = None, level: float = 0.95) -> Prediction:

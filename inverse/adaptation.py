@@ -30,11 +30,10 @@ from gns import card, checkpoint
 from gns.initial import check
 from gns.library import model_path, shipped
 from gns.samples import flows_of
-from gns.score import Score, evaluate, table
+from gns.score import Score, calibrated, evaluate, table
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.training import LAST, fit
-from gns.uncertainty import calibrated
 from gns.units import Units
 from inverse.parameters import Vector
 from inverse.posterior.emulator import fewest_runs, fitted

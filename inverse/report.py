@@ -244,7 +244,11 @@ def question(found: Found) -> str:
 def every_answer(found: Found) -> str:
     """A line for each."""
     head = [*(f"`{name}`" for name in found.problem.names), "share of the posterior", "the MPM there"]
-    rows = [[*cells(found, each), f"{100.0 * each.weight:.0f} %", distance(found, each)] for each in found.answers]
+    said = ["not asked" if each.fit is None else distance(found, each) for each in found.answers]
+    rows = [
+        [*cells(found, each), f"{100.0 * each.weight:.0f} %", word]
+        for each, word in zip(found.answers, said, strict=True)
+    ]
     return table(head, rows)
 
 

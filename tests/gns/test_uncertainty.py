@@ -13,10 +13,10 @@ from datasets.errors import InputError
 from datasets.training.samples import Flow
 from gns import card, checkpoint
 from gns.samples import flows_of
-from gns.score import Score, evaluate, score, table, validation_score
+from gns.score import LEVELS, Score, calibrated, evaluate, score, table, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
-from gns.uncertainty import LEVELS, calibrated, predict
+from gns.uncertainty import predict
 from tests.gns.conftest import NORMALISATION, spreading
 
 
