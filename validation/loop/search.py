@@ -119,8 +119,12 @@ class Search:
 
     @property
     def at_edge(self) -> bool:
-        """Whether samples lie at the edge of the surrogate's region: the MPM leads beyond it."""
-        if self.guide is None:
+        """Whether samples lie at the edge of the surrogate's region: the MPM leads beyond it.
+
+        Of more than `few_parameters` they lie there as long as the emulator knows too little, which leads nowhere.
+        """
+        many = len(self.task.problem.parameters) > CONSTANTS.few_parameters
+        if self.guide is None or (many and not self.converged):
             return False
         samples = self.posterior.samples
         outermost = self.guide.beyond(samples.points) > -OUTERMOST * self.guide.fall
