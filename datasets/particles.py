@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.field import FRICTION
-from datasets.geometry.bodies import filling
+from datasets.geometry.bodies import filling, lattice_of
 from datasets.material import Material
 from datasets.memory import require
 from datasets.scene import TOLERANCE, Mass, Scene
@@ -166,15 +166,8 @@ def released_volume(scene: Scene) -> float:
 
 
 def mass_centroids(scene: Scene) -> NDArray[np.float64]:
-    """Centroid of each mass [m], shape [masses, D]: exact for a box, else that of its particles before their jitter."""
-    found = []
-    for mass in scene.masses:
-        if mass.kind == "box":
-            found.append(np.array(mass.lower) + 0.5 * np.array(mass.size))
-        else:
-            filled = filling(scene, mass)
-            found.append(filled.raised(filled.lattice).mean(axis=0))
-    return np.array(found)
+    """Centroid of each mass [m], that of its particles before their jitter, shape [masses, D]."""
+    return np.array([lattice_of(scene, mass).mean(axis=0) for mass in scene.masses])
 
 
 def mass_particle_volumes(scene: Scene) -> NDArray[np.float64]:

@@ -73,11 +73,6 @@ class Gate(Record):
     time_constant: float = 0.0
     """tau [s]; 0: v from the start."""
 
-    def risen(self, time: float) -> float:
-        """How high its foot is [m] at `time` [s] after the release: v (t - tau (1 - exp(-t / tau)))."""
-        tau = self.time_constant
-        return self.speed * (time + tau * math.expm1(-time / tau) if tau > 0.0 else time)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Mass(Record):

@@ -14,12 +14,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.geometry.ground import plan_axes
 from datasets.library import SCENES, read_scene
 from datasets.particles import released_volume
 from datasets.scene import Baffle, Mass, Scene
 
-UP = 1
-"""The axis that points up."""
 MARGIN = 0.06
 """Distance of corners within which two scenes are neighbours, over the length of the body [-]."""
 GAPS = 0.06
@@ -89,7 +88,7 @@ def images(scene: Scene) -> Iterator[tuple[list[NDArray[np.float64]], NDArray[np
     lower corner of its masses on; and which sides of the box masses touch [H, 2].
     """
     unit = released_volume(scene) ** (1.0 / scene.dimension)
-    level, contact = level_axes(scene), touches(scene)
+    level, contact = plan_axes(scene.dimension), touches(scene)
     for flips in product((False, True), repeat=len(level)):
         groups = [boxes(group, scene.dimension) for group in (scene.masses, scene.baffles)]
         touched = contact.copy()
@@ -114,14 +113,9 @@ def boxes(group: tuple[Mass, ...] | tuple[Baffle, ...], dimension: int) -> NDArr
     return np.stack((middle - 0.5 * extent, middle + 0.5 * extent), axis=1)
 
 
-def level_axes(scene: Scene) -> list[int]:
-    """x and, in 3D, z."""
-    return [axis for axis in range(scene.dimension) if axis != UP]
-
-
 def touches(scene: Scene) -> NDArray[np.bool_]:
     """Whether any mass leans on the lower and on the upper side of the box along x and, in 3D, z; shape [H, 2]."""
-    slack, level = 0.5 * scene.domain.cell, level_axes(scene)
+    slack, level = 0.5 * scene.domain.cell, plan_axes(scene.dimension)
     lower, upper = np.moveaxis(boxes(scene.masses, scene.dimension)[..., level], 1, 0)
     return np.asarray(
         np.stack((lower <= slack, upper >= np.array(scene.domain.size)[level] - slack), axis=-1).any(axis=0)

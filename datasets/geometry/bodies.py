@@ -238,6 +238,15 @@ class Plan:
         return interpolated(self.stations, self.values, plan)
 
 
+def lattice_of(scene: Scene, mass: Mass) -> Floats:
+    """Where the particles of a mass are before their jitter [m], shape [N, D]."""
+    if mass.kind == "box":
+        lower = np.array(mass.lower)
+        return lattice_in(lower, lower + np.array(mass.size), scene.particle_spacing)[0]
+    found = filling(scene, mass)
+    return found.raised(found.lattice)
+
+
 def lattice_in(lower: Floats, upper: Floats, share: float) -> tuple[Floats, Floats]:
     """Centres [N, D] of a lattice of about `share` [m] that fits the box from `lower` to `upper`; its spacing [D]."""
     counts = [max(1, round(float(length) / share)) for length in upper - lower]

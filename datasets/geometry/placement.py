@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.geometry import spatial
-from datasets.geometry.bodies import Plan, filling, lattice_in
+from datasets.geometry.bodies import Plan, filling, lattice_of
 from datasets.geometry.ground import CLOSING, TOUCHING, plan_axes
 from datasets.geometry.nearest import inside
 from datasets.geometry.surface import Surface, closed_body, solids_of, surface_in, surface_of
@@ -100,15 +100,6 @@ def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> boo
         return bool(shapely.Polygon(a.vertices).buffer(-margin).intersects(shapely.Polygon(b.vertices)))
     solid = spatial.manifold(a.vertices, a.faces)
     return bool((solid ^ spatial.manifold(b.vertices, b.faces)).volume() > margin * solid.surface_area())
-
-
-def lattice_of(scene: Scene, mass: Mass) -> Floats:
-    """Where the particles of a mass are before their jitter [m], shape [N, D]."""
-    if mass.kind == "box":
-        lower = np.array(mass.lower)
-        return lattice_in(lower, lower + np.array(mass.size), scene.particle_spacing)[0]
-    found = filling(scene, mass)
-    return found.raised(found.lattice)
 
 
 def remembers_gaps(scene: Scene) -> bool:

@@ -31,6 +31,10 @@ GRADIENT_MIB = 1024.0
 PRICED = "column-tall-42"
 SCALES: tuple[tuple[float, float], ...] = ((1.0, 0.5), (2.0, 0.5), (2.0, 1.0), (4.0, 0.25))
 """Length and height over the shipped column's, and duration [s], of the runs whose gradient is priced."""
+LENGTHS = {2: (0.2, 1.5, 15.0), 3: (0.3, 1.2, 4.8)}
+"""Of the body of a network's step [m], by dimension: it costs per node, and a longer one has as many neighbours."""
+ACROSS = {2: 0.4, 3: 0.3}
+"""Its height, in 3D its width too [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +164,61 @@ def price(scene: Scene, repeats: int) -> Price:
     )
 
 
+def body(dimension: int, length: float) -> Scene:
+    """A body of sand at rest at the left wall of a box."""
+    across, cell = ACROSS[dimension], 0.01 if dimension == 2 else 0.03
+    return Scene(
+        domain=Domain(size=(length + 0.6, 1.5 * across, across)[:dimension], cell=cell),
+        material=Material(friction_deg=30.0),
+        masses=(Mass(lower=(0.0,) * dimension, size=(length, across, across)[:dimension]),),
+        floor_friction=0.4,
+    )
+
+
+def network_rows(*, rounds: int, sizes: int) -> list[dict[str, str]]:
+    """A row for each model that ships and each of so many sizes: seconds of a step; one thread, medians of rounds."""
+    # Here, because `--help` and the processes that price a gradient do without PyTorch.
+    import torch
+
+    import gns
+    from gns.initial import initial_state
+    from gns.library import models
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    rows = []
+    for path in models():
+        simulator = gns.load(path)
+        # A model scales every scene to the body of its training data; as it is, a longer one has more nodes.
+        simulator.settings = replace(simulator.settings, body_length=None)
+        for length in LENGTHS[simulator.settings.dimension][:sizes]:
+            initial = initial_state(body(simulator.settings.dimension, length), simulator.settings)
+            state, friction = initial.state, initial.conditions.friction.clone().requires_grad_()
+            conditions = replace(initial.conditions, friction=friction)
+
+            def forward() -> None:
+                with torch.no_grad():
+                    simulator(state, conditions)  # noqa: B023
+
+            def backward() -> None:
+                simulator(state, conditions).positions.sum().backward()  # noqa: B023
+
+            forward()
+            backward()
+            own, both = (spread(seconds_of(work) for _ in range(rounds)) for work in (forward, backward))
+            rows.append(
+                {
+                    "model": f"`{path.stem}`",
+                    "nodes": f"{len(initial.indices):,}",
+                    "forward [s]": own.written(4),
+                    "with gradient [s]": both.written(4),
+                    "µs per node": f"{1.0e6 * both.median / len(initial.indices):.0f}",
+                }
+            )
+    torch.set_num_threads(threads)
+    return rows
+
+
 def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     """Measure rates over sizes, the price of a gradient, a step of the network; needs a quiet machine.
 
@@ -174,9 +233,6 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     rounds
         How often everything is measured, in turn; the tables give the median and the range.
     """
-    # It loads PyTorch, which `--help` need not wait for.
-    from validation.bench.networks import network_rows
-
     if rounds < 1:
         raise InputError(f"expected at least 1, got {rounds}", key="--rounds")
     rounds = 1 if quick else rounds
@@ -225,15 +281,17 @@ def page(
         Memory is the greatest resident size above that before.
     """)
     text.table(
-        [(p.particles, p.steps, p.run, p.gradient, p.ratio, p.memory / 2**20) for p in prices],
-        formats={
-            "particles": ",",
-            "steps": ",",
-            "run [s]": ".2f",
-            "gradient [s]": ".2f",
-            "runs per gradient": ".1f",
-            "memory [MiB]": ".0f",
-        },
+        [
+            {
+                "particles": f"{each.particles:,}",
+                "steps": f"{each.steps:,}",
+                "run [s]": f"{each.run:.2f}",
+                "gradient [s]": f"{each.gradient:.2f}",
+                "runs per gradient": f"{each.ratio:.1f}",
+                "memory [MiB]": f"{each.memory / 2**20:.0f}",
+            }
+            for each in prices
+        ]
     )
     text.section("A step of the network")
     text.text("Seconds of one step of the shipped models on a body of sand, over its nodes; one thread.")

@@ -4,7 +4,7 @@ import math
 import os
 import platform
 import textwrap
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
@@ -20,30 +20,8 @@ GNS = {"PyTorch": "torch", "Numba": "numba"}
 """What a part of Talus computes with, by name, and its package."""
 CPUINFO = Path("/proc/cpuinfo")
 
-Row = Mapping[str, object] | Sequence[object]
-"""A row of a table: its cells by column heading, or in the order of the table's `formats`."""
-Format = str | Callable[[float], str]
-"""How the numbers of a column are written: ".3f" or `percent`; "" as they are."""
-
-
-def table(rows: Sequence[Row], *, formats: Mapping[str, Format] | None = None) -> str:
-    """`rows` as a Markdown table with the headings of the first row, or of `formats`; empty without rows.
-
-    formats: by heading, e.g. {"error": percent, "front [m]": ".3f"}; text is left as it is, None is empty, nan is -.
-    """
-    known = dict(formats or {})
-    named = [row if isinstance(row, Mapping) else dict(zip(known, row, strict=True)) for row in rows]
-    shown = [{head: written(cell, known.get(head, "")) for head, cell in row.items()} for row in named]
-    return tabulate(shown, headers="keys", tablefmt="pipe", disable_numparse=True) if shown else ""
-
-
-def written(cell: object, form: Format) -> str:
-    """A cell of a table."""
-    if cell is None or isinstance(cell, str):
-        return cell or ""
-    if isinstance(cell, float) and math.isnan(cell):
-        return "-"
-    return format(cell, form) if isinstance(form, str) else form(cell)  # type: ignore[arg-type]
+Row = Mapping[str, object]
+"""A row of a table: its cells by column heading."""
 
 
 def percent(fraction: float) -> str:
@@ -80,19 +58,17 @@ class Page:
         command: str,
         conclusion: Sequence[str],
         packages: Mapping[str, str] = MPM,
-        measured: str = "",
         quick: bool = False,
     ) -> None:
-        """command: what measured the page. packages: those whose version matters.
+        """command: what measured the page, today and here. packages: those whose version matters.
 
-        measured: when and on what, of a page of kept measurements; today and here unless given.
         quick: the figures are of coarse cells or few runs, and the page says so.
         """
         if not 0 < len(conclusion) <= CONCLUSION:
             raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
         self.conclusion = "\n".join(f"- {sentence}" for sentence in conclusion)
         self._parts = [f"# {title}", self.conclusion]
-        self.text(f"`{command}`, {measured or f'{date.today().isoformat()}, on {machine(packages)}'}.")
+        self.text(f"`{command}`, {date.today().isoformat()}, on {machine(packages)}.")
         if quick:
             self.text("**Measured with `--quick`: the figures show that the command works, and little else.**")
 
@@ -104,9 +80,9 @@ class Page:
         """Paragraphs or lists; the indentation of a triple-quoted string is removed, its line breaks are kept."""
         self._parts.append(textwrap.dedent(text).strip())
 
-    def table(self, rows: Sequence[Row], *, formats: Mapping[str, Format] | None = None) -> None:
-        """A table, see `table`."""
-        self._parts.append(table(rows, formats=formats))
+    def table(self, rows: Sequence[Row]) -> None:
+        """A table with the headings of the first row; none without rows."""
+        self._parts.append(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True))
 
     def picture(self, name: str, caption: str) -> None:
         """A picture beside the page, by its file's name."""

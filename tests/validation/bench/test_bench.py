@@ -61,7 +61,7 @@ def test_a_page_begins_with_its_conclusion(tmp_path: Path) -> None:
         One line
         and another.
     """)
-    page.table([{"x [m]": 0.125, "who": "us"}, {"x [m]": None, "who": "them"}], formats={"x [m]": ".2f"})
+    page.table([{"x [m]": "0.12", "who": "us"}, {"x [m]": "", "who": "them"}])
     assert page.write(tmp_path / "page.md") == "- a = 1\n- b = 2"
     text = (tmp_path / "page.md").read_text(encoding="utf-8")
     assert text.startswith("# Title\n\n- a = 1\n- b = 2\n\n`python -m it`")

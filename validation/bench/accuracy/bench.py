@@ -241,20 +241,19 @@ def page(
     """)
     text.table(
         [
-            (f"{d}D", tolerance, r.cells, r.particles_per_axis, r.step_fraction, each.promised, each.expected)
+            {
+                "": f"{d}D",
+                "`--tolerance`": percent(tolerance),
+                "cells": f"{r.cells:.3g}",
+                "particles per axis": r.particles_per_axis,
+                "step": f"{r.step_fraction:g}",
+                "bound": percent(each.promised),
+                "rms error": percent(each.expected),
+            }
             for d in trials
             for tolerance in TOLERANCES
             if (each := selected(d, tolerance, known)) is not None and (r := each.resolution)
-        ],
-        formats={
-            "": "",
-            "`--tolerance`": percent,
-            "cells": ".3g",
-            "particles per axis": "",
-            "step": "g",
-            "bound": percent,
-            "rms error": percent,
-        },
+        ]
     )
     text.section("Error over seconds, on other scenes")
     references = " and ".join(f"{cells:g} cells in {dimension}D" for dimension, cells in REFERENCE.items())

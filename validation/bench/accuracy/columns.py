@@ -125,10 +125,11 @@ def aspect_tables(page: Page, found: Fronts) -> None:
         names = dict.fromkeys(name for d, name, _ in known if d == dimension)
         aspects = [a for d, name, a in found if (d, name) == (dimension, OURS)]
         rows: list[Row] = [
-            {f"{dimension}D": name} | {f"a = {a:g}": known.get((dimension, name, a), math.nan) for a in aspects}
+            {f"{dimension}D": name}
+            | {f"a = {a:g}": f"{known[key]:.2f}" if (key := (dimension, name, a)) in known else "-" for a in aspects}
             for name in names
         ]
-        page.table(rows, formats={f"a = {a:g}": ".2f" for a in aspects})
+        page.table(rows)
 
 
 def aspect_text(found: Fronts) -> str:
