@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from datasets.command_line import run
-from inverse.settings import ForwardModel, Gradient
+from inverse.settings import ForwardModel
 
 
 def main(
@@ -12,14 +12,13 @@ def main(
     /,
     *,
     out: Path,
-    gradient: Gradient | None = None,
     forward: ForwardModel | None = None,
     model: Path | None = None,
 ) -> None:
     """Find the unknowns of PROBLEM; leaves OUT/result.json, OUT/report.md and pictures.
 
-    Numbers are found by the surrogate or by the MPM alone, so the verdict is "unconfirmed"; `python -m validation.loop`
-    asks the MPM for its word. Fields are found by the MPM's adjoint, and checked by a run of it.
+    Numbers are found by one forward model alone, so the verdict is "unconfirmed"; `python -m validation.loop` asks the
+    MPM for its word. Fields are found by the MPM's adjoint, and checked by a run of it.
 
     Parameters
     ----------
@@ -27,10 +26,9 @@ def main(
         Path of a problem in TOML, or the name of a shipped one.
     out
         Folder for the results.
-    gradient
-        Reverse mode, of the surrogate by default, of the MPM by its adjoint; or central differences, the MPM's default.
     forward
-        What predicts the observation: the surrogate, unless the problem asks for none, or the MPM.
+        What predicts the observation: the surrogate, unless the problem asks for none; the MPM, by an emulator of its
+        runs; or the MPM with the gradient of its adjoint.
     model
         Weights of the surrogate; unless given, those that ship for 2D or for 3D.
     """
@@ -41,7 +39,7 @@ def main(
     from inverse.inversion import invert
     from inverse.report import summary
 
-    result = invert(asked, forward=forward, gradient=gradient, model=model, out=out)
+    result = invert(asked, forward=forward, model=model, out=out)
     print(summary(result))
 
 

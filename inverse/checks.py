@@ -15,14 +15,7 @@ from inverse.observations import KINDS, build
 from inverse.parameters import known_names, with_kinds
 from inverse.parameters.field import UnknownField
 from inverse.parameters.parameter import Parameter
-from inverse.settings import (
-    LoopSettings,
-    Method,
-    ObservationSettings,
-    OptimiserSettings,
-    TargetSettings,
-    noise_of,
-)
+from inverse.settings import LoopSettings, ObservationSettings, OptimiserSettings, TargetSettings, noise_of
 
 FEWEST_RUNS = 5
 """MPM runs besides one for each unknown: a trend, its error, and one at the answer."""
@@ -192,13 +185,10 @@ def check_search(
         ("optimiser.ensemble", optimiser.ensemble, 4),
         ("loop.mpm_runs", loop.budget(len(parameters)), len(parameters) + FEWEST_RUNS),
     ):
-        require(number is None or number >= minimum, key, f"an integer of at least {minimum}", number)
-    require(0.0 < optimiser.stop_below <= 1.0, "optimiser.stop_below", "a number in (0, 1]", optimiser.stop_below)
+        require(number >= minimum, key, f"an integer of at least {minimum}", number)
     if not any(KINDS[each.kind].every_particle for each in observations):
         return
     for parameter in parameters:
         fixed = parameter.is_field or not parameter.kind.changes_volume
         expected = f"another kind: with {parameter.name} the number of particles changes"
         require(fixed, "observations[0].kind", expected, observations[0].kind)
-    expected = "lbfgs-b or secants: a deposit is too many numbers for their Jacobian"
-    require(optimiser.method is not Method.GAUSS_NEWTON, "optimiser.method", expected, optimiser.method)

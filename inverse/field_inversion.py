@@ -20,8 +20,6 @@ from mpm import simulate, simulate_many
 
 FIRST_SEEDS, FIRST_CONVERGED = 2, 2.0
 """Jitter seeds of the first search, and how far from its minimum it ends."""
-STEPS = 8
-"""Gauss-Newton steps, at most, where the problem says nothing else."""
 DRAWS = 100
 """Samples of a field that are kept."""
 LEFT = 2.0
@@ -34,7 +32,7 @@ def of_fields(problem: Problem) -> Result:
     target = read_target(problem, simulate)
     flow = WhiteFlow(problem, target.observation)
     measured = target.errors_of(np.eye(len(target.values)))
-    iterations, seed = problem.optimiser.max_iterations or STEPS, problem.scene.seed
+    iterations, seed = problem.optimiser.max_iterations, problem.scene.seed
     rng, start = np.random.default_rng(seed), np.zeros(flow.size)
     runs = scattered(flow, start)
     draws = flow.observe(list(rng.standard_normal((problem.optimiser.ensemble, flow.size))), [seed] * len(runs))

@@ -37,27 +37,11 @@ class ForwardModel(StrEnum):
     """What predicts the observation."""
 
     GNS = "gns"
+    """The surrogate, with its gradient."""
     MPM = "mpm"
-
-
-class Gradient(StrEnum):
-    """Where the gradient comes from."""
-
-    AD = "ad"
-    """Reverse mode: automatic differentiation of the surrogate, the adjoint of the MPM."""
-    FD = "fd"
-    """Central differences."""
-
-
-class Method(StrEnum):
-    """How the loss is minimised."""
-
-    LBFGSB = "lbfgs-b"
-    """Bounded quasi-Newton (SciPy)."""
-    GAUSS_NEWTON = "gauss-newton"
-    """Bounded least squares by the Jacobian (SciPy's trust region), for observations of few numbers."""
-    SECANTS = "secants"
-    """The same without derivatives, from a sample of the box (`inverse.secants`): for observations of many numbers."""
+    """The MPM; gradients are those of an emulator of its runs."""
+    ADJOINT = "adjoint"
+    """The MPM with the gradient of its adjoint."""
 
 
 class Surrogate(StrEnum):
@@ -157,15 +141,10 @@ def noise_of(noise: float | str) -> tuple[float, float]:
 class OptimiserSettings(Record):
     """How the minimum of the misfit is looked for."""
 
-    method: Method = Method.LBFGSB
-    """Of numbers; fields are found by Gauss-Newton steps with the adjoint."""
-    max_iterations: int | None = None
-    """Most evaluations of the loss and its gradient, 20 where absent; of fields most Gauss-Newton steps, 8. The sample
-    of the secants is not counted."""
-    stop_below: float = 1.0e-7
-    """Loss [m^2] at which the search for numbers ends: (0.3 mm)^2."""
     seed: int = 0
     """Of random numbers."""
+    max_iterations: int = 8
+    """Of fields: Gauss-Newton steps, at most."""
     seeds: int = 4
     """Of fields: jitter seeds over which predictions and their derivatives are averaged."""
     ensemble: int = 24

@@ -1,13 +1,13 @@
-"""The surrogate's own inversion: by its gradient from several starts in one batch, with its band as noise.
+"""The inversion by one forward model: by its gradient from several starts in one batch, with its errors as noise.
 
     L(v) = r^T C^-1 r,    r = y(v) - y*,    C = N + S + E
 
 | symbol | variable | meaning |
 |---|---|---|
 | v | `points` | parameters in fractions of their ranges, shape [s, U] |
-| y | `numbers` | what the surrogate predicts, m numbers, shape [s, m] |
+| y | `numbers` | what the forward model predicts, m numbers, shape [s, m] |
 | N, S | `Target.covariance` | errors of the measurement, scatter of one flow of the MPM |
-| E | - | error of the surrogate by its band (`inverse.forward.band`) |
+| E | - | error of a surrogate by its band (`inverse.forward.band`) |
 | J | - | dy/dv by an emulator of all predictions so far |
 
 Predictions that fill the box are the first emulator (`inverse.posterior`); the separate parts of its posterior are the
@@ -16,7 +16,8 @@ starts. From all of them together steps are made in lockstep that minimise, with
     g^T s + s^T J^T C^-1 J s
 
 with g = dL/dv, exact, of all starts by one backward pass through one batch: Gauss-Newton steps whose metric alone is an
-estimate, so that they end where the surrogate's own misfit is stationary. All predictions together give the posterior.
+estimate, so that they end where the model's own misfit is stationary. Of a model without a gradient, the MPM without
+its adjoint, the slopes of the same emulator make g: each run corrects them. All predictions give the posterior.
 """
 
 import dataclasses
@@ -32,7 +33,7 @@ from scipy.optimize import lsq_linear
 from scipy.spatial import cKDTree
 from scipy.stats import chi2, qmc
 
-from inverse.forward.interface import Differentiable
+from inverse.forward.interface import Differentiable, Forward
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior.answers import Part, half_widths, parts
@@ -57,15 +58,15 @@ ROUNDS, KNOWN = 3, 0.3
 """Searches for minima at most, with further predictions between them while its emulator has more than this share of the
 variance."""
 ROUGH = 0.05
-"""Expected roughness of the surrogate's own numbers, over their standard deviations by C."""
+"""Expected roughness of a surrogate's own numbers, over their standard deviations by C."""
 EXCLUDED = 1e-3
 """Probability of parameters beyond the surrogate's region, were its band right."""
 STEEP = 4.0
 """By how much the logarithm of the probability falls beyond the region, for each that the likelihood falls."""
 
 
-class Surrogate(Differentiable, Protocol):
-    """What predicts here: `inverse.forward.gns.GnsForward`."""
+class Surrogate(Forward, Protocol):
+    """What predicts here, in place of the flow that was observed: the network, or the MPM by itself."""
 
     def select(self, target: Values, /) -> Values:
         """The part of exact numbers [M] that it predicts, shape [m]."""
@@ -76,7 +77,7 @@ class Surrogate(Differentiable, Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Inversion:
-    """What the surrogate found."""
+    """What the forward model found."""
 
     forward: Surrogate
     problem: Problem
@@ -89,6 +90,8 @@ class Inversion:
     minima: Matrix
     """Where the steps from each start ended, shape [k, U]."""
     seconds: float
+    rough: float = ROUGH
+    """Expected roughness of the numbers, over their standard deviations by C."""
     region: Region | None = None
     """What of the box its posterior is looked for in; all of it where absent."""
     factor: float = 1.0
@@ -98,7 +101,7 @@ class Inversion:
     def posterior(self) -> Posterior:
         """By its emulator, in the units of the box."""
         rng = np.random.default_rng([self.problem.optimiser.seed, len(self.points)])
-        scatter = ROUGH * self.target.deviation
+        scatter = self.rough * self.target.deviation
         return posterior(
             self.points, self.numbers, self.target, scatter=scatter, rng=rng, factor=self.factor, region=self.region
         )
@@ -200,7 +203,9 @@ class Inversion:
         return dataclasses.replace(self, factor=factor)
 
 
-def inverted(forward: Surrogate, problem: Problem, target: Target, scatter: Values) -> Inversion:
+def inverted(
+    forward: Surrogate, problem: Problem, target: Target, scatter: Values, *, rough: float = ROUGH
+) -> Inversion:
     """Find the answers of `forward`; scatter: standard deviation of each number of `target` per flow of the MPM [M]."""
     began, unknowns = time.perf_counter(), len(problem.names)
     rng = np.random.default_rng([problem.optimiser.seed, 0])
@@ -211,7 +216,14 @@ def inverted(forward: Surrogate, problem: Problem, target: Target, scatter: Valu
     nearest = int(np.argmin(((numbers - forward.select(target.values)) ** 2).mean(axis=1)))
     seen = as_predicted(forward, target, scatter, forward.errors(box.lower + points[nearest] * box.range))
     state = Inversion(
-        forward=forward, problem=problem, target=seen, points=points, numbers=numbers, minima=points[:0], seconds=0.0
+        forward=forward,
+        problem=problem,
+        target=seen,
+        points=points,
+        numbers=numbers,
+        minima=points[:0],
+        seconds=0.0,
+        rough=rough,
     )
     for _ in range(ROUNDS):
         state = with_minima(state)
@@ -257,16 +269,23 @@ def losses(residual: Matrix, precision: Matrix) -> Values:
     return np.asarray(((residual @ precision) * residual).sum(axis=1))
 
 
-def differentiated(state: Inversion, points: Matrix) -> tuple[Matrix, Matrix]:
-    """What the surrogate predicts at points [k, U], shape [k, m], and dL/dv there, shape [k, U]."""
+def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix, Matrix]:
+    """With what the model predicts at points [k, U]; this, shape [k, m], and dL/dv there, shape [k, U]."""
     box = state.problem.box
+    if not isinstance(state.forward, Differentiable):
+        state = state.asked(points)
+        numbers, (rises, outward) = state.numbers[-len(points) :], emulated_slopes(state, points)
+        weights = 2.0 * (numbers - state.target.values) @ state.precision @ outward.T
+        return state, numbers, np.stack([rise @ each for rise, each in zip(rises, weights, strict=True)])
     parameters = torch.tensor(box.lower + points * box.range, dtype=torch.float64, requires_grad=True)
     predicted = state.forward.predict(parameters)
     numbers = predicted.detach().numpy()
     weights = 2.0 * (numbers - state.target.values) @ state.precision
     # Of a sum: a tensor of weights makes torch load sympy.
     (gradient,) = torch.autograd.grad((predicted * torch.from_numpy(weights)).sum(), parameters)
-    return numbers, gradient.numpy() * box.range
+    every = np.concatenate([state.points, points])
+    state = dataclasses.replace(state, points=every, numbers=np.concatenate([state.numbers, numbers]))
+    return state, numbers, gradient.numpy() * box.range
 
 
 def descended(state: Inversion, starts: Matrix) -> Inversion:
@@ -275,10 +294,7 @@ def descended(state: Inversion, starts: Matrix) -> Inversion:
     best, lowest, slopes = starts.copy(), np.full(count, np.inf), np.zeros_like(starts)
     radius, moving, trial = np.full(count, RADIUS), np.arange(count), starts
     for _ in range(STEPS):
-        numbers, gradients = differentiated(state, trial)
-        state = dataclasses.replace(
-            state, points=np.concatenate([state.points, trial]), numbers=np.concatenate([state.numbers, numbers])
-        )
+        state, numbers, gradients = differentiated(state, trial)
         found = losses(numbers - state.target.values, state.precision)
         better = found < lowest[moving]
         length = np.abs(trial - best[moving]).max(axis=1)
@@ -306,13 +322,19 @@ def stepped(state: Inversion, points: Matrix, slopes: Matrix, radius: Values) ->
 
 
 def metrics(state: Inversion, points: Matrix) -> Matrix:
-    """J^T C^-1 J at points [k, U] by an emulator of all predictions, shape [k, U, U]."""
-    reduced = reduction(state.numbers, state.points, state.target, scatter=ROUGH * state.target.deviation)
-    emulator = fitted(state.points, reduced.components, np.maximum(ROUGH * reduced.expected_scatter, 1e-12))
-    outward, width = reduced.basis.T / reduced.weights, 1e-4 * np.eye(points.shape[1])
+    """J^T C^-1 J at points [k, U], shape [k, U, U]."""
+    rises, outward = emulated_slopes(state, points)
     inner = outward @ state.precision @ outward.T
-    rises = [(emulator.mean(each + width) - emulator.mean(each - width)) / 2e-4 for each in points]
     return np.stack([rise @ inner @ rise.T for rise in rises])
+
+
+def emulated_slopes(state: Inversion, points: Matrix) -> tuple[list[Matrix], Matrix]:
+    """J^T = A B at points [k, U] by an emulator of all predictions: A of r components, each [U, r], and B [r, m]."""
+    reduced = reduction(state.numbers, state.points, state.target, scatter=state.rough * state.target.deviation)
+    emulator = fitted(state.points, reduced.components, np.maximum(state.rough * reduced.expected_scatter, 1e-12))
+    width = 1e-4 * np.eye(points.shape[1])
+    rises = [(emulator.mean(each + width) - emulator.mean(each - width)) / 2e-4 for each in points]
+    return rises, reduced.basis.T / reduced.weights
 
 
 def around_minima(state: Inversion) -> Region:

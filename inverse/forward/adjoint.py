@@ -135,13 +135,18 @@ class AdjointForward(MpmForward):
         self.times = np.array(self.run.frames) * scene.frame_dt
 
     def predict(self, parameters: Tensor, /) -> Tensor:
-        """The smooth observation, float64 of shape [M], of parameters, float64 of shape [U]."""
+        """The smooth observation, float64 of shape [m] or [S, m], of parameters, float64 of shape [U] or [S, U]."""
+        if parameters.dim() == 2:
+            return torch.stack([self.predict(each) for each in parameters])
         flow = self.run.flow(parameters)
-        volumes = torch.from_numpy(initial_volumes(self.problem.scene_at(parameters.detach().numpy())))
-        rollout = Rollout(positions=flow.positions, times=self.times, volumes=volumes, impulses=flow.impulses)
-        return self.observation.predict(rollout)
+        followed = self.indices if self.observation.every_particle else slice(None)
+        volumes = torch.from_numpy(initial_volumes(self.problem.scene_at(parameters.detach().numpy()))[followed])
+        positions = flow.positions[:, followed]
+        return self.observation.predict(
+            Rollout(positions=positions, times=self.times, volumes=volumes, impulses=flow.impulses)
+        )
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
-        """The smooth observation [M] at each vector of parameters [U], one after the other."""
+        """The smooth observation [m] at each vector of parameters [U], one after the other."""
         with torch.no_grad():
             return [self.predict(torch.from_numpy(values)).numpy() for values in parameters]

@@ -5,24 +5,38 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.particles import particle_count
 from inverse.forward.interface import Simulate
 from inverse.observations import Observation, Values
 from inverse.parameters import Vector
 from inverse.problem import Problem
 from mpm import ALL, LAST
 
+PARTICLES = 400
+"""Of a whole deposit, at most: their covariance is a dense matrix."""
+
 
 class MpmForward:
-    """Runs the problem's scene, with its own jitter seed, at given parameters."""
+    """Runs the problem's scene, with its own jitter seed, at given parameters.
+
+    Of an observation of every particle it follows `PARTICLES` of them, drawn at random.
+    """
 
     def __init__(self, problem: Problem, observation: Observation, simulate: Simulate) -> None:
         self.problem, self.observation, self.simulate = problem, observation, simulate
+        self.indices = np.arange(particle_count(problem.scene) if observation.every_particle else 0)
+        if len(self.indices) > PARTICLES:
+            self.indices = np.sort(np.random.default_rng(0).choice(self.indices, PARTICLES, replace=False))
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
-        """The exact observation [M] of an MPM run at each vector of parameters [U]."""
+        """The exact observation [m] of an MPM run at each vector of parameters [U]."""
         record = ALL if self.observation.over_time else LAST
         trajectories = self.simulate([self.problem.scene_at(values) for values in parameters], record=record)
-        return [self.observation.observe(trajectory) for trajectory in trajectories]
+        return [self.select(self.observation.observe(trajectory)) for trajectory in trajectories]
+
+    def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
+        """Columns of the covariance of its errors at parameters [U]: none, shape [0, 1]."""
+        return np.zeros((0, 1))
 
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
         """Final positions of the particles [m], shape [N, D]."""
@@ -30,5 +44,5 @@ class MpmForward:
         return np.asarray(trajectory.positions[-1])
 
     def select(self, target: Values, /) -> Values:
-        """All of it."""
-        return target
+        """The part of an exact `target` [M] that is of the particles followed here, shape [m]."""
+        return self.observation.of_particles(target, self.indices)

@@ -19,6 +19,6 @@ Taichi's own reverse mode (1.7.4) is as accurate for what is local to a particle
 and only Python can launch that: not the loop of a thread, in which all steps of a scene are reversed. A launch for
 every step and piece costs as much as a step, and vectors of lanes and local lists would have to become arrays.
 
-There is no tangent: a Jacobian of M numbers is one replay with M reverses, and for few unknowns differences and secants
+There is no tangent: a Jacobian of M numbers is one replay with M reverses, and for few unknowns differences
 cost less than either (docs/efficiency.md).
 """

@@ -41,9 +41,6 @@ upper = 0.05
 [[observations]]
 KIND
 TARGET
-[optimiser]
-method = "METHOD"
-max_iterations = 3
 """
 PASSED = ('kind = "passed"\nline = 0.1', "value = 0.0")
 TOE = ('kind = "toe"', "values = [0.12, 0.01]")
@@ -57,11 +54,10 @@ def test_an_inversion(
 ) -> None:
     checkpoint.save(tmp_path / "tiny.safetensors", make_simulator(2).float(), {})
     (tmp_path / "scene.toml").write_text(SCENE)
-    text = PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1]).replace("METHOD", "lbfgs-b")
+    text = PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1])
     (tmp_path / "problem.toml").write_text(text)
     out = tmp_path / "out"
     arguments = [str(tmp_path / "problem.toml"), "--out", str(out), "--model", str(tmp_path / "tiny.safetensors")]
-    assert run(main, "inverse", [*arguments, "--gradient", "fd"]) == 2
     assert run(main, "inverse", arguments) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["unknowns"].keys() == {"masses[0].velocity_x", "baffles[0].height"}
@@ -73,31 +69,32 @@ def test_an_inversion(
     assert (out / "deposit.png").exists()
 
 
-def test_the_mpm_by_its_adjoint_and_by_differences(tmp_path: Path) -> None:
-    """Of the velocity of a slide: the first gradients agree, and the adjoint's search gets nearer to the target."""
+def test_the_mpm_with_its_adjoint_and_without(tmp_path: Path) -> None:
+    """Of the velocity of a slide: both find the target's front, and the same velocity within their half-widths."""
     (tmp_path / "scene.toml").write_text(SCENE.split("[[baffles]]")[0])
     unknowns, rest = PROBLEM.split("[[observations]]")
     head = unknowns.split("[[unknowns]]")
-    text = "[[unknowns]]".join(head[:2]) + "step = 0.05\n[[observations]]" + rest
-    text = text.replace("KIND", 'kind = "front"').replace("TARGET", "value = 0.13").replace("METHOD", "lbfgs-b")
+    text = "[[unknowns]]".join(head[:2]) + "[[observations]]" + rest
+    text = text.replace("KIND", 'kind = "front"').replace("TARGET", "value = 0.13")
     (tmp_path / "problem.toml").write_text(text)
     results = []
-    for gradient in ("ad", "fd"):
-        out = tmp_path / gradient
-        arguments = [str(tmp_path / "problem.toml"), "--forward", "mpm", "--gradient", gradient, "--out", str(out)]
+    for forward in ("adjoint", "mpm"):
+        out = tmp_path / forward
+        arguments = [str(tmp_path / "problem.toml"), "--forward", forward, "--out", str(out)]
         assert run(main, "inverse", arguments) == 0
         results.append(json.loads((out / "result.json").read_text()))
-    ours, theirs = (each["iterations"][0]["gradient"]["masses[0].velocity_x"] for each in results)
-    # The adjoint is of the smooth front, differences are of the exact one.
-    assert ours == pytest.approx(theirs, rel=0.3)
-    assert results[0]["loss"]["mpm"] < 0.2 * results[0]["loss"]["initial"]
+    ours, theirs = (each["unknowns"]["masses[0].velocity_x"] for each in results)
+    widths = [each["certainty"]["masses[0].velocity_x"] for each in results]
+    assert abs(ours - theirs) < max(widths) < 0.5
+    assert all(each["loss"]["mpm"] < 1e-5 for each in results)
+    assert all(each["flows"] < 25 for each in results)
 
 
 def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
     """The call is the command: the same answer, whether the problem was written down or built."""
     checkpoint.save(tmp_path / "tiny.safetensors", make_simulator(2).float(), {})
     (tmp_path / "scene.toml").write_text(SCENE)
-    text = PROBLEM.replace("KIND", TOE[0]).replace("TARGET", TOE[1]).replace("METHOD", "lbfgs-b")
+    text = PROBLEM.replace("KIND", TOE[0]).replace("TARGET", TOE[1])
     (tmp_path / "problem.toml").write_text(text)
     read = read_problem(str(tmp_path / "problem.toml"))
     built = Problem(

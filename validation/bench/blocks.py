@@ -10,7 +10,7 @@ from datasets.library import read_scene
 from datasets.scene import Mass, Scene
 from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, OptimiserSettings, TargetSettings
+from inverse.settings import ObservationSettings, TargetSettings
 
 SCENE = "layers-10"
 CUTS = {1: (1, 1), 10: (1, 10), 100: (10, 10)}
@@ -78,9 +78,7 @@ def hundred_problem() -> Problem:
     numbers = tuple(
         dataclasses.replace(each, initial=0.75, lower=-1.0, upper=3.0, step=None) for each in problem.parameters
     )
-    return dataclasses.replace(
-        problem, name=HUNDRED, parameters=numbers, optimiser=OptimiserSettings(max_iterations=40)
-    )
+    return dataclasses.replace(problem, name=HUNDRED, parameters=numbers)
 
 
 def sampled(count: int) -> NDArray[np.int64]:

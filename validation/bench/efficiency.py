@@ -26,7 +26,6 @@ from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
 from inverse.forward.interface import Forward
 from inverse.forward.mpm import MpmForward
-from inverse.jacobian import automatic
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.problem import Problem, read_problem
@@ -42,7 +41,7 @@ from validation.bench.blocks import (
     hundred_problem,
     sampled,
 )
-from validation.bench.searches import By, Models, Searched, methods, search
+from validation.bench.searches import By, Models, Searched, by_reverse, methods, search, slope_of
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, INK, ORANGE, RED, figure, pane
 
@@ -140,19 +139,19 @@ def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTE
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     models = Models.build(problem, simulator)
     observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
-    chosen = sampled(unknowns)
+    chosen, own = sampled(unknowns), models.mpm.select(values)
 
     def reverse(forward: GnsForward | AdjointForward) -> tuple[float, Vector]:
-        evaluate = automatic(forward, forward.select(values), components=observation.components)
+        evaluate = by_reverse(forward, forward.select(values), observation.components)
         # The first one compiles kernels.
         evaluate(problem.initial)
         found = evaluate(problem.initial)
-        return found.forward_s + found.backward_s, found.slope[chosen]
+        return found.seconds, slope_of(found)[chosen]
 
     seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
     seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
     slopes = [
-        differences(MpmForward(each, observation, simulate_many), values, each, chosen, observation.components)
+        differences(MpmForward(each, observation, simulate_many), own, each, chosen, observation.components)
         for each in seeded
     ]
     found = {
@@ -180,7 +179,7 @@ def differences(
 ) -> tuple[float, Vector]:
     """Seconds of a whole gradient by central differences, and the loss's slope in the `chosen` unknowns.
 
-    d/du of the loss is 2 sum (y - y*) dy/du over the number of points, as in `inverse.jacobian`.
+    d/du of the loss is 2 sum (y - y*) dy/du over the number of points.
     """
     start, steps = problem.initial, problem.steps[chosen]
     moves = np.diag(problem.steps)[chosen]
@@ -302,7 +301,7 @@ def draw_searches(path: Path, compared: Sequence[Compared]) -> None:
     with figure(path, columns=max(1, len(compared)), size=(5.0, 4.0)) as axes:
         for number, each in enumerate(compared):
             axis = pane(axes, 0, number)
-            for by, marker in zip(By, "os^Dv*", strict=True):
+            for by, marker in zip(By, "os^Dv", strict=True):
                 for one in each.searches:
                     if one.by is by:
                         # A surrogate's own losses are not the MPM's: its answer alone is shown.

@@ -1,31 +1,31 @@
 """Whole searches: every method from the same start against the same target, the answer checked by the MPM.
 
-Beside the methods of `inverse.optimise` two that serve no other purpose: the paper's descent, and Optuna (an extra,
-`pip install 'talus[efficiency]'`), which uses no gradient.
+Of the gradients SciPy's L-BFGS-B and least squares; the paper's descent; and Optuna (an extra, `pip install
+'talus[efficiency]'`), which uses no gradient.
 """
 
 import dataclasses
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import accumulate
 
 import numpy as np
+import scipy.optimize
 import torch
+from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from gns.simulator import Simulator
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
-from inverse.forward.interface import Evaluation
+from inverse.forward.interface import Differentiable, Forward
 from inverse.forward.mpm import MpmForward
-from inverse.jacobian import Evaluate, automatic, central, observed
-from inverse.optimise import minimise
+from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.problem import Problem
-from inverse.secants import lowest, sample
-from inverse.settings import Method
 from inverse.target import Target, read_target
 from mpm import simulate, simulate_many
 
@@ -33,6 +33,10 @@ CHECK_SEED = 20_002
 """Jitter of the checks, other than the target's and the search's."""
 STEPS = {"deg": 2.0, "m/s": 0.15}
 """Steps whose differences exceed the MPM's scatter over its jitter, by the unit of the number."""
+CHANGE = 1.0e-3
+"""Decrease of the loss, over the loss, with which a search ends."""
+LONGEST_FIRST_STEP = 0.5
+"""Over the ranges: one gradient at the start says little of the rest."""
 MOST_BY_DIFFERENCES = 20
 """Numbers beyond which no search is made by differences or by Optuna: none ends in time."""
 
@@ -44,12 +48,26 @@ class By(StrEnum):
     PAPER = "surrogate, the paper's descent"
     ADJOINT = "MPM by its adjoint, L-BFGS-B"
     DIFFERENCES = "MPM by differences, Gauss-Newton"
-    SECANTS = "MPM by secants"
     OPTUNA = "MPM by Optuna (TPE)"
 
 
-METHODS = {By.DIFFERENCES: Method.GAUSS_NEWTON, By.SECANTS: Method.SECANTS}
-"""Of `inverse.optimise`; L-BFGS-B for the others that use it."""
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """The loss at one vector of parameters, mean of the squared distances of what is compared."""
+
+    parameters: Vector
+    """Shape [U]."""
+    loss: float
+    seconds: float
+    slope: Vector | None = None
+    """d(loss)/d(parameters), shape [U]; None for a search without gradients."""
+    residual: Values | None = None
+    """Prediction less target, shape [m], where the Jacobian is known."""
+    jacobian: NDArray[np.float64] | None = None
+    """d(residual)/d(parameters), shape [m, U]."""
+
+
+Evaluate = Callable[[Vector], Evaluation]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,15 +140,12 @@ class Models:
 
     def evaluate(self, by: By) -> Evaluate:
         """Loss and, where the method uses one, gradient."""
-        values, components = self.target.values, self.target.observation.components
-        if by in (By.SURROGATE, By.PAPER):
-            return automatic(self.surrogate, self.surrogate.select(values), components=components)
-        if by is By.ADJOINT:
-            return automatic(self.adjoint, values, components=components)
-        if by is By.DIFFERENCES:
-            steps = np.array([STEPS[kind.unit] for kind in self.problem.kinds])
-            return central(self.mpm, values, steps, components=components)
-        return lambda at: observed(self.mpm, values, [at], components=components)[0]
+        components = self.target.observation.components
+        if by in (By.SURROGATE, By.PAPER, By.ADJOINT):
+            forward = self.adjoint if by is By.ADJOINT else self.surrogate
+            return by_reverse(forward, forward.select(self.target.values), components)
+        steps = np.array([STEPS[kind.unit] for kind in self.problem.kinds]) if by is By.DIFFERENCES else None
+        return by_runs(self.mpm, self.mpm.select(self.target.values), components, steps)
 
     def checked(self, numbers: Vector) -> float:
         """The loss that the MPM shows at `numbers` [U], with a jitter of its own."""
@@ -144,10 +159,47 @@ class Models:
         return np.array([self.target.truth[name] for name in self.problem.names])
 
 
+def by_reverse(forward: Differentiable, target: Values, components: int) -> Evaluate:
+    """Loss against `target` [m] and its gradient by one backward pass."""
+
+    def evaluate(at: Vector) -> Evaluation:
+        began = time.perf_counter()
+        point = torch.tensor(at, dtype=torch.float64, requires_grad=True)
+        loss = components * (forward.predict(point) - torch.from_numpy(target)).square().mean()
+        loss.backward()  # type: ignore[no-untyped-call]
+        assert point.grad is not None, "a leaf"
+        seconds = time.perf_counter() - began
+        return Evaluation(parameters=at.copy(), loss=loss.item(), slope=point.grad.numpy(), seconds=seconds)
+
+    return evaluate
+
+
+def by_runs(forward: Forward, target: Values, components: int, steps: Vector | None) -> Evaluate:
+    """Loss against `target` [m] and, with `steps` [U], the Jacobian by central differences."""
+
+    def evaluate(at: Vector) -> Evaluation:
+        began = time.perf_counter()
+        moves = np.zeros((0, len(at))) if steps is None else np.diag(steps)
+        first, *rows = forward.observe([at, *(at + moves), *(at - moves)])
+        half, residual, jacobian = len(moves), first - target, None
+        if steps is not None:
+            jacobian = np.stack(rows[:half], axis=1) - np.stack(rows[half:], axis=1)
+            jacobian /= 2.0 * steps
+        return Evaluation(
+            parameters=at.copy(),
+            loss=components * float(np.mean(residual**2)),
+            residual=residual,
+            jacobian=jacobian,
+            seconds=time.perf_counter() - began,
+        )
+
+    return evaluate
+
+
 def methods(problem: Problem) -> list[By]:
     """Those that are compared on a problem."""
-    few, many = len(problem.numbers) <= MOST_BY_DIFFERENCES, len(problem.numbers) > 1
-    applies = {By.PAPER: problem.name in PAPER, By.DIFFERENCES: few, By.OPTUNA: few, By.SECANTS: many}
+    few = len(problem.numbers) <= MOST_BY_DIFFERENCES
+    applies = {By.PAPER: problem.name in PAPER, By.DIFFERENCES: few, By.OPTUNA: few}
     return [by for by in By if applies.get(by, True)]
 
 
@@ -157,13 +209,13 @@ def search(by: By, models: Models, limit: float) -> Searched:
     # The first one compiles kernels; the second is timed.
     evaluate(problem.initial)
     once = evaluate(problem.initial)
-    most = max(1, int(limit / (once.forward_s + once.backward_s)))
+    most = max(1, int(limit / once.seconds))
     records = evaluations(by, models, evaluate, most)
-    answer = lowest(records).parameters
+    answer = min(records, key=lambda each: each.loss).parameters
     each_runs = {By.SURROGATE: 0, By.PAPER: 0, By.DIFFERENCES: 1 + 2 * len(problem.numbers)}.get(by, 1)
     return Searched(
         by=by,
-        seconds=tuple(accumulate(each.forward_s + each.backward_s for each in records)),
+        seconds=tuple(accumulate(each.seconds for each in records)),
         losses=tuple(each.loss for each in records),
         mpm_runs=each_runs * len(records),
         error=float(np.sqrt(np.mean((answer - models.truth) ** 2))),
@@ -173,22 +225,70 @@ def search(by: By, models: Models, limit: float) -> Searched:
 
 def evaluations(by: By, models: Models, evaluate: Evaluate, most: int) -> list[Evaluation]:
     """Every evaluation of a search, in order; at most so many."""
-    problem, box, spread = models.problem, models.problem.box, list[Evaluation]()
-    if by is By.PAPER:
-        return descend(evaluate, problem, PAPER[problem.name], most)
-    if by is By.OPTUNA:
-        return explore(evaluate, problem, most)
-    if by is By.DIFFERENCES:
-        # No difference leaves the bounds.
-        steps = np.array([STEPS[kind.unit] for kind in problem.kinds])
-        box = dataclasses.replace(box, lower=box.lower + steps, upper=box.upper - steps)
-    if by is By.SECANTS:
-        target = models.target
-        spread = sample(models.mpm, target.values, problem.initial, box, components=target.observation.components)
-    settings = dataclasses.replace(
-        problem.optimiser, method=METHODS.get(by, Method.LBFGSB), max_iterations=max(1, most - len(spread))
+    problem = models.problem
+    match by:
+        case By.PAPER:
+            return descend(evaluate, problem, PAPER[problem.name], most)
+        case By.OPTUNA:
+            return explore(evaluate, problem, most)
+        case By.DIFFERENCES:
+            return gauss_newton(evaluate, problem, most)
+    return quasi_newton(evaluate, problem, most)
+
+
+def quasi_newton(evaluate: Evaluate, problem: Problem, most: int) -> list[Evaluation]:
+    """L-BFGS-B (Byrd, Lu, Nocedal & Zhu 1995), at most so many evaluations.
+
+    Its first model has curvature one: loss and parameters are scaled so that its first step is 2 f / |f'|, that of
+    Gauss-Newton for a number that can be fitted, and no longer than half of the ranges.
+    """
+    box, start = problem.box, problem.initial
+    found = [evaluate(start)]
+    steep = slope_of(found[0]) * box.range
+    length = min(2.0 * found[0].loss / float(np.linalg.norm(steep)), LONGEST_FIRST_STEP)
+    unit, scale = box.range * length, float(np.linalg.norm(steep)) * length
+
+    def scaled(x: Vector) -> tuple[float, Vector]:
+        if x.any() or len(found) > 1:
+            found.append(evaluate(box.clip(start + x * unit)))
+        return found[-1].loss / scale, slope_of(found[-1]) * unit / scale
+
+    bounds = list(zip((box.lower - start) / unit, (box.upper - start) / unit, strict=True))
+    # One line search may pass the limit.
+    options = {"maxfun": most - 1, "ftol": CHANGE}
+    scipy.optimize.minimize(scaled, np.zeros_like(start), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    return found[:most]
+
+
+def gauss_newton(evaluate: Evaluate, problem: Problem, most: int) -> list[Evaluation]:
+    """Least squares by the Jacobian: the trust region reflective method (Branch, Coleman & Li 1999)."""
+    # No difference leaves the bounds.
+    steps = np.array([STEPS[kind.unit] for kind in problem.kinds])
+    bounds, found = (problem.box.lower + steps, problem.box.upper - steps), list[Evaluation]()
+
+    def residual(at: Vector) -> Values | None:
+        found.append(evaluate(at))
+        return found[-1].residual
+
+    def jacobian(at: Vector) -> NDArray[np.float64] | None:
+        return next(each.jacobian for each in reversed(found) if np.array_equal(each.parameters, at))
+
+    scipy.optimize.least_squares(
+        residual,
+        np.clip(problem.initial, *bounds),
+        jacobian,
+        bounds=bounds,
+        x_scale=problem.box.range,
+        ftol=CHANGE,
+        max_nfev=most,
     )
-    return spread + minimise(evaluate, problem.initial, box, settings, by, spread)
+    return found
+
+
+def slope_of(evaluation: Evaluation) -> Vector:
+    """The gradient of an evaluation that has one."""
+    assert evaluation.slope is not None, "the method uses one"
+    return evaluation.slope
 
 
 def descend(evaluate: Evaluate, problem: Problem, descent: Descent, most: int) -> list[Evaluation]:
@@ -199,7 +299,7 @@ def descend(evaluate: Evaluate, problem: Problem, descent: Descent, most: int) -
         found.append(evaluate(at.numpy().copy()))
         if found[-1].loss < descent.stop_below:
             break
-        at.grad = torch.from_numpy(found[-1].slope)
+        at.grad = torch.from_numpy(slope_of(found[-1]))
         optimiser.step()
         at.copy_(torch.from_numpy(problem.box.clip(at.numpy())))
     return found

@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from inverse.forward.interface import Evaluation
 from inverse.parameters import Vector
 from inverse.problem import read_problem
 from validation.bench import efficiency, searches
 from validation.bench.__main__ import main
 from validation.bench.blocks import blocks_problem
 from validation.bench.efficiency import Compared, Gradient, Method, differences, draw_gradients, draw_searches, page
-from validation.bench.searches import PAPER, By, Searched, descend, explore
+from validation.bench.searches import PAPER, By, Evaluation, Searched, descend, explore
 from validation.report import plots
 
 
@@ -31,7 +30,7 @@ class Linear:
 def evaluation(at: Vector) -> Evaluation:
     """(u - 35)^2 of one number, with its slope."""
     off = at - 35.0
-    return Evaluation(parameters=at, observation=at, residual=off, gradient=2.0 * off, forward_s=0.1)
+    return Evaluation(parameters=at, loss=float(np.mean(off**2)), slope=2.0 * off, seconds=0.1)
 
 
 def test_differences_of_some_columns_are_those_of_the_whole_gradient() -> None:

@@ -1,0 +1,90 @@
+"""The inversion by one forward model, on one that is a formula: with its gradient, and without."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from inverse.observations import build
+from inverse.problem import Problem
+from inverse.settings import ObservationSettings
+from inverse.surrogate import Inversion, inverted
+from inverse.target import Target
+
+Floats = NDArray[np.float64]
+NAMES = ("friction_deg", "masses[0].velocity_x")
+
+
+class Formula:
+    """Many lengths [m] that are a matrix times the parameters in their ranges, and some of their square."""
+
+    def __init__(self, problem: Problem, curvature: float = 0.3) -> None:
+        self.box, self.curvature, self.runs = problem.box, curvature, 0
+        self.matrix = torch.from_numpy(np.random.default_rng(0).normal(size=(12, len(problem.names))))
+
+    def formula(self, parameters: Tensor) -> Tensor:
+        share = (parameters - torch.from_numpy(self.box.lower)) / torch.from_numpy(self.box.range)
+        return 0.1 * (share + self.curvature * share**2) @ self.matrix.T
+
+    def observe(self, parameters: Sequence[Floats]) -> list[Floats]:
+        self.runs += len(parameters)
+        return [self.formula(torch.from_numpy(each)).numpy() for each in parameters]
+
+    def select(self, target: Floats) -> Floats:
+        return target
+
+    def errors(self, parameters: Floats) -> Floats:
+        return np.zeros((0, 1))
+
+
+class WithGradient(Formula):
+    def predict(self, parameters: Tensor) -> Tensor:
+        self.runs += len(parameters)
+        return self.formula(parameters)
+
+
+def solved(problem: Problem, forward: Formula, truth: Floats) -> Inversion:
+    (values,) = forward.observe([truth])
+    observation = build(ObservationSettings(kind="toe"), problem.scene)
+    target = Target(observation=observation, values=values, deviation=np.full(len(values), 1e-3))
+    forward.runs = 0
+    return inverted(forward, problem, target, np.zeros(len(values)), rough=1.0)
+
+
+@pytest.mark.parametrize("made", [Formula, WithGradient])
+@pytest.mark.parametrize("share", [(0.2, 0.9), (0.7, 0.05)])
+def test_the_truth_in_few_runs(make_problem: Any, made: type[Formula], share: tuple[float, float]) -> None:
+    problem = make_problem(2, *NAMES)
+    truth = problem.box.lower + np.array(share) * problem.box.range
+    forward = made(problem)
+    found = solved(problem, forward, truth)
+    (answer,) = found.answers
+    # The half-width of a linear fit of twelve numbers of 1 mm to slopes of some 0.1 m.
+    np.testing.assert_array_less(np.abs(answer.point - share), np.maximum(answer.half_widths, 0.01))
+    assert answer.half_widths.max() < 0.05
+    assert forward.runs == len(found.points) < 24
+
+
+def test_both_roots_of_an_even_formula_are_answers(make_problem: Any) -> None:
+    """y = (v - 1/2)^2 of one parameter."""
+
+    class Even(Formula):
+        def formula(self, parameters: Tensor) -> Tensor:
+            share = (parameters - torch.from_numpy(self.box.lower)) / torch.from_numpy(self.box.range)
+            return (share - 0.5) ** 2 * torch.ones(4, dtype=torch.float64)
+
+    problem = make_problem(2, NAMES[0])
+    found = solved(problem, Even(problem), problem.box.lower + 0.25 * problem.box.range)
+    assert sorted(round(float(each.point[0]), 2) for each in found.answers) == pytest.approx([0.25, 0.75], abs=0.02)
+
+
+def test_parameters_beyond_the_bounds_end_on_them(make_problem: Any) -> None:
+    problem = make_problem(2, *NAMES)
+    forward = Formula(problem, curvature=0.0)
+    found = solved(problem, forward, problem.box.upper + 0.2 * problem.box.range)
+    best = found.minima[int(np.argmin(found.losses(found.minima)))]
+    assert best.max() == pytest.approx(1.0, abs=0.01)
