@@ -73,9 +73,9 @@ class Constants:
     """Share of the emulator in the variance of the residuals, above which the region narrows."""
     converged: float = 0.15
     """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
-    converged_around: float = 0.4
-    """The same of runs around the answers of a surrogate, and where runs for other targets are known: half-widths are a
-    quarter wider than by any number of runs."""
+    converged_around: float = 0.5
+    """The same of runs around the answers of a surrogate, and where runs for other targets are known: half-widths are
+    four tenths wider than by any number of runs, for half as many."""
     first_checks: int = 3
     """Runs at the one answer of a surrogate, one less at each of several."""
     lack_of_fit: float = 0.9

@@ -37,8 +37,8 @@ def guided(task: Task, found: Inversion, known: tuple[MpmRun, ...] = ()) -> tupl
         while state.at_edge:
             state = state.wider()
         left = state.left - task.checks
-        # The answers of many parameters move until their emulator knows enough: checks of them come last.
-        if unknowns <= CONSTANTS.few_parameters or state.converged or left <= 0:
+        # The answers of several parameters move until their emulator knows enough: checks of them come last.
+        if unknowns == 1 or state.converged or left <= 0:
             state, corrected = checked(state, again=False)
             if state.at_edge:
                 continue

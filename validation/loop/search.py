@@ -121,10 +121,9 @@ class Search:
     def at_edge(self) -> bool:
         """Whether samples lie at the edge of the surrogate's region: the MPM leads beyond it.
 
-        Of more than `few_parameters` they lie there as long as the emulator knows too little, which leads nowhere.
+        As long as the emulator knows little they lie there too, which leads nowhere.
         """
-        many = len(self.task.problem.parameters) > CONSTANTS.few_parameters
-        if self.guide is None or (many and not self.converged):
+        if self.guide is None or not self.converged:
             return False
         samples = self.posterior.samples
         outermost = self.guide.beyond(samples.points) > -OUTERMOST * self.guide.fall

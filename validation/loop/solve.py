@@ -28,7 +28,7 @@ from validation.loop import surrogate
 from validation.loop.guided import guided
 from validation.loop.search import Search, first, searched
 from validation.loop.task import Task
-from validation.loop.verdict import Outcome, concluded
+from validation.loop.verdict import Outcome, concluded, judged, nearer
 from validation.runs import RunStore
 
 Known = tuple[Vector, Trajectory]
@@ -98,18 +98,19 @@ def run(
         MpmRun(purpose=Purpose.KNOWN, parameters=parameters, trajectory=flow, target=task.target)
         for parameters, flow in known
     )
-    led, outcome, tried = None, None, tuple[MpmRun, ...]()
+    led, outcome = None, None
     forward, reason = surrogate.choose(task, model=model, load=load)
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
         led = inverted(forward, task.problem, task.target, task.scatter)
         state, confirmed = guided(task, led, before)
-        outcome = concluded(state) if confirmed else None
-        tried = state.runs if outcome is None else outcome.state.runs
-    if outcome is None or outcome.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):
+        outcome = concluded(state) if confirmed else judged(state)
+    if outcome is None:
+        outcome = concluded(searched(first(task, known=before)))
+    elif outcome.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
-        tried = tuple(dataclasses.replace(each, purpose=Purpose.WAVE) for each in tried)
-        outcome = concluded(searched(first(task, tried, before)))
+        tried = tuple(dataclasses.replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
+        outcome = nearer(outcome.state, concluded(searched(first(task, tried, before))))
     state, answer = outcome.state, outcome.answers[0]
     runs = (*state.runs, *state.coarse)
     mpm_seconds = sum(each.seconds for each in runs)
@@ -141,9 +142,8 @@ def of_surrogate(led: Inversion, state: Search) -> dict[str, Any]:
     named, box = task.problem.named, task.bounds
     for part, parameters in zip(led.answers, task.at(np.stack([each.point for each in led.answers])), strict=True):
         checks = [each for each in state.runs if np.array_equal(each.parameters, parameters)]
-        (shown,) = state.posterior.expected(part.point[None])
-        if checks:
-            shown = np.mean([each.observation for each in checks], axis=0)
+        seen = [each.observation for each in checks] or state.posterior.expected(part.point[None])
+        shown = np.mean(seen, axis=0)
         error = {"misfit": task.target.misfit(shown)}
         if checks and math.isfinite(task.target.front):
             error["front_pct"] = 100.0 * float(np.mean([each.front_error for each in checks]))

@@ -1,6 +1,6 @@
 """Whether a learned surrogate is asked: where the scene is in its range and a run of the MPM is dear.
 
-It inverts first (`inverse.surrogate`); the MPM then runs where its answers are (`validation.loop.search`).
+It inverts first (`inverse.surrogate`); the MPM then runs where its answers are (`validation.loop.guided`).
 """
 
 import dataclasses

@@ -1,6 +1,7 @@
 """From the posterior to its answers, each checked by runs of the MPM there, and the verdict on them."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -48,6 +49,22 @@ def concluded(state: Search) -> Outcome:
         state = state.inferred(factor=factor)
         found = answers_of(state, separate(state))
     return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
+
+
+def judged(state: Search) -> Outcome:
+    """The answers by the runs that there are."""
+    found = answers_of(state, separate(state))
+    return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found))
+
+
+def nearer(led: Search, whole: Outcome) -> Outcome:
+    """Of a search that a surrogate led, which the MPM did not confirm, and one of the whole box after it: the nearer.
+
+    By all runs of both. What is excluded over the whole box remains excluded.
+    """
+    outcome = judged(dataclasses.replace(led, runs=(*led.runs, *whole.state.runs[len(led.runs) :])).inferred())
+    ratios = [math.inf if each.answers[0].fit is None else each.answers[0].fit.ratio for each in (outcome, whole)]
+    return outcome if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
 
 
 def checked(state: Search, *, again: bool = True) -> tuple[Search, tuple[Answer, ...]]:

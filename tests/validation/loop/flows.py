@@ -181,6 +181,25 @@ class FoldedFormula(Formula):
         return (1.0 - 0.5 * off**2) * torch.from_numpy(SHAPE) ** (1.0 + 0.2 * off)
 
 
+@dataclass(frozen=True)
+class LayersFormula(Formula):
+    """As `Layers`, displacements `factor` times as large."""
+
+    mpm: Layers = field(default_factory=Layers)
+
+    def predict(self, parameters: Tensor, /) -> Tensor:
+        x0, push = torch.from_numpy(self.mpm.x0), torch.from_numpy(self.mpm.push)
+        moves = parameters + self.mpm.bend * parameters**2
+        return torch.stack([self.observed(x0 + self.factor * push @ each) for each in moves])
+
+    def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
+        """The change by larger displacements, and of each particle by itself, shape [1 + m, m]."""
+        (own,) = self.predict(torch.from_numpy(parameters)[None]).numpy()
+        (rest,) = self.predict(torch.zeros(1, len(parameters), dtype=torch.float64)).numpy()
+        alone = 0.5 * self.band / 1.96 * np.ptp(own) * len(own) ** 0.25
+        return np.concatenate([self.band / 1.96 * (own - rest)[None], alone * np.eye(len(own))])
+
+
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """A problem with all that it takes to solve it."""

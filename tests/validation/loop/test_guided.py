@@ -23,10 +23,24 @@ from inverse.parameters.parameter import Parameter
 from inverse.problem import read_problem
 from inverse.settings import ObservationSettings, Surrogate, TargetSettings
 from inverse.target import read_target
-from tests.validation.loop.flows import Case, FakeMpm, Folded, FoldedFormula, Formula, length, scatter_of, wedge
+from tests.validation.loop.flows import (
+    Case,
+    FakeMpm,
+    Folded,
+    FoldedFormula,
+    Formula,
+    Layers,
+    LayersFormula,
+    layers,
+    length,
+    scatter_of,
+    wedge,
+)
 from validation.loop import surrogate
+from validation.loop.search import first
 from validation.loop.surrogate import choose, learned
 from validation.loop.task import Task
+from validation.loop.verdict import judged, nearer
 
 
 @pytest.fixture(autouse=True)
@@ -84,6 +98,16 @@ def test_half_widths_by_few_runs_hold_the_truth_as_often_as_they_say(tmp_path: P
     assert np.median(runs) <= 10
 
 
+@pytest.mark.slow
+def test_many_parameters_within_the_band_take_few_runs(tmp_path: Path) -> None:
+    case = layers(tmp_path, count=7, scatter=0.001, bend=0.05)
+    assert isinstance(case.mpm, Layers)
+    result = case.led(LayersFormula(case.target.observation, 1.03, mpm=case.mpm)).solve(tmp_path)
+    assert result.verdict in (Verdict.CONFIRMED, Verdict.AMBIGUOUS)
+    assert len(result.mpm_runs) <= 40
+    assert len(result.inside) >= 6
+
+
 def test_each_of_two_answers_is_checked(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002))
     result = case.led(FoldedFormula(case.target.observation, 1.02)).solve(tmp_path)
@@ -93,6 +117,25 @@ def test_each_of_two_answers_is_checked(tmp_path: Path) -> None:
     assert result.surrogate is not None
     assert len(result.surrogate["answers"]) == 2
     assert len(result.mpm_runs) <= 24
+
+
+def test_of_two_answers_that_the_mpm_refuses_the_nearer_stands(tmp_path: Path) -> None:
+    """A profile that rises towards the front fits nowhere: the search of the whole box is no better for it."""
+    case = wedge(tmp_path, kind="profile", scatter=0.002)
+    case = dataclasses.replace(case, target=dataclasses.replace(case.target, values=case.target.values[::-1].copy()))
+    result = case.led(Formula(case.target.observation)).solve(tmp_path)
+    assert result.verdict in (Verdict.UNCONFIRMED, Verdict.UNREACHABLE)
+    found = judged(first(case.task(tmp_path)).inferred())
+    for ratio, verdict, nearest in (
+        (0.5, Verdict.UNCONFIRMED, "whole"),
+        (2.0, Verdict.UNCONFIRMED, "led"),
+        (2.0, Verdict.UNREACHABLE, "whole"),
+    ):
+        (answer, *_), fit = found.answers, found.answers[0].fit
+        assert fit is not None
+        fit = dataclasses.replace(fit, ratio=ratio * fit.ratio)
+        whole = dataclasses.replace(found, answers=(dataclasses.replace(answer, fit=fit),), verdict=verdict)
+        assert (nearer(found.state, whole) is whole) == (nearest == "whole")
 
 
 def test_an_answer_at_a_bound(tmp_path: Path) -> None:
