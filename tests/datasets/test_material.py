@@ -1,6 +1,8 @@
 """Materials: what may be combined, and the constants that follow."""
 
+import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,26 +74,34 @@ def test_the_residual_material() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "key"),
+    ("key", "wrong"),
     [
-        ({"residual_friction_deg": 31.0, "softening_length": 1.0}, "residual_friction_deg"),
-        ({"residual_tension_cutoff": 3.1, "softening_length": 1.0}, "residual_tension_cutoff"),
-        ({"residual_cohesion": 10.0}, "residual_cohesion"),
-        (
-            {"residual_friction_deg": 0.0, "residual_cohesion": 0.0, "softening_length": 1.0},
-            "residual_friction_deg",
-        ),
+        ("angle", {"angle": "table"}),
+        ("friction_deg", {"angle": "slope", "friction_deg": 45.0}),
+        ("residual_friction_deg", {"residual_friction_deg": 31.0, "softening_length": 1.0}),
+        ("residual_friction_deg", {"residual_friction_deg": 0.0, "residual_cohesion": 0.0, "softening_length": 1.0}),
+        ("residual_tension_cutoff", {"residual_tension_cutoff": 3.1, "softening_length": 1.0}),
+        ("residual_cohesion", {"residual_cohesion": 10.0}),
+        ("friction_limit_deg", {"friction_limit_deg": 29.0, "grain_diameter": 1e-3}),
+        ("friction_limit_deg", {"friction_limit_deg": 45.0, "grain_diameter": 1e-3, "angle": "slope"}),
+        ("grain_diameter", {"friction_limit_deg": 40.0}),
+        ("grain_density", {"friction_limit_deg": 40.0, "grain_diameter": 1e-3, "grain_density": 0.0}),
+        ("inertial_number", {"friction_limit_deg": 40.0, "grain_diameter": 1e-3, "inertial_number": 0.0}),
     ],
 )
-def test_what_cannot_be_is_named(wrong: dict[str, float], key: str) -> None:
-    with pytest.raises(InputError, match=rf"material\.{key}"):
-        Material(friction_deg=30.0, cohesion=1000.0, **wrong)
+def test_what_cannot_be_is_named(key: str, wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=rf"^material\.{key}: expected"):
+        Material(**{"friction_deg": 30.0, "cohesion": 1000.0, **wrong})
 
 
-@pytest.mark.parametrize("dilation_deg", [0.0, 8.0])
-def test_an_angle_of_a_slope_and_of_a_triaxial_test_mean_each_other(dilation_deg: float) -> None:
-    measured = Material(friction_deg=25.5, angle="slope", dilation_deg=dilation_deg)
-    phi = Material(friction_deg=measured.phi_deg, dilation_deg=dilation_deg)
-    assert (measured.slope_deg, phi.slope_deg) == (pytest.approx(25.5), pytest.approx(25.5))
-    if not dilation_deg:
-        assert measured.phi_deg == pytest.approx(28.49, abs=0.01)  # sin phi = tan 25.5 degrees
+def test_a_slopes_angle_is_daviss() -> None:
+    """tan(angle) = sin phi cos psi / (1 - sin phi sin psi); 25.5 degrees of a table are 28.5 of phi."""
+    assert Material(friction_deg=25.5, angle="slope").phi_deg == pytest.approx(28.49, abs=0.01)
+    dense = Material(friction_deg=38.0, dilation_deg=12.0, angle="slope")
+    phi, psi = math.radians(dense.phi_deg), math.radians(12.0)
+    davis = math.sin(phi) * math.cos(psi) / (1.0 - math.sin(phi) * math.sin(psi))
+    assert math.degrees(math.atan(davis)) == pytest.approx(38.0, abs=1e-9)
+    assert (dense.slope_deg, dense.friction) == (pytest.approx(38.0), pytest.approx(math.tan(phi)))
+    soft = dataclasses.replace(dense, softening_length=0.01, residual_friction_deg=30.0)
+    assert soft.residual.phi_deg == pytest.approx(math.degrees(math.asin(math.tan(math.radians(30.0)))))
+    assert dataclasses.replace(soft, residual_friction_deg=None).residual.phi_deg == pytest.approx(dense.phi_deg)

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
 from datasets.material import Material
-from datasets.records import from_mapping
 from datasets.scene import Domain, Mass, Scene
 from mpm import LAST, runtime, simulate
 from mpm.arrays.batch import Batch
@@ -188,38 +186,6 @@ def test_without_growth_and_at_rest_it_is_mohr_coulomb_to_the_bit(limit_deg: flo
             assert flow.summary["front"] < plain.summary["front"] - 1e-3
         else:
             np.testing.assert_array_equal(flow.positions, plain.positions)
-
-
-@pytest.mark.parametrize(
-    ("key", "changes"),
-    [
-        ("angle", {"angle": "table"}),
-        ("friction_deg", {"angle": "slope", "friction_deg": 45.0}),
-        ("friction_limit_deg", {"friction_limit_deg": 29.0, "grain_diameter": 1e-3}),
-        ("friction_limit_deg", {"friction_limit_deg": 45.0, "grain_diameter": 1e-3, "angle": "slope"}),
-        ("grain_diameter", {"friction_limit_deg": 40.0}),
-        ("grain_density", {"friction_limit_deg": 40.0, "grain_diameter": 1e-3, "grain_density": 0.0}),
-        ("inertial_number", {"friction_limit_deg": 40.0, "grain_diameter": 1e-3, "inertial_number": 0.0}),
-    ],
-)
-def test_what_is_no_law_is_refused_by_its_key(key: str, changes: dict[str, object]) -> None:
-    with pytest.raises(InputError) as caught:
-        from_mapping(Material, {"friction_deg": 30.0, **changes})
-    assert caught.value.key.endswith(key)
-    assert "\n" not in caught.value.message
-
-
-def test_a_slopes_angle_is_daviss() -> None:
-    """tan(angle) = sin phi cos psi / (1 - sin phi sin psi); 25.5 degrees of a table are 28.5 of phi."""
-    assert Material(friction_deg=25.5, angle="slope").phi_deg == pytest.approx(28.49, abs=0.01)
-    dense = Material(friction_deg=38.0, dilation_deg=12.0, angle="slope")
-    phi, psi = math.radians(dense.phi_deg), math.radians(12.0)
-    davis = math.sin(phi) * math.cos(psi) / (1.0 - math.sin(phi) * math.sin(psi))
-    assert math.degrees(math.atan(davis)) == pytest.approx(38.0, abs=1e-9)
-    assert dense.friction == pytest.approx(math.tan(phi))
-    soft = dataclasses.replace(dense, softening_length=0.01, residual_friction_deg=30.0)
-    assert soft.residual.phi_deg == pytest.approx(math.degrees(math.asin(math.tan(math.radians(30.0)))))
-    assert dataclasses.replace(soft, residual_friction_deg=None).residual.phi_deg == pytest.approx(dense.phi_deg)
 
 
 @pytest.mark.slow

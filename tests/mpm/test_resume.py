@@ -23,6 +23,7 @@ from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint
 from mpm.run import command
 from mpm.simulation import Interrupted, simulate_each
+from tests.breaking import SCENE
 from tests.mpm.scenes import COLUMN, box
 
 RECORD = Recording(frames=3, fields=True, wall_forces=True)
@@ -109,18 +110,7 @@ def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, ch
     assert caught.value.where == str(path)
 
 
-SCENE = """
-duration = 0.4
-frame_dt = 0.005
-[domain]
-size = [1.0, 1.0]
-cell = 0.02
-[material]
-friction_deg = 30.0
-[[masses]]
-lower = [0.0, 0.0]
-size = [0.2, 0.2]
-"""
+LONG = SCENE.replace("duration = 0.25", "duration = 0.4\nframe_dt = 0.005")
 
 
 @pytest.mark.parametrize(
@@ -144,7 +134,7 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
             return super().update(n)
 
     scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    scene.write_text(SCENE)
+    scene.write_text(LONG)
     before = signal.getsignal(number)
     with monkeypatch.context() as patch:
         patch.setattr(solver, "tqdm", Bar)
@@ -165,7 +155,7 @@ def test_a_checkpoint_of_another_run_is_named_and_left(
     tmp_path: Path, checkpoint: Checkpoint, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    scene.write_text(SCENE.replace("duration = 0.4", "duration = 0.01"))
+    scene.write_text(LONG.replace("duration = 0.4", "duration = 0.01"))
     checkpoint.save(out / "checkpoint.npz")
     assert run(command, "mpm.run", [str(scene), "--out", str(out), "--last-frame"]) == 0
     assert f"talus: {out}/checkpoint.npz: of another scene, recording or precision" in capsys.readouterr().err

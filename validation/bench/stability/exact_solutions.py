@@ -42,11 +42,11 @@ class FreeFlight:
     """Time step [s]."""
 
     @staticmethod
-    def of_flow(flow: Trajectory, mass: int = 0) -> "FreeFlight":
-        """That of one mass of a flow, with its mean time step."""
+    def of_flow(flow: Trajectory) -> "FreeFlight":
+        """That of the first mass of a flow, with its mean time step."""
         scene = flow.scene
         return FreeFlight(
-            velocity=tuple(scene.masses[mass].velocity or (0.0,) * scene.dimension),
+            velocity=tuple(scene.masses[0].velocity or (0.0,) * scene.dimension),
             gravity=tuple(scene.gravity_vector),
             step=float(flow.time[-1] / flow.summary["steps"]),
         )
@@ -65,13 +65,10 @@ class SlidingBlock:
     """Down the incline [m/s^2]."""
 
     @staticmethod
-    def of_scene(scene: Scene, friction: float | None = None) -> "SlidingBlock":
-        """That of a tilted box with the friction of its floor, or another coefficient [-]."""
-        slope = math.radians(scene.slope_deg)
-        mu = coefficient(scene.floor_friction) if friction is None else friction
-        return SlidingBlock(
-            acceleration=scene.gravity * max(0.0, math.sin(slope) - mu * math.cos(slope)),
-        )
+    def of_scene(scene: Scene) -> "SlidingBlock":
+        """That of a tilted box with the friction of its floor."""
+        slope, mu = math.radians(scene.slope_deg), coefficient(scene.floor_friction)
+        return SlidingBlock(acceleration=scene.gravity * max(0.0, math.sin(slope) - mu * math.cos(slope)))
 
     def displacement(self, time: float) -> float:
         """[m] after `time` [s]."""
