@@ -125,10 +125,14 @@ OUTSIDE: dict[str, Callable[[], Scene]] = {
     "tension_cutoff": lambda: sand(tension_cutoff=None),
     "young": lambda: sand(young=2.0e5),
     "softening_length": lambda: sand(softening_length=0.01, residual_friction_deg=30.0),
+    "dilation_deg": lambda: sand(dilation_deg=15.0),
     "k0": lambda: with_mass(k0=0.5),
     "barriers": lambda: with_mass(release=0.2),
     "volume_correction": lambda: dataclasses.replace(COLUMN, volume_correction=True),
     "channel": lambda: dataclasses.replace(COLUMN, channel=Channel(width=0.1, friction_deg=10.0)),
+    "floor_friction": lambda: dataclasses.replace(COLUMN, floor_friction=2.0),
+    "damping": lambda: dataclasses.replace(COLUMN, damping=0.7),
+    "slope_deg": lambda: dataclasses.replace(COLUMN, slope_deg=50.0),
     "ground_deg": lambda: on(0.05),
     "slope_length": lambda: dataclasses.replace(COLUMN, slope_deg=20.0, domain=Domain(size=(4.0, 1.0), cell=0.01)),
     "masses": lambda: dataclasses.replace(
@@ -139,6 +143,9 @@ OUTSIDE: dict[str, Callable[[], Scene]] = {
     "room_along": lambda: with_mass(size=(0.95, 0.4)),
     "speed": lambda: with_mass(velocity=(4.0, 0.0)),
     "spin": lambda: with_mass(angular_velocity=5.0),
+    "baffles": lambda: dataclasses.replace(
+        COLUMN, baffles=tuple(Baffle(lower=(0.3 + 0.08 * row, 0.0), size=(0.02, 0.05)) for row in range(8))
+    ),
     "baffle_distance": lambda: dataclasses.replace(
         COLUMN, domain=Domain(size=(3.0, 1.0), cell=0.01), baffles=(Baffle(lower=(2.0, 0.0), size=(0.1, 0.1)),)
     ),
@@ -150,6 +157,7 @@ OUTSIDE: dict[str, Callable[[], Scene]] = {
 
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_a_scene_outside_is_warned_of_in_a_line_that_names_the_quantity(name: str, model: Path) -> None:
+    assert card.warning(shipped(2), OUTSIDE[name]()) is not None
     said = card.warning(model, OUTSIDE[name]())
     assert said is not None
     assert said.startswith("own.safetensors is outside of its training range: ")

@@ -29,7 +29,6 @@ from validation.bench.held_out import (
     deposit_of,
     held_out,
     mean,
-    out_of_range,
     worst,
 )
 from validation.report.page import GNS, MPM, Page, Row, rms, signed
@@ -87,8 +86,6 @@ class Model:
     compared: Sequence[Compared]
     creeps: Sequence[float]
     """Of rollouts `TIMES` times as long as the first scenes whose reference comes to rest [mm/s]."""
-    outside: Mapping[str, bool]
-    """In 2D: what is out of range, and whether the card warns of it."""
 
     def of_kind(self, kind: str) -> list[Compared]:
         """The scenes of a kind."""
@@ -182,14 +179,7 @@ def measure(path: Path, scenes: Sequence[HeldOut], keep: Path, *, cells: Sequenc
     creeps = [
         creep(gns.simulate(each, model=simulator)) for each in tqdm(longer, desc=f"{path.stem}, rest", unit="scene")
     ]
-    outside = out_of_range() if dimension == 2 else {}
-    return Model(
-        name=path.stem,
-        dimension=dimension,
-        compared=compared,
-        creeps=creeps,
-        outside={name: card.warning(path, scene) is not None for name, scene in outside.items()},
-    )
+    return Model(name=path.stem, dimension=dimension, compared=compared, creeps=creeps)
 
 
 def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
@@ -242,12 +232,8 @@ def conclusion(found: Sequence[Model]) -> list[str]:
     ]
     if parts := [f"{sum(each.held)} of {len(each.held)} fronts (`{each.name}`)" for each in found if each.held]:
         sentences.append(f"{LEVEL:.0%} bands hold {' and '.join(parts)}.")
-    parts = [
-        (f"{sum(each.outside.values())} of {len(each.outside)} scenes out of range and of " if each.outside else "")
-        + f"{sum(one.warned for one in each.compared)} of {len(each.compared)} in range (`{each.name}`)"
-        for each in found
-    ]
-    sentences.append(f"Cards warn of {'; '.join(parts)}.")
+    parts = [f"{sum(one.warned for one in each.compared)} of {len(each.compared)} (`{each.name}`)" for each in found]
+    sentences.append(f"Cards warn of {', '.join(parts)} of these scenes, which are in their ranges.")
     rested = [f"{abs(worst(each.creeps)):.2g} mm/s (`{each.name}`)" for each in found if each.creeps]
     if rested:
         sentences.append(f"Deposits that should rest creep by at most {', '.join(rested)}.")
@@ -298,9 +284,6 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
         over the second half of a rollout {TIMES} times as long as its scene, of scenes that come to rest in the MPM.
     """)
     result.table([self_row(each) for each in found])
-    missed = [name for each in found for name, warned in each.outside.items() if not warned]
-    if missed:
-        result.text(f"Out of range and not warned of: {'; '.join(missed)}.")
     return result
 
 
@@ -327,7 +310,6 @@ def self_row(model: Model) -> Row:
         "model": f"`{model.name}`",
         "fronts in their bands": f"{sum(model.held)} of {len(model.held)}" if widths else "-",
         "half-width over the extent": f"{mean(widths):.1%}" if widths else "-",
-        "warned of, out of range": f"{sum(model.outside.values())} of {len(model.outside)}" if model.outside else "-",
         "warned of, in range": f"{sum(each.warned for each in model.compared)} of {len(model.compared)}",
         "creep, mean [mm/s]": f"{mean(model.creeps):.2f}",
         "worst [mm/s]": f"{worst(model.creeps):+.2f}",

@@ -15,7 +15,7 @@ import numpy as np
 from datasets import measures
 from datasets.definitions import flow2d, obstacle3d
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Domain, Scene
 from datasets.trajectory import Trajectory
 from gns.score import Deposit
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
@@ -113,43 +113,6 @@ def creep(rollout: Trajectory) -> float:
     seconds = float(rollout.time[-1] - rollout.time[middle])
     old, new = (measures.ends(rollout.positions[frame], rollout.volumes) for frame in (middle, -1))
     return 1000.0 * max(old[0] - new[0], new[1] - old[1], key=abs) / seconds
-
-
-def out_of_range() -> dict[str, Scene]:
-    """Columns in 2D that no training data are like, each for one reason, by that reason."""
-    length, height = 0.2, 0.4
-    mass = Mass(lower=(0.0, 0.0), size=(length, height))
-    usual = dataclasses.replace(
-        coarse(held_out(2, 1)[0].scene, 20),
-        domain=Domain(size=(2.0, 1.0), cell=0.01),
-        masses=(mass,),
-        slope_deg=0.0,
-        floor_friction=0.4,
-    )
-
-    def sand(**changes: float) -> Scene:
-        material = dataclasses.replace(usual.material, **changes)  # type: ignore[arg-type]
-        return dataclasses.replace(usual, material=material)
-
-    def changed(**changes: object) -> Scene:
-        return dataclasses.replace(usual, **changes)  # type: ignore[arg-type]
-
-    baffles = tuple(Baffle(lower=(0.4 + 0.15 * index, 0.0), size=(0.03, 0.05)) for index in range(8))
-    layers = tuple(Mass(lower=(0.0, 0.02 * index), size=(length, 0.02)) for index in range(20))
-    return {
-        "angle of friction of 5°": sand(friction_deg=5.0),
-        "angle of friction of 60°": sand(friction_deg=60.0),
-        "cohesion of 15 kPa": sand(cohesion=15.0e3, tension_cutoff=7.5e3),
-        "dilation of 15° for ever": sand(dilation_deg=15.0),
-        "thirty times as soft": sand(young=3.0e4),
-        "slope of 50°": changed(slope_deg=50.0),
-        "damping of 0.7": changed(damping=0.7),
-        "floor friction of 2": changed(floor_friction=2.0),
-        "thrown at 8 m/s": changed(masses=(dataclasses.replace(mass, velocity=(8.0, 0.0)),)),
-        "initial stress, K0 of 0.5": changed(masses=(dataclasses.replace(mass, k0=0.5),)),
-        "twenty layers": changed(masses=layers),
-        "eight baffles": changed(baffles=baffles),
-    }
 
 
 def mean(values: Sequence[float]) -> float:
