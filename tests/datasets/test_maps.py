@@ -12,11 +12,12 @@ from shapely.geometry import shape
 from datasets.command_line import run
 from datasets.maps.__main__ import command, write
 from datasets.maps.files import Georeference, outline
-from datasets.maps.plan import Floats, maps_of
+from datasets.maps.plan import maps_of
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
+from tests.flows import flow_of
 
 ALPS = Georeference(east=500_000.0, north=5_200_000.0, crs="EPSG:25832")
 
@@ -27,29 +28,16 @@ def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[flo
         domain=Domain(size=size, cell=cell),
         material=Material(friction_deg=30.0),
         masses=tuple(Mass(lower=lower, size=extent) for lower, extent in boxes),
+        frame_dt=0.1,
         jitter=0.0,
-    )
-
-
-def flow_of(scene: Scene, *frames: Floats, speed: float = 0.0) -> Trajectory:
-    """A trajectory of given positions, shape [N, D] each, 0.1 s apart; by default those at the start."""
-    positions = np.array(frames or [initial_particles(scene).positions], np.float32)
-    velocity0 = np.zeros_like(positions[0])
-    velocity0[:, 0] = speed
-    return Trajectory(
-        positions=positions,
-        time=np.arange(len(positions)) * 0.1,
-        velocity0=velocity0,
-        friction=np.full(len(velocity0), 0.5, np.float32),
-        scene=scene,
     )
 
 
 def sliding(scene: Scene) -> Trajectory:
     """All of a scene slides along x, by 0.1 m in each of four frames."""
-    start = initial_particles(scene).positions
-    step = np.eye(scene.dimension)[0] * 0.1
-    return flow_of(scene, *(start + number * step for number in range(5)), speed=1.0)
+    start, step = initial_particles(scene).positions, np.eye(scene.dimension)[0] * 0.1
+    velocity0 = np.tile(10.0 * step, (len(start), 1)).astype(np.float32)
+    return flow_of(scene, [start + number * step for number in range(5)], velocity0=velocity0)
 
 
 @pytest.mark.parametrize("cell", [0.026, 0.17])
@@ -60,7 +48,7 @@ def test_volume_is_that_of_the_particles(cell: float) -> None:
     start = initial_particles(scene)
     coordinates = np.random.default_rng(1).random(start.positions.shape) * size
     coordinates[:8] = np.array(np.meshgrid(*[(0.0, length) for length in size])).reshape(3, -1).T
-    maps = maps_of(flow_of(scene, start.positions, coordinates), cell)
+    maps = maps_of(flow_of(scene, [start.positions, coordinates]), cell)
     assert maps.thickness.sum() * cell**2 == pytest.approx(start.volume.sum(), rel=1e-12)
     assert (maps.volume, maps.left) == (pytest.approx(start.volume.sum(), rel=1e-12), 0.0)
     assert maps.start is not None
@@ -74,7 +62,7 @@ def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None
     # The upper half slides at 2 m/s, the lower one at 1 m/s; then all stops.
     speeds = np.where(lower, 1.0, 2.0)[:, None] * [1.0, 0.0, 0.0]
     velocities = np.array([speeds, speeds, np.zeros_like(speeds)], np.float32)
-    flow = dataclasses.replace(flow_of(scene, start, start, start), velocities=velocities)
+    flow = flow_of(scene, [start] * 3, velocities=velocities)
     maps = maps_of(flow, 0.05)
     assert maps.velocity is not None
     inside = maps.thickness > 0.099
@@ -91,7 +79,7 @@ def test_the_ground_of_terrain_and_baffles() -> None:
         solids=(terrain,),
         baffles=(Baffle(lower=(0.6, 0.0, 0.0), size=(0.11, 0.4, 0.2)),),
     )
-    maps = maps_of(flow_of(scene), 0.05)
+    maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
     x, z = np.meshgrid(*maps.grid.axes, indexing="ij")
     on = (x > 0.59) & (x < 0.71) & (z < 0.2)
     np.testing.assert_allclose(maps.ground, np.where(on, 0.4, 0.3 - 0.2 * x), atol=1e-6)
@@ -154,7 +142,7 @@ def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path) -> None:
             ),
         ),
     )
-    flow_of(scene).save(tmp_path / "trajectory.npz")
+    flow_of(scene, [initial_particles(scene).positions]).save(tmp_path / "trajectory.npz")
     assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path)]) == 0
     with rasterio.open(tmp_path / "thickness.tif") as raster:
         assert raster.crs.to_epsg() == 25832

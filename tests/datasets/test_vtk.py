@@ -16,6 +16,7 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
+from tests.flows import flow_of
 
 LEFT, RIGHT = Material(friction_deg=30.0), Material(friction_deg=40.0)
 START = np.array([[0.02, 0.01, 0.05], [0.06, 0.03, 0.05], [0.03, 0.02, 0.04], [0.07, 0.01, 0.06]])
@@ -28,12 +29,8 @@ def flow() -> Trajectory:
     time = np.linspace(0.0, 0.04, 5)
     stream = np.random.default_rng(2)
     positions = START + SPEED * time[:, None, None] + 0.5 * ACCELERATION * time[:, None, None] ** 2
-    return Trajectory(
-        positions=positions.astype(np.float32),
-        time=time,
-        velocity0=np.tile(SPEED, (4, 1)).astype(np.float32),
-        friction=np.array([LEFT.friction, RIGHT.friction] * 2, np.float32),
-        scene=Scene(
+    return flow_of(
+        Scene(
             domain=Domain(size=(0.3, 0.2, 0.1), cell=0.01),
             material=LEFT,
             masses=(
@@ -47,6 +44,10 @@ def flow() -> Trajectory:
             duration=0.04,
             frame_dt=0.01,
         ),
+        positions,
+        time=time,
+        velocity0=np.tile(SPEED, (4, 1)).astype(np.float32),
+        friction=np.array([LEFT.friction, RIGHT.friction] * 2, np.float32),
         pressure=stream.random((5, 4), np.float32),
         plastic_strain=stream.random((5, 4), np.float32),
         solid_impulse=np.array([3.0, 0.0, 1.0]) * np.array([1.0, 2.0])[:, None] * time[:, None, None] ** 2,
@@ -106,14 +107,7 @@ def test_points(tmp_path: Path, flow: Trajectory) -> None:
 def test_a_last_frame_alone_knows_where_it_began(tmp_path: Path, flow: Trajectory) -> None:
     """Its first frame is not the start: materials and displacements are by the scene's own particles."""
     start = initial_particles(flow.scene)
-    last = Trajectory(
-        positions=start.positions[None].astype(np.float32) + np.float32(0.03),
-        time=np.array([0.5]),
-        velocity0=start.velocities.astype(np.float32),
-        friction=start.friction,
-        scene=flow.scene,
-    )
-    write_vtk(last, tmp_path)
+    write_vtk(flow_of(flow.scene, [start.positions + 0.03], time=np.array([0.5])), tmp_path)
     ((points, *_),) = read(tmp_path).values()
     np.testing.assert_allclose(points["displacement"], 0.03, atol=1e-6)
     np.testing.assert_array_equal(points["material"], start.material)

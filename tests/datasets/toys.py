@@ -11,6 +11,7 @@ from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.training.statistics import metadata, motion_statistics
 from datasets.trajectory import Trajectory
+from tests.flows import flow_of
 
 FRAMES = 6
 SPLITS = (Split.TRAIN, Split.TRAIN, Split.VALID, Split.TEST)
@@ -50,13 +51,7 @@ def toy(dimension: int, seed: int = 0) -> Trajectory:
     wander = np.random.default_rng(seed).normal(0.0, 1.0e-5, (FRAMES, *points.positions.shape))
     wander[0] = 0.0
     positions = points.positions + points.velocities * time[:, None, None] + wander
-    return Trajectory(
-        positions=positions.astype(np.float32),
-        time=time,
-        velocity0=points.velocities.astype(np.float32),
-        friction=points.friction,
-        scene=scene,
-    )
+    return flow_of(scene, positions, velocity0=points.velocities.astype(np.float32))
 
 
 def toy_dataset(folder: Path, dimension: int) -> Path:

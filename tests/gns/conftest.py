@@ -15,6 +15,7 @@ from datasets.trajectory import Trajectory
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.state import Conditions, State
+from tests.flows import flow_of
 
 NORMALISATION = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mean=0.6, friction_std=0.2)
 Cloud = Callable[..., tuple[State, Conditions]]
@@ -97,13 +98,7 @@ def spreading(
     time = np.arange(scene.frames) * scene.frame_dt
     stretch = 1.0 + (1.2 - points.friction[0]) * (1.0 - np.cos(np.pi * time / duration))
     factors = np.stack((stretch, 1.0 / stretch), axis=1)
-    return Trajectory(
-        positions=(points.positions * factors[:, None]).astype(np.float32),
-        time=time,
-        velocity0=points.velocities.astype(np.float32),
-        friction=points.friction,
-        scene=scene,
-    )
+    return flow_of(scene, points.positions * factors[:, None])
 
 
 @pytest.fixture(scope="session")

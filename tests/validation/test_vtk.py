@@ -13,6 +13,7 @@ from datasets.command_line import WorkFailed, run
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from tests.flows import flow_of
 from validation.report import rendering
 from validation.report.rendering import Colour, Picture
 from validation.vtk import command
@@ -56,13 +57,7 @@ def slide(dimension: int) -> Trajectory:
         moved[:, 0] += 0.15 * frame
         moved[:, 1] *= 1.0 - 0.2 * frame
         frames.append(moved)
-    return Trajectory(
-        positions=np.array(frames, np.float32),
-        time=np.array([0.0, 0.1, 0.2]),
-        velocity0=np.zeros_like(start, np.float32),
-        friction=np.full(len(start), scene.material.friction, np.float32),
-        scene=scene,
-    )
+    return flow_of(scene, frames)
 
 
 def pixel(picture: Picture, position: tuple[float, ...]) -> np.ndarray:

@@ -12,6 +12,7 @@ from datasets.records import from_mapping, read_toml
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.resolution import COVERAGE, Measurements, characteristic_length, read_measured, resolved, with_resolution
+from tests.flows import flow_of
 from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
 from validation.bench.accuracy import columns
@@ -39,14 +40,7 @@ COLUMN = dataclasses.replace(read_scene("column-short-21"), duration=0.1)
 def deposit(scene: Scene, length: float, *, shift: float = 0.0) -> Trajectory:
     """A layer of even height from x = `shift` to `shift` + `length` [m]."""
     x = shift + length * (np.arange(1000) + 0.5) / 1000
-    return Trajectory(
-        positions=np.stack([x, np.full(1000, 0.05)], axis=1)[None].astype(np.float32),
-        time=np.array([scene.duration]),
-        velocity0=np.zeros((1000, 2), np.float32),
-        friction=np.zeros(1000, np.float32),
-        scene=scene,
-        summary={"steps": 7, "particles": 1000},
-    )
+    return flow_of(scene, np.stack([x, np.full(1000, 0.05)], axis=1)[None])
 
 
 def test_errors_are_of_fronts_and_profiles_over_the_extent() -> None:

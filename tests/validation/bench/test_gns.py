@@ -11,6 +11,7 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from tests.flows import flow_of
 from validation.bench.__main__ import main
 from validation.bench.gns import Compared, Measured, Model, draw, mpm_seconds, page
 from validation.bench.held_out import Errors, HeldOut, at_wall, deposit_of
@@ -32,14 +33,7 @@ def stretched(scene: Scene, by: float) -> Trajectory:
     factor = 1.0 + (by - 1.0) * time / time[-1]
     positions = np.repeat(particles.positions[None], len(time), axis=0)
     positions[..., 0] = 0.1 + factor[:, None] * (positions[..., 0] - 0.1)
-    return Trajectory(
-        positions=positions.astype(np.float32),
-        time=time,
-        velocity0=np.zeros_like(particles.positions, dtype=np.float32),
-        friction=particles.friction,
-        scene=scene,
-        summary={},
-    )
+    return flow_of(scene, positions)
 
 
 def test_errors_of_deposits_of_known_length() -> None:

@@ -16,6 +16,7 @@ from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.safety import Safety
+from tests.flows import flow_of
 from validation.bench.__main__ import main
 from validation.bench.stability import invariants
 from validation.bench.stability.bench import FOLDER, Check, Row, page, read_rows, run, verdict
@@ -49,15 +50,12 @@ def at_rest(scene: Scene | None = None) -> Trajectory:
     time = np.arange(scene.frames) * scene.frame_dt
     weight = mass.sum() * np.array(scene.gravity_vector)
     potential = -float(mass @ (points.positions @ np.array(scene.gravity_vector)))
-    return Trajectory(
-        time=time,
-        positions=np.repeat(points.positions[None].astype(np.float32), scene.frames, axis=0),
-        velocity0=np.zeros((count, dimension), np.float32),
+    return flow_of(
+        scene,
+        np.repeat(points.positions[None], scene.frames, axis=0),
         velocities=np.zeros((scene.frames, count, dimension), np.float32),
         pressure=np.ones((scene.frames, count), np.float32),
         solid_impulse=np.zeros((scene.frames, len(scene.baffles), dimension)) if scene.baffles else None,
-        friction=points.friction,
-        scene=scene,
         summary={
             "precision": "f64",
             "steps": 1000,

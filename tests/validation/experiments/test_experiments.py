@@ -11,6 +11,7 @@ import pytest
 from datasets.errors import InputError
 from datasets.particles import particle_count
 from datasets.trajectory import Trajectory
+from tests.flows import flow_of
 from validation.bench.experiments import compute, crossing, page
 from validation.experiments.experiment import (
     Angle,
@@ -116,9 +117,7 @@ def deposits(runs: Sequence[Run]) -> list[Trajectory]:
         factor = 0.98 if scene.domain.cell > 0.015 else 1.0
         # Evenly spaced from 0: the quantile at a share q is at q times the largest.
         x = np.linspace(0.0, factor * front_of(scene.material.friction_deg) / 0.995, PARTICLES)
-        wedge = np.stack([x, 0.05 * np.ones(PARTICLES)], axis=1)[None]
-        rest, friction = np.zeros_like(wedge[0]), np.ones(PARTICLES)
-        found.append(Trajectory(positions=wedge, time=np.array([0.1]), velocity0=rest, friction=friction, scene=scene))
+        found.append(flow_of(scene, np.stack([x, 0.05 * np.ones(PARTICLES)], axis=1)[None]))
     return found
 
 

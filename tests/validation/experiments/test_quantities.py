@@ -9,6 +9,7 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
+from tests.flows import flow_of
 from validation.experiments.experiment import Measured, Quantity, Status
 from validation.experiments.quantities import edge, quantity
 
@@ -23,9 +24,7 @@ AT_START = initial_particles(BLOCK).positions
 
 def flow(*positions: NDArray[np.floating]) -> Trajectory:
     """A trajectory of BLOCK with these frames, a second from one to the next."""
-    rest, friction = np.zeros_like(positions[0]), np.ones(len(positions[0]))
-    time = np.arange(len(positions), dtype=np.float64)
-    return Trajectory(positions=np.stack(positions), time=time, velocity0=rest, friction=friction, scene=BLOCK)
+    return flow_of(BLOCK, positions, time=np.arange(len(positions), dtype=np.float64))
 
 
 def number(kind: Quantity, **other: object) -> Measured:
