@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from types import FrameType
+from typing import Any
 
 import psutil
 
@@ -116,3 +117,19 @@ def end_with_parent() -> None:
 def _end_after(sentinel: int) -> None:
     wait([sentinel])
     os._exit(1)
+
+
+@contextmanager
+def without_main() -> Iterator[None]:
+    """While this lasts, processes that start do not run the user's script again: it needs no guard for that."""
+    main: Any = sys.modules["__main__"]
+    file, spec = getattr(main, "__file__", None), main.__spec__
+    main.__spec__ = None
+    if file is not None:
+        del main.__file__
+    try:
+        yield
+    finally:
+        main.__spec__ = spec
+        if file is not None:
+            main.__file__ = file

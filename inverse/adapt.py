@@ -36,7 +36,7 @@ def main(
     model
         The model to begin with, a file or a folder; unless given, the one that ships for 2D or for 3D.
     jobs
-        Runs of the MPM side by side; one per processor unless given.
+        Processes side by side, of the MPM, and of the training two at most; one per processor unless given.
     seed
         Seed of the parameters, of the jitters and of the samples.
     """

@@ -27,6 +27,7 @@ from datasets.scene import Scene
 from datasets.training.samples import Flow
 from datasets.trajectory import Trajectory, trajectory_files
 from gns import card, checkpoint
+from gns.distributed import together
 from gns.initial import check
 from gns.library import model_path, shipped
 from gns.samples import flows_of
@@ -46,6 +47,8 @@ DATA, PROBLEM = "data", "problem.json"
 """In the folder of a run: its flows, and what problem they are of."""
 HELD_OUT = 4
 """Of so many flows one is held out."""
+BATCH = 2
+"""Samples of an update; as many processes share them at most."""
 FEWEST = 6
 """Flows at least, of which two are held out."""
 MOST_SCORED = 24
@@ -73,9 +76,9 @@ def adapt(
     >>> result = solve("friction-tall-42", "out/loop", model=adapt("friction-tall-42", "out/tall"))
 
     runs: of the MPM, of which a fourth is held out; minutes: of training; model: to begin with, that which ships where
-    absent; jobs: runs side by side, one a processor where absent; seed: of the parameters, jitters and samples. The
-    same call again makes what is missing. Raises InputError for a problem that no surrogate can learn and where `out`
-    is another problem's, WorkFailed where a run of the MPM fails.
+    absent; jobs: processes side by side, one a processor where absent; seed: of the parameters, jitters and samples.
+    The same call again makes what is missing. Raises InputError for a problem that no surrogate can learn and where
+    `out` is another problem's, WorkFailed where a run of the MPM fails.
     """
     asked, out = read_problem(problem) if isinstance(problem, str) else problem, Path(out)
     weights = model_path(model or shipped(asked.scene.dimension))
@@ -87,7 +90,9 @@ def adapt(
     flows = definition(asked, runs, settings, seed=seed)
     entries = flows.entries(seed=seed)
     steps = min(entry.scene.frames for entry in entries) - 1
-    training = training_settings(settings, steps=steps, minutes=minutes)
+    jobs = processors() if jobs is None else jobs
+    count = min(jobs, BATCH)
+    training = training_settings(steps=steps, minutes=minutes, batch=BATCH // count)
     if (known := read_json(out / PROBLEM)) not in (None, identity(asked)):
         expected = f"expected a new folder, or one of {asked.name} on the same cells"
         raise InputError(f"{expected}, it is of another problem: {', '.join(known['unknowns'])}", where=str(out))
@@ -99,13 +104,12 @@ def adapt(
     make_folder(out)
     write_json(out / PROBLEM, identity(asked))
     began = time.perf_counter()
-    generate(flows, out / DATA, seed=seed, count=None, jobs=processors() if jobs is None else jobs)
+    generate(flows, out / DATA, seed=seed, count=None, jobs=jobs)
     simulated = f"{missing} runs of the MPM in {time.perf_counter() - began:.0f} s"
     print(f"{simulated}; {minutes:g} minutes of training begin")
     held_out = flows_of(out / DATA, Split.VALID, settings)
     before = scored(begun.simulator, held_out, weights.stem)
-    resume = (out / LAST).exists()
-    fit([out / DATA], out, model=settings, training=training, begin=begun, resume=resume, seed=seed, command=COMMAND)
+    together(count, train, out, weights, training, seed)
     best = model_path(out)
     after = scored(checkpoint.load(best).simulator, held_out, best.stem)
     described = card.read(best)
@@ -115,6 +119,13 @@ def adapt(
     errors = f"{change(before, after)} on {len(held_out)} held-out flows"
     print(f"{simulated}, {minutes:.1f} minutes of training, {errors}{scatter(deposits(out, asked), asked)}")
     return best
+
+
+def train(out: Path, weights: Path, training: TrainingSettings, seed: int) -> None:
+    """Train the model in `weights` further on the flows in `out`; where that has begun already, go on."""
+    begun, resume = checkpoint.load(weights), (out / LAST).exists()
+    settings = begun.simulator.settings
+    fit([out / DATA], out, model=settings, training=training, begin=begun, resume=resume, seed=seed, command=COMMAND)
 
 
 def identity(problem: Problem) -> dict[str, Any]:
@@ -156,11 +167,11 @@ def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: in
     )
 
 
-def training_settings(settings: ModelSettings, *, steps: int, minutes: float) -> TrainingSettings:
-    """How a model of these settings is trained on flows of so many steps."""
+def training_settings(*, steps: int, minutes: float, batch: int) -> TrainingSettings:
+    """How a model is trained on flows of so many steps, by processes of which each has a batch."""
     return TrainingSettings(
         minutes=minutes,
-        batch=2,
+        batch=batch,
         unroll=(max(1, steps // 3), max(1, 2 * steps // 3), steps),
         learning_rate=5.0e-4,
         warmup=10,

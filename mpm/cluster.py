@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 
 from datasets.errors import InputError, WorkFailed
 from datasets.files import remove_own_parts
-from datasets.processes import end_with_parent
+from datasets.processes import end_with_parent, without_main
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.arrays.layout import Precision
@@ -99,7 +99,8 @@ def pool(jobs: int) -> Iterator[Workers]:
     """`jobs` processes started afresh. When the block ends early they finish their present task and begin no other."""
     executor = ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn"), initializer=begin_worker)
     try:
-        yield Workers(executor=executor, width=lambda: jobs)
+        with without_main():
+            yield Workers(executor=executor, width=lambda: jobs)
     except BrokenProcessPool:
         time.sleep(GRACE)
         raise WorkFailed("a process was killed, perhaps for want of memory; try fewer jobs") from None

@@ -135,3 +135,18 @@ def test_what_is_saved_is_broken_off_at_once() -> None:
         # Asked before it began: it does not begin.
         with pytest.raises(KeyboardInterrupt), stop.at_once():
             pytest.fail("began")
+
+
+def test_a_script_that_starts_processes_needs_no_guard(tmp_path: Path) -> None:
+    lines = (
+        "from multiprocessing import get_context",
+        "from datasets.processes import without_main",
+        'print("script", flush=True)',
+        "with without_main():",
+        '    process = get_context("spawn").Process(target=print, args=("process",))',
+        "    process.start()",
+        "process.join()",
+    )
+    (tmp_path / "script.py").write_text("\n".join(lines))
+    run = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["script", "process"]

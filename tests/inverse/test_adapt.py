@@ -105,7 +105,7 @@ def test_the_same_call_again_makes_what_is_missing(
     lost = next((adapted / DATA / "train").glob("*.npz"))
     there = lost.read_bytes()
     lost.unlink()
-    adapt(make_problem(2, *NAMES), adapted, runs=7, minutes=0.01, model=weights, jobs=1)
+    adapt(make_problem(2, *NAMES), adapted, runs=7, minutes=0.01, model=weights, jobs=2)
     assert lost.read_bytes() == there
     assert model_path(adapted).read_bytes() == before
     assert "1 runs of the MPM" in capsys.readouterr().out
