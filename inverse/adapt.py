@@ -2,8 +2,23 @@
 
 import sys
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from datasets.command_line import run
+
+
+class _Callable(ModuleType):
+    """This module, which its import binds over the function `inverse.adapt`, and which is that function when called."""
+
+    def __call__(self, *args: Any, **options: Any) -> Path:
+        """See `inverse.adaptation.adapt`."""
+        from inverse.adaptation import adapt
+
+        return adapt(*args, **options)
+
+
+sys.modules[__name__].__class__ = _Callable
 
 
 def main(

@@ -21,8 +21,8 @@ FEWEST_RUNS = 5
 """MPM runs besides one for each unknown: a trend, its error, and one at the answer."""
 FILLING = 32
 """Points by which the box of the bounds is filled, and corners of it, that are tried."""
-OF_FIELDS, OF_NUMBERS = ("mean", "deviation", "length"), ("initial", "step")
-"""Keys that an unknown has as a field, or as a number, alone."""
+OF_FIELDS = ("mean", "deviation", "length")
+"""Keys that an unknown has as a field alone; `initial` it has as a number."""
 
 
 def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
@@ -35,7 +35,7 @@ def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
         needed = OF_FIELDS if each.is_field else ("initial", "lower", "upper")
         for name in needed:
             require(getattr(each, name) is not None, f"{key}.{name}", "a value", "none, the key is missing")
-        for name in OF_NUMBERS if each.is_field else OF_FIELDS:
+        for name in ("initial",) if each.is_field else OF_FIELDS:
             kind = "number" if each.is_field else "field, which has a spacing"
             require(getattr(each, name) is None, f"{key}.{name}", f"it of a {kind}, alone", getattr(each, name))
         if not each.is_field:
@@ -57,7 +57,6 @@ def check_number(scene: Scene, parameter: Parameter, key: str) -> None:
     lower, upper = parameter.bounds
     require(lower < upper, f"{key}.upper", f"a value above {lower:g}", upper)
     require(lower <= parameter.start <= upper, f"{key}.initial", f"a value in [{lower:g}, {upper:g}]", parameter.start)
-    require(parameter.step is None or parameter.step > 0.0, f"{key}.step", "a positive number", parameter.step)
 
 
 def check_bounds(scene: Scene, numbers: Sequence[tuple[int, Parameter]]) -> None:

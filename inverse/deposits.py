@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from datasets import files, measures
 from datasets.scene import Scene
-from inverse.found import Found
-from inverse.observations.passed import Passed
+from inverse.observations.front import Passed, Toe
 from inverse.observations.profile import Profile
-from inverse.observations.toe import Toe
+from inverse.result import Result
 from inverse.settings import ObservationSettings
 
 Deposit = NDArray[np.floating]
@@ -61,7 +60,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 @matplotlib.rc_context(STYLE)  # type: ignore[arg-type]
-def deposits(found: Found) -> Figure:
+def deposits(found: Result) -> Figure:
     """The deposits of the target and of the answer, each by itself, and their height profiles over each other."""
     scene, scenes, target = found.problem.scene, standings(found), found.target.deposit
     shown = ({} if target is None else {"target": target}) | {found.forward: found.deposit}
@@ -87,7 +86,7 @@ def deposits(found: Found) -> Figure:
     return figure
 
 
-def standings(found: Found) -> dict[str, Scene]:
+def standings(found: Result) -> dict[str, Scene]:
     """The scene with its baffles as they were at the start, as found and, where it is known, as in truth."""
     problem, truth = found.problem, found.target.truth
     scenes = {"start": problem.scene_at(problem.initial), "found": problem.scene_at(found.answer)}
@@ -123,7 +122,7 @@ def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene]
     axis.set(xlabel="x [m]", ylabel=f"{'xyz'[across]} [m]")
 
 
-def mark(axis: Axes, found: Found, deposit: Deposit, colour: str) -> str:
+def mark(axis: Axes, found: Result, deposit: Deposit, colour: str) -> str:
     """Mark on a picture of a deposit what was observed of it, and say it in a few words."""
     observation, across = found.target.observation, deposit.shape[1] - 1
     if isinstance(observation, Passed):
@@ -139,7 +138,7 @@ def mark(axis: Axes, found: Found, deposit: Deposit, colour: str) -> str:
     return f"{observation.kind} {observation.text(observation.exact(deposit))}"
 
 
-def profiles(axis: Axes, found: Found, shown: Mapping[str, Deposit], scene: Scene) -> None:
+def profiles(axis: Axes, found: Result, shown: Mapping[str, Deposit], scene: Scene) -> None:
     """The height profiles of all deposits, and what is known of a target."""
     target, domain = found.target, scene.domain
     spacing = min(2.0 * domain.cell, 0.5 * domain.size[0])
@@ -148,7 +147,7 @@ def profiles(axis: Axes, found: Found, shown: Mapping[str, Deposit], scene: Scen
         style = "-" if name == "target" else "--" if name == "surrogate" else "-."
         axis.plot(profile.stations, profile.heights(deposit), style, color=COLOURS[name], label=name, linewidth=1.4)
     if target.deposit is None and target.profile is not None:
-        axis.plot(*target.profile, ".", color=COLOURS["target"], label="target")
+        axis.plot(target.profile.x, target.profile.height, ".", color=COLOURS["target"], label="target")
     elif target.deposit is None and not math.isnan(target.front):
         axis.axvline(target.front, color=COLOURS["target"], linestyle=":", label="target's front")
     for baffle in scene.baffles:

@@ -1,26 +1,18 @@
-"""What an inversion found, how certain it is and what it cost: data for the report, for pictures, for `result.json`."""
+"""What a result is made of: runs of the MPM, answers, and the verdict on them."""
 
-import math
-import resource
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets import measures
-from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.fields import FoundField
 from inverse.noise import Fit
 from inverse.observations import Values
 from inverse.parameters import Vector
-from inverse.posterior.answers import half_widths
-from inverse.posterior.information import Information
-from inverse.posterior.posterior import Posterior
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.target import Target
@@ -108,7 +100,7 @@ class Answer:
 
     parameters: Vector
     """Shape [U]."""
-    half_widths: Vector | None = None
+    half_widths: Vector
     """At 95 %, shape [U]."""
     weight: float = 1.0
     """Share of the posterior."""
@@ -142,159 +134,6 @@ class Combination:
         return self.half_width <= IDENTIFIABLE
 
 
-@dataclass(frozen=True, kw_only=True)
-class Found:
-    """What an inversion found."""
-
-    problem: Problem
-    target: Target
-    verdict: Verdict
-    answers: tuple[Answer, ...]
-    """Every separate answer that the observation allows; those that the MPM confirms first, then by weight."""
-    forward: str
-    """What has the last word: "surrogate" or "MPM"."""
-    predicted: Values
-    """What it shows at the first answer, shape [m]; of a deposit by the surrogate, its own particles."""
-    deposit: NDArray[np.floating]
-    """Its deposit there [m], shape [N, D]."""
-    iterations: Sequence[dict[str, Any]] = ()
-    """On the way there, as `result.json` has them: evaluations of the loss, waves of runs or Gauss-Newton steps."""
-    mpm_runs: tuple[MpmRun, ...] = ()
-    posterior: Posterior | None = None
-    """Of numbers, over the whole box."""
-    further: tuple[Information, ...] = ()
-    """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
-    fields: tuple[FoundField, ...] = ()
-    notes: tuple[str, ...] = ()
-    """What else is to be known of the uncertainty, in sentences."""
-    surrogate: dict[str, Any] | None = None
-    """Whether a learned surrogate was asked, and why."""
-    seconds: dict[str, float] = field(default_factory=dict)
-    """[s], of each part of the work, and `total`."""
-    record: dict[str, Any] = field(default_factory=dict)
-    """Further keys of `result.json`."""
-
-    @property
-    def answer(self) -> Vector:
-        """The first answer, shape [U]."""
-        return self.answers[0].parameters
-
-    @property
-    def unknowns(self) -> dict[str, float]:
-        """The first answer by name; of a field its mean over the body."""
-        return self.problem.named(self.answer) | {each.name: each.average(each.arrays["mean"]) for each in self.fields}
-
-    @property
-    def certainty(self) -> dict[str, float] | None:
-        """Half-widths at 95 %, where there is a posterior; of a field their mean over the body."""
-        widths = self.answers[0].half_widths
-        if widths is None:
-            return None
-        bands = {each.name: each.average(each.arrays["upper"] - each.arrays["lower"]) for each in self.fields}
-        return self.problem.named(widths) | {name: 0.5 * band for name, band in bands.items()}
-
-    @property
-    def misfit(self) -> float:
-        """At the first answer."""
-        values = self.target.values
-        return math.nan if len(values) != len(self.predicted) else self.target.misfit(self.predicted)
-
-    @property
-    def inside(self) -> list[str]:
-        """The numbers whose true value is known and lies within their half-width."""
-        truth, widths = self.target.truth, self.answers[0].half_widths
-        if not truth or widths is None:
-            return []
-        both = zip(self.problem.named(self.answer).items(), widths, strict=True)
-        return [name for (name, value), width in both if abs(value - truth[name]) <= width]
-
-    @property
-    def error_pct(self) -> dict[str, float]:
-        """Relative errors that are known: of each number in a twin experiment, of the front where the MPM ran."""
-        truth = self.target.truth or {}
-        found = self.problem.named(self.answer)
-        errors = {name: 100.0 * abs(found[name] - true) / abs(true) for name, true in truth.items() if true != 0.0}
-        if self.answers[0].checks and math.isfinite(self.target.front):
-            errors["front"] = 100.0 * abs(float(np.mean([each.front_error for each in self.answers[0].checks])))
-        return errors
-
-    @property
-    def remarks(self) -> list[str]:
-        """What a user must know of the flow at the first answer (`datasets.remarks`)."""
-        checks = self.answers[0].checks
-        return list(checks[0].trajectory.summary.get("remarks", [])) if checks else []
-
-    @property
-    def scene(self) -> Scene:
-        """The scene with what was found."""
-        return self.problem.scene_at(self.answer, fields=[each.field for each in self.fields])
-
-    @property
-    def samples(self) -> NDArray[np.float64]:
-        """Of the posterior, in the units of the parameters' names, shape [S, U]."""
-        assert self.posterior is not None, "an optimiser has no samples"
-        box = self.problem.box
-        return box.lower + box.range * self.posterior.samples.points
-
-    @cached_property
-    def combinations(self) -> list[Combination]:
-        """The principal directions of the posterior, best known first, in fractions of the ranges."""
-        if self.posterior is None:
-            return []
-        samples = self.posterior.samples
-        _, vectors = np.linalg.eigh(samples.covariance)
-        widths = half_widths(samples.points @ vectors, samples.weights, samples.mean @ vectors)
-        upright = (vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in vectors.T)
-        return [
-            Combination(weights=self.problem.named(vector), half_width=float(width))
-            for width, vector in zip(widths, upright, strict=True)
-        ]
-
-    def as_json(self) -> dict[str, Any]:
-        """As `result.json` has it."""
-        raw, problem, first = self.target.observation.raw, self.problem, self.answers[0]
-        key = "mpm" if self.forward == "MPM" else "surrogate"
-        same = len(self.predicted) == len(self.target.values)
-        shown = plain(raw(self.predicted) if same else self.predicted)
-        answers = [
-            {
-                "unknowns": problem.named(each.parameters),
-                "half_widths": None if each.half_widths is None else problem.named(each.half_widths),
-                "weight": each.weight,
-                "misfit": self.target.misfit(each.observation) if each.checks else None,
-            }
-            for each in self.answers
-        ]
-        found: dict[str, Any] = {
-            "problem": problem.name,
-            "verdict": self.verdict.value,
-            "unknowns": self.unknowns,
-            "certainty": self.certainty,
-            "answers": answers,
-            "truth": self.target.truth,
-            "error_pct": self.error_pct,
-            "observation": {"target": plain(raw(self.target.values)), key: shown} | self.target.observation.record(),
-            "loss": {key: self.misfit if same else self.iterations[-1].get("loss")},
-            "mpm_runs": [each.as_json(problem) for each in self.mpm_runs],
-            "iterations": list(self.iterations),
-            "surrogate": self.surrogate,
-            "remarks": self.remarks,
-            "seconds": self.seconds,
-            "peak_memory_mib": peak_memory_mib(),
-        }
-        if fit := first.fit:
-            keys = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
-            found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.factor}
-        if self.posterior is not None:
-            samples = self.posterior.samples
-            found["combinations"] = [asdict(each) | {"identifiable": each.identifiable} for each in self.combinations]
-            sampling = {"difference": samples.difference, "acceptance": samples.acceptance}
-            found["sampling"] = sampling | {"log_evidence": samples.evidence}
-        if self.fields:
-            found["fields"] = [each.as_json() for each in self.fields]
-        return found | self.record
-
-
 def judge(problem: Problem, answers: Sequence[Answer], *, excluded: bool = False) -> Verdict:
     """The verdict on the answers, in their order; excluded: no parameters between the bounds fit."""
     first = answers[0]
@@ -312,7 +151,6 @@ def unidentified(problem: Problem, answer: Answer) -> list[str]:
     above the value itself.
     """
     names = []
-    assert answer.half_widths is not None, "an answer of the posterior"
     for each, value, width in zip(problem.numbers, answer.parameters, answer.half_widths, strict=True):
         lower, upper = each.bounds
         length = (min(value + width, upper) - max(value - width, lower)) / each.range
@@ -327,8 +165,3 @@ def plain(values: Values) -> float | list[Any] | None:
     if len(values) > MAX_NUMBERS:
         return None
     return float(values[0]) if len(values) == 1 else [float(value) for value in values]
-
-
-def peak_memory_mib() -> float:
-    """The largest resident memory of this process so far [MiB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from inverse.deposits import COLOURS, WIDTH, save
 from inverse.fields import FoundField
-from inverse.found import Found
 from inverse.parameters.field import LABELS
+from inverse.result import Result
 
 Floats = NDArray[np.float64]
 
@@ -23,12 +23,12 @@ BESIDE: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
 """A legend to the right of its panel."""
 
 
-def units_of(found: Found) -> list[str]:
+def units_of(found: Result) -> list[str]:
     """The units of the numbers, in the order of the problem."""
     return list(dict.fromkeys(kind.unit for kind in found.problem.kinds))
 
 
-def draw_unknowns(path: Path, found: Found) -> None:
+def draw_unknowns(path: Path, found: Result) -> None:
     """Every number side by side, a panel for each unit: start, found with its half-width, truth."""
     units, truth = units_of(found), found.target.truth
     size = (WIDTH, 0.4 + 3.2 * len(units))
@@ -42,10 +42,9 @@ def draw_unknowns(path: Path, found: Found) -> None:
         starts = [each.start for each in every]
         axis.plot(x - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
         for number, answer in enumerate(found.answers):
-            widths = None if answer.half_widths is None else answer.half_widths[own]
-            label = "" if number else "found" if widths is None else "found, with its half-width (95 %)"
+            label = "" if number else "found, with its half-width (95 %)"
             style = {"fmt": "o", "color": COLOURS["MPM"], "capsize": 4, "label": label}
-            axis.errorbar(x + 0.1 + 0.15 * number, answer.parameters[own], yerr=widths, **style)
+            axis.errorbar(x + 0.1 + 0.15 * number, answer.parameters[own], yerr=answer.half_widths[own], **style)
         axis.set_xticks(x, [each.name.replace(".", "\n") for each in every])
         axis.set(xlim=(-0.6, len(own) - 0.4), ylabel=f"[{unit}]")
         axis.grid(axis="y", color="#e5e5e5")
@@ -53,7 +52,7 @@ def draw_unknowns(path: Path, found: Found) -> None:
     save(figure, path)
 
 
-def draw_posterior(path: Path, found: Found) -> None:
+def draw_posterior(path: Path, found: Result) -> None:
     """Prior and posterior of every number and, of a few, the samples of every pair."""
     count = len(found.problem.numbers)
     pairs = count <= PAIRS
@@ -75,7 +74,7 @@ def draw_posterior(path: Path, found: Found) -> None:
     save(figure, path)
 
 
-def marginal(axis: Axes, found: Found, index: int) -> None:
+def marginal(axis: Axes, found: Result, index: int) -> None:
     """Prior and posterior of one number."""
     assert found.posterior is not None, "an optimiser has none"
     each, truth, weights = found.problem.numbers[index], found.target.truth or {}, found.posterior.samples.weights
@@ -89,7 +88,7 @@ def marginal(axis: Axes, found: Found, index: int) -> None:
     axis.set(xlim=each.bounds, yticks=[], xlabel=f"{each.name} [{each.kind.unit}]")
 
 
-def pair(axis: Axes, found: Found, first: int, second: int) -> None:
+def pair(axis: Axes, found: Result, first: int, second: int) -> None:
     """The samples of two numbers."""
     across, up = (found.problem.numbers[index] for index in (first, second))
     truth, samples = found.target.truth or {}, found.samples

@@ -146,11 +146,6 @@ class Problem:
         """Where the search starts, shape [U]."""
         return np.array([each.start for each in self.numbers])
 
-    @property
-    def steps(self) -> Vector:
-        """Step of a finite difference in each number, shape [U]."""
-        return np.array([each.step or each.kind.step for each in self.numbers])
-
     def scene_at(self, values: Vector, seed: int | None = None, fields: Sequence[Field] = ()) -> Scene:
         """The scene at numbers `values` [U] and `fields`, with another jitter `seed` if so asked. Raises InputError."""
         scene = with_kinds(self.scene, self.kinds, values)

@@ -12,9 +12,10 @@ from tabulate import tabulate
 from datasets.files import write_text
 from inverse import deposits, pictures
 from inverse.fields import IDENTIFIED, FoundField
-from inverse.found import Answer, Combination, Found, Purpose, Verdict, peak_memory_mib, unidentified
+from inverse.found import Answer, Combination, Purpose, Verdict, unidentified
 from inverse.noise import CONFIDENCE, rms
 from inverse.observations.joint import Joint, Part
+from inverse.result import Result, peak_memory_mib
 
 NAMED = 4
 """With more numbers than these the conclusion gives the range of their half-widths, tables leave them out."""
@@ -26,7 +27,7 @@ SUGGESTED = 3
 
 
 @rc_context(deposits.STYLE)  # type: ignore[arg-type]
-def write(found: Found, folder: Path, command: str) -> None:
+def write(found: Result, folder: Path, command: str) -> None:
     """Write `report.md` and its pictures into `folder`; command: what made it."""
     parts = [f"# {found.problem.name}: {found.verdict}", "\n".join(f"- {each}" for each in conclusion(found))]
     parts += [f"`{command}`", question(found)]
@@ -57,7 +58,7 @@ def write(found: Found, folder: Path, command: str) -> None:
     write_text(folder / "report.md", "\n\n".join(part for part in parts if part) + "\n")
 
 
-def conclusion(found: Found) -> list[str]:
+def conclusion(found: Result) -> list[str]:
     """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
     runs = f"{found.record.get('flows', len(found.mpm_runs))} MPM runs, " if found.forward == "MPM" else ""
     price = f"Cost: {runs}{found.seconds['total']:.1f} s in all."
@@ -68,7 +69,7 @@ def conclusion(found: Found) -> list[str]:
     return [each for each in sentences if each]
 
 
-def first_found(found: Found) -> str:
+def first_found(found: Result) -> str:
     """What the surrogate found before any run of the MPM, and what the MPM said of it."""
     said, root = found.surrogate or {}, found.target.observation.root_text
     if "answers" not in said:
@@ -84,7 +85,7 @@ def first_found(found: Found) -> str:
     return f"The surrogate found {'; or '.join(texts)} ({price})."
 
 
-def verdict(found: Found) -> str:
+def verdict(found: Result) -> str:
     """The verdict, with the distance from the target and the predictive interval."""
     first, runs = found.answers[0], len(found.answers[0].checks)
     if runs == 0:
@@ -110,7 +111,7 @@ def verdict(found: Found) -> str:
     return f"**{words}**: {which} is {distance(found, first)}."
 
 
-def distance(found: Found, answer: Answer) -> str:
+def distance(found: Result, answer: Answer) -> str:
     """Distance of the MPM at an answer from the target, beside the predictive interval."""
     fit, text = answer.fit, found.target.observation.root_text
     assert fit is not None, "a design has no target"
@@ -124,13 +125,13 @@ def distance(found: Found, answer: Answer) -> str:
     )
 
 
-def numbers(found: Found) -> str:
+def numbers(found: Result) -> str:
     """The numbers with their half-widths, of every answer."""
     every = found.problem.numbers
     if not every:
         return ""
     widths = found.answers[0].half_widths
-    if len(every) > NAMED and widths is not None:
+    if len(every) > NAMED:
         order = np.argsort(widths / found.problem.box.range)
         low, high = (f"{every[at].kind.text(widths[at])} (`{every[at].name}`)" for at in (order[0], order[-1]))
         return f"{len(every)} parameters, with 95 % half-widths from {low} to {high}."
@@ -141,13 +142,11 @@ def numbers(found: Found) -> str:
             ", ".join(f"`{n}` = {text}" for n, text in zip(found.problem.names, cells(found, answer), strict=True))
         )
         texts[-1] += share
-    if widths is None:
-        return f"{texts[0]}."
     meaning = "changes that the MPM distinguishes" if found.problem.target.minimise else "95 %"
     return f"{'; or '.join(texts)} ({meaning})."
 
 
-def angles(found: Found) -> str:
+def angles(found: Result) -> str:
     """The angles of friction that were found, as a triaxial test and as a slope would show them."""
     if len(found.problem.numbers) > NAMED:
         return ""
@@ -160,16 +159,13 @@ def angles(found: Found) -> str:
     return sentence(parts)
 
 
-def cells(found: Found, answer: Answer) -> list[str]:
+def cells(found: Result, answer: Answer) -> list[str]:
     """Each number of an answer with its unit and half-width."""
-    widths = [None] * len(answer.parameters) if answer.half_widths is None else answer.half_widths.tolist()
-    return [
-        each.kind.text(value) + ("" if width is None else f" ± {each.kind.text(width)}")
-        for each, value, width in zip(found.problem.numbers, answer.parameters.tolist(), widths, strict=True)
-    ]
+    both = zip(found.problem.numbers, answer.parameters.tolist(), answer.half_widths.tolist(), strict=True)
+    return [f"{each.kind.text(value)} ± {each.kind.text(width)}" for each, value, width in both]
 
 
-def equifinality(found: Found) -> str:
+def equifinality(found: Result) -> str:
     """What the observation does not constrain, and which measurement would."""
     if found.posterior is None or found.problem.target.minimise:
         return ""
@@ -188,7 +184,7 @@ def equifinality(found: Found) -> str:
     return sentence(parts)
 
 
-def quality(found: Found) -> str:
+def quality(found: Result) -> str:
     """Errors against the truth, where it is known, and whether the model fits."""
     parts, truth = [], found.target.truth
     if truth:
@@ -196,9 +192,8 @@ def quality(found: Found) -> str:
         worst = max(every, key=lambda each: abs(unknowns[each.name] - truth[each.name]) / each.range)
         error = worst.kind.text(unknowns[worst.name] - truth[worst.name])
         which = "" if len(every) == 1 else f" (`{worst.name}`)"
-        known = found.answers[0].half_widths is not None
-        inside = f", {len(found.inside)} of {len(truth)} within the half-width" if known else ""
-        parts.append(f"error against the truth: {error}{which}{inside}")
+        inside = f"{len(found.inside)} of {len(truth)} within the half-width"
+        parts.append(f"error against the truth: {error}{which}, {inside}")
     fit = found.answers[0].fit
     if fit is not None and fit.factor > 1.0:
         parts.append(f"the fit is {fit.factor:.2g} times worse than noise, scatter and cells explain")
@@ -211,7 +206,7 @@ def sentence(parts: Sequence[str]) -> str:
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
-def question(found: Found) -> str:
+def question(found: Result) -> str:
     """What was asked: the numbers in a table with their bounds and what was found, priors of fields, observations."""
     fields = []
     for field in found.fields:
@@ -231,17 +226,15 @@ def question(found: Found) -> str:
         text, value, (low, high) = each.kind.text, float(found.answer[index]), each.bounds
         row = {"unknown": f"`{each.name}`", "between": f"{low:g}, {high:g}", "start": text(each.start)}
         row["found"] = f"**{text(value)}**"
-        if widths is not None:
-            row[uncertainty] = f"± {text(float(widths[index]))}"
+        row[uncertainty] = f"± {text(float(widths[index]))}"
         if truth:
             row |= {"truth": text(truth[each.name]), "error": text(value - truth[each.name])}
-        if truth and widths is not None:
             row["truth inside"] = "yes" if each.name in found.inside else "**no**"
         rows.append(row)
     return observed + (f"\n\n{table(list(rows[0]), [list(row.values()) for row in rows])}" if rows else "")
 
 
-def every_answer(found: Found) -> str:
+def every_answer(found: Result) -> str:
     """A line for each."""
     head = [*(f"`{name}`" for name in found.problem.names), "share of the posterior", "the MPM there"]
     said = ["not asked" if each.fit is None else distance(found, each) for each in found.answers]
@@ -252,7 +245,7 @@ def every_answer(found: Found) -> str:
     return table(head, rows)
 
 
-def comparison(found: Found) -> str:
+def comparison(found: Result) -> str:
     """Each observation as it was measured and at the answer."""
     whole, target, shown = found.target.observation, found.target, found.predicted
     alone = Part(name=whole.kind, observation=whole, numbers=slice(None))
@@ -302,7 +295,7 @@ def field_table(field: FoundField) -> str:
     return table(head, rows)
 
 
-def uncertainty(found: Found) -> list[str]:
+def uncertainty(found: Result) -> list[str]:
     """What the half-widths are made of."""
     parts = list(found.notes)
     if found.problem.target.minimise:
@@ -343,7 +336,7 @@ def mix(combination: Combination) -> str:
     return f"{' and '.join(up)} up while {' and '.join(down)} down"
 
 
-def search_table(found: Found) -> str:
+def search_table(found: Result) -> str:
     """Every iteration; the MPM runs at answers."""
     rows = []
     for record in found.iterations:
@@ -360,7 +353,7 @@ def search_table(found: Found) -> str:
     return text
 
 
-def cost(found: Found) -> str:
+def cost(found: Result) -> str:
     """Runs, seconds and memory."""
     runs = {
         f"MPM runs, {purpose}": sum(each.purpose is purpose for each in found.mpm_runs)
@@ -379,7 +372,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return tabulate(rows, headers=head, tablefmt="pipe", disable_numparse=True)
 
 
-def summary(found: Found) -> str:
+def summary(found: Result) -> str:
     """The outcome for the terminal: the conclusion of the report."""
     lines = [each.replace("**", "").replace("`", "") for each in conclusion(found)]
     return "\n".join([f"{found.problem.name}: {found.verdict}", *(f"  {line}" for line in lines)])

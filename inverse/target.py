@@ -15,33 +15,21 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import KINDS
 from inverse.observations.joint import Joint, Part
-from inverse.observations.observation import Matrix, Measurement, Observation, Values
+from inverse.observations.observation import Matrix, Measurement, Values
 from inverse.observations.table import Context
 from inverse.problem import Problem
 
 
 @dataclass(frozen=True, kw_only=True)
-class Target:
-    """What the inversion is given (`observation`, `values` and their errors), and what reports alone use (the rest)."""
+class Target(Measurement):
+    """What the inversion is given: an operator, its numbers and their errors. What follows reports alone use."""
 
-    observation: Observation
-    """The operator with which the values were measured."""
-    values: Values
-    """The observed numbers, shape [M]."""
-    deviation: Values
-    """Standard deviation of each of the values by errors of the measurement, shape [M]."""
-    covariance: Matrix | None = None
-    """The same of values whose errors depend on each other, shape [M, M]."""
     front: float = math.nan
     """Front of the deposit [m], with which that of an MPM run is compared; nan where it is not known."""
     cell: float | None = None
     """Of the grid that the observed flow was simulated on [m]; None of a measured one."""
     deposit: NDArray[np.floating] | None = None
     """Where known: positions of the deposit [m], shape [N, D]."""
-    profile: tuple[Values, Values] | None = None
-    """Where it was measured: stations and heights of the deposit [m], both of shape [S]."""
-    roughness: float = 1.0
-    """By how much the heights of a measured profile scatter more than their stated noise; it is part of `deviation`."""
     truth: dict[str, float] | None = None
     """Where known: the true numbers."""
 
@@ -127,28 +115,22 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
         numbers = slice(first, first + len(each.values))
         parts.append(Part(name=name, observation=each.observation, numbers=numbers))
     only = measurements[0]
-    alone, profile = len(parts) == 1, only.profile
+    whole = only if len(parts) == 1 else joined(measurements, parts)
     front = math.nan
     if run is not None:
         front = measures.front(run.positions[-1])
-    elif alone and not problem.target.minimise:
+    elif whole is only and not problem.target.minimise:
         front = only.observation.front(only.values)
-    target = Target(
-        observation=only.observation,
-        values=only.values,
-        deviation=only.deviation,
-        covariance=only.covariance,
+    return Target(
+        **{each.name: getattr(whole, each.name) for each in dataclasses.fields(whole)},
         front=front,
         cell=None if run is None else run.scene.domain.cell,
         deposit=None if run is None else run.positions[-1],
-        profile=(profile.x, profile.height) if profile is not None and alone else None,
-        roughness=max(each.roughness for each in measurements),
     )
-    return target if alone else joined(target, measurements, parts)
 
 
-def joined(target: Target, measurements: Sequence[Measurement], parts: Sequence[Part]) -> Target:
-    """`target` of several observations: each number over its standard deviation (`inverse.observations.joint`)."""
+def joined(measurements: Sequence[Measurement], parts: Sequence[Part]) -> Measurement:
+    """Several observations: each number over its standard deviation (`inverse.observations.joint`)."""
     noise = np.concatenate([each.deviation for each in measurements])
     prior = np.concatenate([each.observation.prior_scatter(each.values) for each in measurements])
     scale = np.hypot(noise, prior)
@@ -156,10 +138,10 @@ def joined(target: Target, measurements: Sequence[Measurement], parts: Sequence[
         if not np.all(scale[part.numbers] > 0.0):
             raise InputError(f"expected a noise above 0 for {part.name}, whose numbers are all 0", key="observations")
     blocks = [np.diag(each.deviation**2) if each.covariance is None else each.covariance for each in measurements]
-    return dataclasses.replace(
-        target,
+    return Measurement(
         observation=Joint(parts, scale, prior),
         values=np.concatenate([each.values for each in measurements]) / scale,
         deviation=noise / scale,
         covariance=block_diag(*blocks) / np.outer(scale, scale),
+        roughness=max(each.roughness for each in measurements),
     )

@@ -23,6 +23,8 @@ MEMORY_GIB = 0.5
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
 NODES = 4_000
 """Particles of a batch without gradients, at most: more of them are no cheaper each."""
+DIFFERENCE = 0.2
+"""Step of a central difference, over the range of its parameter: over less, particles come and go in whole rows."""
 T = TypeVar("T", bound=Tensors)
 Flow = tuple[Tensor, InitialState]
 """Positions [m] at the times of an initial state, shape [T, n, D], and this state."""
@@ -146,10 +148,10 @@ class GnsForward:
         """An observation [m] at parameters [U], differentiable in the unknowns that change the particles too."""
         if not parameters.requires_grad:
             return found
-        values = parameters.detach().numpy()
+        values, box = parameters.detach().numpy(), self.problem.box
         for index in self.other_particles:
-            change = np.where(np.arange(len(values)) == index, self.problem.steps, 0.0)
-            ends = [self.problem.box.clip(values + change), self.problem.box.clip(values - change)]
+            change = np.where(np.arange(len(values)) == index, DIFFERENCE * box.range, 0.0)
+            ends = [box.clip(values + change), box.clip(values - change)]
             ahead, behind = self.observe(ends)
             slope = torch.from_numpy((ahead - behind) / (ends[0] - ends[1])[index])
             found = found + slope * (parameters[index] - parameters[index].detach())

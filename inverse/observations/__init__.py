@@ -1,4 +1,4 @@
-"""Observation operators: what is measured of a flow, each kind in a file of its own, and the target that holds it.
+"""Observation operators: what is measured of a flow.
 
 >>> from inverse.observations import build
 >>> from inverse.settings import ObservationSettings
@@ -7,15 +7,12 @@
 """
 
 from datasets.scene import Scene
-from inverse.observations.deposit import Deposit
-from inverse.observations.front import Front, Runout
+from inverse.observations.deposit import Deposit, Outline
+from inverse.observations.front import Front, Passed, Runout, Toe
 from inverse.observations.gauges import Gauges
 from inverse.observations.impulse import Impulse
 from inverse.observations.observation import Observation, Rollout, Values
-from inverse.observations.outline import Outline
-from inverse.observations.passed import Passed
 from inverse.observations.profile import Profile
-from inverse.observations.toe import Toe
 from inverse.settings import ObservationSettings
 
 __all__ = ["KINDS", "Observation", "Rollout", "Values", "build"]

@@ -1,6 +1,6 @@
 """What an observation operator is: M numbers of a flow, exactly for verdicts and smoothly for gradients.
 
-A new kind is a class in a file of its own and a line in `inverse.observations.KINDS`.
+A new kind is a class and a line in `inverse.observations.KINDS`.
 """
 
 import math

@@ -48,13 +48,13 @@ from inverse.parameters.kind import (
 __all__ = ["Kind", "Vector", "kind", "known_names", "with_parameters"]
 
 _MATERIAL = (
-    Constant(form="friction_deg", unit="deg", digits=2, step=0.05, order=0, input=inputs.friction),  # the paper's step
-    Cohesion(form="cohesion", unit="Pa", digits=1, step=1.0, order=0, input=inputs.cohesion),
-    Constant(form="young", unit="Pa", digits=0, step=1.0e5, order=0),
-    Residual(form="residual_friction_deg", unit="deg", digits=2, step=0.5, order=1),
-    Residual(form="residual_cohesion", unit="Pa", digits=1, step=10.0, order=1),
-    RateOfShear(form="friction_limit_deg", unit="deg", digits=2, step=0.5, order=1),
-    RateOfShear(form="inertial_number", unit="-", digits=3, step=0.02, order=1),
+    Constant(form="friction_deg", unit="deg", digits=2, order=0, input=inputs.friction),
+    Cohesion(form="cohesion", unit="Pa", digits=1, order=0, input=inputs.cohesion),
+    Constant(form="young", unit="Pa", digits=0, order=0),
+    Residual(form="residual_friction_deg", unit="deg", digits=2, order=1),
+    Residual(form="residual_cohesion", unit="Pa", digits=1, order=1),
+    RateOfShear(form="friction_limit_deg", unit="deg", digits=2, order=1),
+    RateOfShear(form="inertial_number", unit="-", digits=3, order=1),
 )
 _COEFFICIENTS = {
     "floor_friction": inputs.floor_friction,
@@ -68,23 +68,20 @@ _EXTENTS = {"length": 0, "height": UP, "width": 2}
 
 def _length(made: type[Extent], name: str, axis: int) -> Kind:
     form = f"baffles[].{name}"
-    return made(
-        form=form, unit="m", digits=4, step=0.002, attribute="size", axis=axis, positive=False, input=inputs.baffle
-    )
+    return made(form=form, unit="m", digits=4, attribute="size", axis=axis, positive=False, input=inputs.baffle)
 
 
 KINDS: dict[str, Kind] = {
     each.form: each
     for each in (
         *_MATERIAL,
-        *(Kind(form=name, unit="-", digits=3, step=0.02, input=enter) for name, enter in _COEFFICIENTS.items()),
+        *(Kind(form=name, unit="-", digits=3, input=enter) for name, enter in _COEFFICIENTS.items()),
         *(dataclasses.replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
         *(
             Velocity(
                 form=f"masses[].velocity_{name}",
                 unit="m/s",
                 digits=3,
-                step=0.01,
                 attribute="velocity",
                 axis=axis,
                 positive=False,
@@ -94,10 +91,10 @@ KINDS: dict[str, Kind] = {
         ),
         *(_length(Centre, name, _AXES[name]) for name in "xz"),
         *(_length(Extent, name, axis) for name, axis in _EXTENTS.items()),
-        Kind(form="masses[].k0", unit="-", digits=3, step=0.05),
-        Height(form="masses[].height", unit="m", digits=4, step=0.01, attribute="size", axis=UP, changes_volume=True),
-        Kind(form="masses[].thickness", unit="m", digits=4, step=0.01, changes_volume=True),
-        Kind(form="solids[].friction", unit="-", digits=3, step=0.02, input=inputs.ground_friction),
+        Kind(form="masses[].k0", unit="-", digits=3),
+        Height(form="masses[].height", unit="m", digits=4, attribute="size", axis=UP, changes_volume=True),
+        Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
+        Kind(form="solids[].friction", unit="-", digits=3, input=inputs.ground_friction),
     )
 }
 """Every kind by its name, with `[]` in place of an index."""

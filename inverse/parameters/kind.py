@@ -36,8 +36,6 @@ class Kind:
     """As it is printed."""
     digits: int
     """Decimals with which it is printed."""
-    step: float
-    """Step of a finite difference, unless the problem has its own."""
     index: int | None = None
     """Of the mass, baffle or solid; None of the scene as a whole."""
     attribute: str = ""

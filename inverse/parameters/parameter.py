@@ -24,8 +24,6 @@ class Parameter(Record):
     """Largest value allowed."""
     initial: float | None = None
     """Of a number: where the search starts."""
-    step: float | None = None
-    """Of a number: step of a finite difference; that of its kind where absent."""
     spacing: tuple[float, ...] | None = None
     """Of a field: distance between nodes along each axis [m], at most; they cover the body from edge to edge.
 

@@ -16,6 +16,12 @@
 The prior is uniform between the bounds. What an emulator has excluded stays so, and runs around the rest alone make the
 next one, which is simpler there (history matching in waves: Vernon, Goldstein & Bower, Galaxy formation: a Bayesian
 uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
+
+A cohesive column stands or falls, and nothing is between the two: a process that is smooth over the whole box would
+have to be as rough within such a regime as from one to the other. So the emulator is of one regime alone where that
+predicts its runs far better (treed Gaussian processes: Gramacy & Lee, Bayesian treed Gaussian process models with an
+application to computer modeling, J. Am. Stat. Assoc. 103 (2008) 1119-1130). A regime ends where what the runs show has
+a gap.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,9 +33,8 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import f, qmc
 
-from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear
+from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, squared_distance
 from inverse.posterior.reduction import Reduction, reduction
-from inverse.posterior.regime import Regime, of_target
 from inverse.posterior.sampling import Samples, sample
 from inverse.posterior.settings import CONSTANTS
 from inverse.target import Target
@@ -83,6 +88,29 @@ class Region:
     def suffices(self, points: Matrix) -> bool:
         """Whether enough different ones of the runs at points [n, U] lie in it for an emulator of their own."""
         return len(np.unique(points[self.inside(points)], axis=0)) >= fewest_runs(points.shape[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Regime:
+    """Runs in it and out of it."""
+
+    inside: Matrix
+    """Points of the runs in it, shape [n, U]."""
+    outside: Matrix
+    """Of all others, shape [m, U]."""
+
+    def __call__(self, points: Matrix) -> Row:
+        """Logarithm of the probability that points [S, U] are in it, shape [S].
+
+        The share of the runs that are, each by the power -(U + 2) of its distance (Shepard, A two-dimensional
+        interpolation function for irregularly-spaced data, Proc. ACM Natl. Conf. 23 (1968) 517-524): the nearest count.
+        """
+        power = 0.5 * points.shape[1] + 1.0
+        inside, outside = (
+            (np.maximum(squared_distance(points, runs, np.ones(1)), 1e-12) ** -power).sum(axis=1)
+            for runs in (self.inside, self.outside)
+        )
+        return np.asarray(np.log(np.maximum(inside / (inside + outside), 1e-300)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +228,7 @@ def posterior(
     region = region or Region(low=np.zeros(unknowns), high=np.ones(unknowns))
     near = region.inside(points)
     reduced, emulator, expected, repeats = emulated(points[near], numbers[near], target, scatter, trends)
-    regime, alike = None, of_target(reduced(numbers), points, near, reduced(target.values))
+    regime, alike = None, regime_of(reduced(numbers), points, near, reduced(target.values))
     if alike is not None:
         own = emulated(points[near & alike], numbers[near & alike], target, scatter, trends)
         if own[1].uncertainty.mean() < CONSTANTS.other_regime * emulator.uncertainty[alike[near]].mean():
@@ -230,6 +258,24 @@ def posterior(
     return Posterior(
         reduction=reduced, likelihood=likelihood, samples=samples, region=region, near=near, explained=explained
     )
+
+
+def regime_of(components: Matrix, points: Matrix, near: NDArray[np.bool_], target: Row) -> NDArray[np.bool_] | None:
+    """Which of the runs at points [n, U] with components [n, r] are in the regime of the target [r].
+
+    Those before the widest gap between distances from the target, relative to the distance. None where it is no wider
+    than `regime_gap`, and where those of them that are `near` [n] are too few for an emulator or all that are.
+    """
+    distances = np.sqrt(((components - target) ** 2).sum(axis=1))
+    ordered = np.sort(distances[near])
+    _, first = np.unique(points[near], axis=0, return_index=True)
+    enough = np.sort(distances[near][first])[fewest_runs(points.shape[1]) - 1 :]
+    if len(enough) < 2:
+        return None
+    ratios = ordered[1:] / np.maximum(ordered[:-1], 1e-300)
+    ratios[ordered[:-1] < enough[0]] = 0.0
+    widest = int(np.argmax(ratios))
+    return distances <= ordered[widest] if ratios[widest] > CONSTANTS.regime_gap else None
 
 
 def emulated(

@@ -47,6 +47,15 @@ def adapted(weights: Path, make_problem: MakeProblem, tmp_path_factory: pytest.T
     return out
 
 
+def test_the_call_holds_beside_the_command() -> None:
+    """`import inverse.adapt`, as for the command, binds the module over the function of the package."""
+    import inverse
+    import inverse.adapt
+
+    with pytest.raises(InputError, match="at least 6 runs"):
+        inverse.adapt("friction-tall-42", "out", runs=1)
+
+
 def test_flows_fill_the_box_and_more_begin_with_the_fewer(make_problem: MakeProblem, tiny: Model) -> None:
     problem, settings = make_problem(2, *NAMES), tiny.simulator.settings
     entries = definition(problem, 32, settings, seed=3).entries(seed=3)

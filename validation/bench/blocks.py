@@ -63,7 +63,6 @@ def blocks_problem(unknowns: int, *, duration: float | None = None) -> Problem:
                 initial=FRACTION * (mass.velocity or (0.0,))[0],
                 lower=-3.0,
                 upper=3.0,
-                step=STEPS[unknowns],
             )
             for index, mass in enumerate(scene.masses)
         ),
@@ -75,9 +74,7 @@ def blocks_problem(unknowns: int, *, duration: float | None = None) -> Problem:
 def hundred_problem() -> Problem:
     """As `velocity-layers-10`, of a hundred blocks."""
     problem = blocks_problem(100)
-    numbers = tuple(
-        dataclasses.replace(each, initial=0.75, lower=-1.0, upper=3.0, step=None) for each in problem.parameters
-    )
+    numbers = tuple(dataclasses.replace(each, initial=0.75, lower=-1.0, upper=3.0) for each in problem.parameters)
     return dataclasses.replace(problem, name=HUNDRED, parameters=numbers)
 
 

@@ -197,11 +197,7 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     point, samples = (values - box.lower) / box.range, found.samples
     excluded = np.any((point < found.region.low) | (point > found.region.high))
     density = -np.inf if excluded else float(found.likelihood(point[None])[0])
-    off = [
-        np.abs(values - each.parameters) / np.maximum(each.half_widths, 1e-300)
-        for each in result.answers
-        if each.half_widths is not None
-    ]
+    off = [np.abs(values - each.parameters) / np.maximum(each.half_widths, 1e-300) for each in result.answers]
     return Twin(
         seed=seed,
         denser=float(samples.weights[samples.log_likelihood > density].sum()),

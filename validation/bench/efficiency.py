@@ -37,6 +37,7 @@ from validation.bench.blocks import (
     FRACTION,
     HUNDRED,
     MOST_COLUMNS,
+    STEPS,
     blocks_problem,
     hundred_problem,
     sampled,
@@ -151,7 +152,14 @@ def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTE
     seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
     seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
     slopes = [
-        differences(MpmForward(each, observation, simulate_many), own, each, chosen, observation.components)
+        differences(
+            MpmForward(each, observation, simulate_many),
+            own,
+            problem.initial,
+            STEPS[unknowns],
+            chosen,
+            observation.components,
+        )
         for each in seeded
     ]
     found = {
@@ -175,20 +183,19 @@ def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTE
 
 
 def differences(
-    forward: Forward, target: Values, problem: Problem, chosen: NDArray[np.int64], components: int
+    forward: Forward, target: Values, start: Vector, step: float, chosen: NDArray[np.int64], components: int
 ) -> tuple[float, Vector]:
-    """Seconds of a whole gradient by central differences, and the loss's slope in the `chosen` unknowns.
+    """Seconds of a whole gradient at `start` by central differences of `step`, and the loss's slope in `chosen`.
 
     d/du of the loss is 2 sum (y - y*) dy/du over the number of points.
     """
-    start, steps = problem.initial, problem.steps[chosen]
-    moves = np.diag(problem.steps)[chosen]
+    moves = step * np.eye(len(start))[chosen]
     began = time.perf_counter()
     (observation,) = forward.observe([start])
     middle = time.perf_counter()
     values = np.array(forward.observe([start + move for move in moves] + [start - move for move in moves]))
     end = time.perf_counter()
-    columns = (values[: len(chosen)] - values[len(chosen) :]).T / (2.0 * steps)
+    columns = (values[: len(chosen)] - values[len(chosen) :]).T / (2.0 * step)
     slope = 2.0 * components * (observation - target) @ columns / len(target)
     return middle - began + (end - middle) * len(start) / len(chosen), slope
 

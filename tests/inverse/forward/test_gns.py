@@ -87,7 +87,7 @@ def test_between_two_steps_particles_move_straight(problem: Problem, share: floa
 
 def test_a_thickness_makes_other_particles_and_is_differentiable_by_differences(problem: Problem) -> None:
     layer = Mass(kind="layer", thickness=0.06, outline=((0.0,), (0.08,)))
-    thickness = Parameter(name="masses[0].thickness", initial=0.06, lower=0.04, upper=0.08, step=0.01)
+    thickness = Parameter(name="masses[0].thickness", initial=0.06, lower=0.025, upper=0.075)
     other = dataclasses.replace(
         problem,
         scene=dataclasses.replace(problem.scene, masses=(layer,)),

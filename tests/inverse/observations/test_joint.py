@@ -11,8 +11,8 @@ from datasets.errors import InputError
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Rollout, build
+from inverse.observations.deposit import Outline
 from inverse.observations.joint import Joint
-from inverse.observations.outline import Outline
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings
 from inverse.target import read_target

@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 from inverse.observations import build
 from inverse.posterior.emulator import linear
 from inverse.posterior.information import information
-from inverse.posterior.posterior import Posterior, Region, next_points, posterior, repeated_scatter
+from inverse.posterior.posterior import Posterior, Regime, Region, next_points, posterior, regime_of, repeated_scatter
 from inverse.posterior.reduction import cross_fitted, directions, reduction
-from inverse.posterior.regime import Regime, of_target
 from inverse.posterior.sampling import sample
 from inverse.problem import read_problem
 from inverse.settings import ObservationSettings
@@ -196,8 +195,8 @@ def test_the_nearest_runs_decide() -> None:
 def test_a_steady_response_is_one_regime() -> None:
     points = np.linspace(0.0, 1.0, 20)[:, None]
     near = np.ones(20, bool)
-    assert of_target(50.0 * points, points, near, np.array([25.3])) is None
+    assert regime_of(50.0 * points, points, near, np.array([25.3])) is None
     # A target between two regimes is of neither.
     values = np.where(points < 0.5, points, 50.0 + points)
-    assert of_target(values, points, near, np.array([25.0])) is None
-    assert np.array_equal(of_target(values, points, near, np.array([0.2])), points[:, 0] < 0.5)
+    assert regime_of(values, points, near, np.array([25.0])) is None
+    assert np.array_equal(regime_of(values, points, near, np.array([0.2])), points[:, 0] < 0.5)
