@@ -20,7 +20,7 @@ from datasets.errors import InputError
 from datasets.records import Record, from_mapping, read_json
 from datasets.scene import Scene
 from datasets.trajectory import open_trajectory, trajectory_files
-from gns.library import model_path, shipped
+from gns.library import model_path
 from gns.ranges import Range, outside, ranges_of
 from gns.settings import ModelSettings, features
 from gns.units import Units
@@ -28,8 +28,6 @@ from gns.units import Units
 if TYPE_CHECKING:
     from gns.simulator import Simulator
 
-SHORT, FAR_TOO_SHORT = 0.25, 0.05
-"""Below these shares of a shipped model's updates a training is called too short."""
 LICENCE = "MIT"
 """That of the repository."""
 
@@ -190,37 +188,14 @@ def warning(weights: Path, scene: Scene) -> str | None:
     card = read(weights)
     if card is None:
         return f"{weights.name} has no card (python -m gns.card): its training range is unknown"
-    reasons = []
-    if found := outside(scene, card.ranges):
-        reasons.append(f"{weights.name} is outside of its training range: {'; '.join(found)}")
-    updates = card.training.updates
-    if updates is not None and (share_of_shipped(updates, scene.dimension) or 1.0) < SHORT:
-        reasons.append(f"{weights.name}: {length_of_training(updates, scene.dimension)}")
-    return "; ".join(reasons) or None
+    found = outside(scene, card.ranges)
+    return f"{weights.name} is outside of its training range: {'; '.join(found)}" if found else None
 
 
 def total_updates(provenance: Mapping[str, Any]) -> int:
     """Updates of the weights in all: of a training and of those that it began with."""
     begin = provenance.get("begin")
     return int((provenance.get("log") or {}).get("updates", 0)) + (total_updates(begin) if begin else 0)
-
-
-def share_of_shipped(updates: int, dimension: int) -> float | None:
-    """So many updates over those of the shipped model in 2D or 3D; None where none ships, or its card does not say."""
-    path = shipped(dimension)
-    reference = read(path) if path.exists() else None
-    return updates / reference.training.updates if reference and reference.training.updates else None
-
-
-def length_of_training(updates: int, dimension: int) -> str:
-    """A line on so many updates against those of the shipped model."""
-    text, share = f"{updates} updates in all", share_of_shipped(updates, dimension)
-    if share is None:
-        return text
-    text += f", {100.0 * share:.3g} % of those of {shipped(dimension).name}"
-    if share < SHORT:
-        text += ": far too short, no answer should rest on this model" if share < FAR_TOO_SHORT else ": train longer"
-    return text
 
 
 def main(model: Path, /, *datasets: Path) -> None:

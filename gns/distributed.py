@@ -68,7 +68,7 @@ def together(count: int, work: Callable[..., None], *arguments: Any) -> None:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
     common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": str(count)}
-    own, former = common | {"RANK": "0"}, dict(os.environ)
+    own = common | {"RANK": "0"}
     others = [
         get_context("spawn").Process(target=beside, args=(common | {"RANK": str(number)}, work, arguments), daemon=True)
         for number in range(1, count)
@@ -88,7 +88,6 @@ def together(count: int, work: Callable[..., None], *arguments: Any) -> None:
     finally:
         for name in own:
             os.environ.pop(name)
-        os.environ.update({name: former[name] for name in own if name in former})
         for other in others:
             other.join(ENDING)
 

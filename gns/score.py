@@ -179,19 +179,14 @@ def score(
     described = card.read(path)
     if keep and described is None:
         raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
-    if (
-        described is not None
-        and keep
-        and (other := [each.name for each in datasets if each.name not in described.datasets])
-    ):
-        message = f"expected datasets that the model was trained on, {', '.join(described.datasets)}, got {other[0]}"
+    known = described.datasets if described is not None else {}
+    if keep and (other := [each.name for each in datasets if each.name not in known]):
+        message = f"expected datasets that the model was trained on, {', '.join(known)}, got {other[0]}"
         raise InputError(message, key="DATASET")
     lines = []
     for dataset in datasets:
         flows = flows_of(dataset, split, settings, progress=True)
         lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(loaded.simulator, flows)))
-    if updates := card.total_updates(loaded.provenance):
-        lines.append(card.length_of_training(updates, settings.dimension) + "\n")
     text = "\n".join(lines)
     print(text)
     if keep and described is not None:

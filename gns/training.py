@@ -327,9 +327,8 @@ def validate(
 def described(path: Path, datasets: Sequence[Path], scores: str) -> str:
     """Write the card of a model, with a table of its scores; returns a line on how long its training was."""
     model = checkpoint.load(path)
-    written = card.describe(model.simulator, model.provenance, card.stored(datasets), scores)
-    card.write(path, written)
-    return f"{path}: {card.length_of_training(written.training.updates or 0, model.simulator.settings.dimension)}"
+    card.write(path, card.describe(model.simulator, model.provenance, card.stored(datasets), scores))
+    return f"{path}: {card.total_updates(model.provenance)} updates in all"
 
 
 def save(path: Path, settings: ModelSettings, parts: Mapping[str, Any], position: Position) -> None:

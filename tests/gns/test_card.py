@@ -1,7 +1,6 @@
 """Cards: what a surrogate is, the training range, and the quantities of a scene outside of it."""
 
 import dataclasses
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -197,26 +196,9 @@ def test_the_band_is_that_of_the_narrowest_dataset_that_holds_the_scene(model: P
     assert found.ranges["friction_deg"] == (min(wide.ranges["friction_deg"][0], 40.0), wide.ranges["friction_deg"][1])
 
 
-def test_a_model_without_a_card_or_of_a_short_training_says_so(
-    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_without_a_card_says_so(tmp_path: Path) -> None:
     own = tmp_path / "new.safetensors"
     assert "has no card" in (card.warning(own, COLUMN) or "")
-    data = json.loads(card.card_path(model).read_text())
-    data["training"]["updates"] = 300
-    card.card_path(own).write_text(json.dumps(data))
-    reference = tmp_path / "flow2d.safetensors"
-    monkeypatch.setattr(card, "shipped", lambda _: reference)
-    # None ships: there is nothing to compare with.
-    assert card.warning(own, COLUMN) is None
-    assert card.length_of_training(300, 2) == "300 updates in all"
-    reference.touch()
-    data["training"]["updates"] = 12000
-    card.card_path(reference).write_text(json.dumps(data))
-    assert card.warning(own, COLUMN) == (
-        "new.safetensors: 300 updates in all, 2.5 % of those of flow2d.safetensors: "
-        "far too short, no answer should rest on this model"
-    )
     for text in ('{"ranges": 3}', "3", "{"):
         card.card_path(own).write_text(text)
         with pytest.raises(InputError, match=r"new\.json"):

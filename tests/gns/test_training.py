@@ -131,7 +131,7 @@ def test_a_training_leaves_a_model_with_its_card(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(dataset, tmp_path, "--updates", "1") == 0
-    assert "far too short" in capsys.readouterr().out
+    assert "1 updates in all" in capsys.readouterr().out
     found, best = card.read(tmp_path / "best.safetensors"), checkpoint.load(tmp_path / "best.safetensors")
     assert found is not None
     assert (found.datasets[dataset.name].scenes, found.training.updates) == (4, 1)
