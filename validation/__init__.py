@@ -7,6 +7,7 @@ print(result.verdict, result.unknowns, result.certainty)
 result.plot().savefig("found.png")
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import mpm  # noqa: F401  (which knows whether the package datasets is Talus's)
@@ -16,24 +17,16 @@ if TYPE_CHECKING:
     from validation.loop.series import solve_series
     from validation.loop.solve import solve
 
+_MODULES = {"Result": "inverse.result", "solve": "validation.loop.solve", "solve_series": "validation.loop.series"}
+
 __all__ = ["Result", "solve", "solve_series"]
 
 
 def __getattr__(name: str) -> Any:
-    # Benchmarks import this package too; torch and matplotlib take seconds.
-    if name == "solve":
-        from validation.loop.solve import solve
-
-        return solve
-    if name == "solve_series":
-        from validation.loop.series import solve_series
-
-        return solve_series
-    if name == "Result":
-        from inverse.result import Result
-
-        return Result
-    raise AttributeError(name)
+    """Import on first use: benchmarks import this package too, and torch and matplotlib take seconds."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -48,8 +48,8 @@ def scene_file(folder: Path, dimension: int) -> Path:
     return path
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_there_and_back(tmp_path: Path, dimension: int) -> None:
+@pytest.mark.parametrize(("dimension", "up"), [(2, "y"), (3, "y"), (3, "z")])
+def test_there_and_back(tmp_path: Path, dimension: int, up: str) -> None:
     ours, theirs, back = (tmp_path / name for name in ("ours", "theirs", "back"))
     scene = scene_file(tmp_path, dimension)
     toy_dataset(ours, dimension)
@@ -62,7 +62,9 @@ def test_there_and_back(tmp_path: Path, dimension: int) -> None:
         np.testing.assert_array_equal(material == 0.0, types == 3)
         # Baffles stand.
         assert (np.ptp(positions[:, types == 3], axis=0) == 0.0).all()
-    assert exchange(theirs, *FROM, "--scene", scene, "--out", back) == 0
+    if up == "z":
+        lay_down(theirs)
+    assert exchange(theirs, *FROM, "--scene", scene, "--up", up, "--out", back) == 0
     for split in ("train", "valid", "test"):
         before, after = (sorted((folder / split).glob("*.npz")) for folder in (ours, back))
         assert len(before) == len(after) > 0
@@ -76,6 +78,18 @@ def test_there_and_back(tmp_path: Path, dimension: int) -> None:
         np.testing.assert_allclose(before[key], after[key], rtol=1e-9)
     assert (after["splits"], after["seed"]) == ({"train": 2, "valid": 1, "test": 1}, None)
     assert (after["definition"], after["exchange"]["from"]) == ("geoelements", "geoelements")
+
+
+def lay_down(folder: Path) -> None:
+    """Exchange y and z in all files of a set in 3D."""
+    for path in folder.glob("*.npz"):
+        with np.load(path, allow_pickle=True) as file:
+            flows = {name: file[name] for name in file.files}
+        for flow in flows.values():
+            flow[0] = flow[0][..., [0, 2, 1]]
+        np.savez(path, **flows)
+    content = json.loads((folder / "metadata.json").read_text())
+    write_json(folder / "metadata.json", content | {"bounds": [content["bounds"][axis] for axis in (0, 2, 1)]})
 
 
 def test_nothing_else_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
