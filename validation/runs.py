@@ -17,12 +17,12 @@ from tqdm import tqdm
 from datasets import __version__
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.geometry.placement import remembers_gaps
 from datasets.particles import particle_count
 from datasets.processes import processors
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import ALL, LAST, Recording, ScenesFailed, simulate_many
+from mpm.arrays.features import features_of
 from mpm.arrays.layout import Precision
 from mpm.resolution import particle_steps
 from mpm.simulation import LARGE
@@ -55,20 +55,10 @@ class Run:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
-    def kernel(self) -> tuple[bool | int | str, ...]:
-        """What decides which kernel it needs; a large run, which takes all threads, last."""
-        scene = self.scene
-        return (
-            particle_count(scene) >= LARGE,
-            self.precision,
-            repr(self.record),
-            scene.dimension,
-            scene.relaxation > 0.0,
-            scene.damping > 0.0,
-            scene.material.cohesion > 0.0,
-            bool(scene.baffles),
-            remembers_gaps(scene),
-        )
+    def kernel(self) -> tuple[bool, str, str]:
+        """What is recorded and the kernel that it needs; a large run, which takes all threads, last."""
+        features = features_of([self.scene], self.precision, record=self.record)
+        return particle_count(self.scene) >= LARGE, repr(self.record), repr(features)
 
 
 class RunStore:

@@ -175,11 +175,9 @@ def selected(dimension: int, tolerance: float, known: Sequence[Measured]) -> Mea
     """What a tolerance selects in a dimension; None where nothing that was measured is within it."""
     scene = next(iter(read_flows(dimension, unseen=True).values()))
     try:
-        cells = resolved(scene, tolerance, known).cells
+        return resolved(scene, tolerance, known).measured
     except InputError:
         return None
-    some = [each for each in known if each.dimension == dimension and each.promised <= tolerance]
-    return min(some, key=lambda each: abs(each.resolution.cells - cells))
 
 
 def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False) -> str:

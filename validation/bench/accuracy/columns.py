@@ -14,12 +14,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets import measures
 from datasets.files import read_toml
 from datasets.library import read_scene
 from datasets.material import Material
-from datasets.measures import FRONT_QUANTILE, Positions, runout
+from datasets.measures import Positions, runout
 from datasets.scene import Domain, Mass, Scene
 from mpm import AT_REST
+from validation.experiments.quantities import radius
 from validation.report.page import Page, Row, percent, signed
 from validation.runs import Run, RunStore
 
@@ -73,9 +75,7 @@ def column(dimension: int, aspect: float, cells: int) -> Scene:
 
 def front(positions: Positions) -> float:
     """(d - L) / L, with d the radius that 99.5 % of the particles are within."""
-    x = positions.astype(np.float64)
-    radius = x[:, 0] if x.shape[1] == 2 else np.hypot(x[:, 0], x[:, 2])
-    return float(np.quantile(radius, FRONT_QUANTILE)) / LENGTH - 1.0
+    return (measures.front(positions) if positions.shape[1] == 2 else radius(positions)) / LENGTH - 1.0
 
 
 def collapse(store: RunStore, *, quick: bool) -> Fronts:
