@@ -120,8 +120,6 @@ class Findings:
     """At the first angle of each experiment, or at the inferred one where it has none."""
     others: tuple[Score, ...]
     """At its other angles, on the coarse cells."""
-    predicted: tuple[Score, ...]
-    """What no measured number was found for, at all angles."""
     inferred: tuple[Inferred, ...]
 
 
@@ -142,7 +140,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
     asked = [
         (each, case, reading)
         for each, case in pairs
-        for reading in dict.fromkeys((*(ladder(each) if case.extent.known else ()), *each.experiment.readings))
+        for reading in dict.fromkeys((*ladder(each), *each.experiment.readings))
     ]
     coarse = run(asked, 0, simulate)
     crossings = {
@@ -150,7 +148,6 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
             {one.deg: coarse[each.name, case.name, one](case.extent) for one in ladder(each)}, case.extent.value
         )
         for each, case in pairs
-        if case.extent.known
     }
     # On the fine cells at the first angle that was measured, else at the one that the coarse cells imply.
     firsts = [
@@ -161,7 +158,6 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         if not math.isnan(reading.deg)
     ]
     fine = run(firsts, 1, simulate)
-    compared = [one for one in firsts if one[1].extent.known]
     inferred = [
         Inferred(
             experiment=each.name,
@@ -171,13 +167,13 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
             deg=first.deg + (case.extent.value - fine[each.name, case.name, first](case.extent)) / slope,
             half_width_deg=abs(CLOSE * case.extent.spread / slope),
         )
-        for each, case, first in compared
+        for each, case, first in firsts
         for coarse_deg, slope in [crossings[each.name, case.name]]
     ]
     # Where no angle was measured, what else was is held against a run at the inferred one.
     again = [
         (each, case, dataclasses.replace(first, deg=one.deg))
-        for (each, case, first), one in zip(compared, inferred, strict=True)
+        for (each, case, first), one in zip(firsts, inferred, strict=True)
         if not each.experiment.angles and case.measured[1:]
     ]
     fine |= run(again, 1, simulate)
@@ -204,9 +200,8 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
             )
     return Findings(
         shipped=tuple(shipped),
-        scores=tuple(each for each in scores if each.measured.known),
-        others=tuple(each for each in others if each.measured.known),
-        predicted=tuple(each for each in (*scores, *others) if not each.measured.known),
+        scores=tuple(scores),
+        others=tuple(others),
         inferred=tuple(inferred),
     )
 
@@ -307,20 +302,6 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
             for each in findings.inferred
         ]
     )
-    if findings.predicted:
-        text.section("Predicted, not compared")
-        text.text("No measured number was found in a public text.")
-        text.table(
-            [
-                {
-                    "experiment": each.label,
-                    "angle": each.angle,
-                    "coarse cells [m]": f"{each.coarse:.3f}",
-                    "fine cells [m]": f"{each.fine:.3f}" if each.fine != each.coarse else "",
-                }
-                for each in findings.predicted
-            ]
-        )
     text.section("Sources")
     for shipped in findings.shipped:
         text.text(f"- `{shipped.name}`: {shipped.experiment.source} ({shipped.experiment.licence}).")

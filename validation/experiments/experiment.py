@@ -28,8 +28,6 @@ class Status(StrEnum):
 
     READ = "read"
     WORKED_OUT = "worked out"
-    PREDICTED = "predicted"
-    """From the computation alone: no measured number was found."""
 
 
 class Quantity(StrEnum):
@@ -113,12 +111,12 @@ class Measured(Record):
     of the radius over time."""
     value: float = 0.0
     """[m], from the wall x = 0."""
-    spread: float = 0.0
+    spread: float
     """One unit of its uncertainty [m]; where sources disagree, half of the band between them, `value` its middle."""
     spread_from: str = ""
     """Where the spread comes from."""
     status: Status
-    source: str = ""
+    source: str
     explanation: str = ""
     """Why the computation may differ: printed where it does, by more than twice the spread."""
     thicker_than: float | None = None
@@ -138,18 +136,11 @@ class Measured(Record):
     """At `times` [m]."""
 
     @property
-    def known(self) -> bool:
-        """Whether there is a measured number."""
-        return self.status is not Status.PREDICTED
-
-    @property
     def single(self) -> bool:
         """Whether it is one number, not a difference from many."""
         return self.quantity not in (Quantity.PROFILE, Quantity.RADII)
 
     def __post_init__(self) -> None:
-        if not self.known:
-            return
         if self.spread <= 0.0:
             raise InputError(f"expected a positive length in m, got {self.spread:g}", key="spread")
         if self.quantity is Quantity.HEIGHT and self.within is None:
