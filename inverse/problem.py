@@ -56,11 +56,6 @@ class Bounds:
         """Width of the box, shape [U]."""
         return self.upper - self.lower
 
-    @property
-    def middle(self) -> Vector:
-        """Centre of the box, shape [U]."""
-        return 0.5 * (self.lower + self.upper)
-
     def clip(self, parameters: Vector) -> Vector:
         """The nearest point of the box."""
         return np.clip(parameters, self.lower, self.upper)

@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from tabulate import tabulate
 
 from datasets.files import write_text
-from inverse import deposits, pictures
+from inverse import pictures
 from inverse.fields import IDENTIFIED, FoundField
 from inverse.found import Answer, Combination, Purpose, Verdict, unidentified
 from inverse.noise import CONFIDENCE, rms
@@ -26,12 +26,12 @@ SUGGESTED = 3
 """Measurements, and combinations that are identifiable, that the conclusion names."""
 
 
-@rc_context(deposits.STYLE)  # type: ignore[arg-type]
+@rc_context(pictures.STYLE)  # type: ignore[arg-type]
 def write(found: Result, folder: Path, command: str) -> None:
     """Write `report.md` and its pictures into `folder`; command: what made it."""
     parts = [f"# {found.problem.name}: {found.verdict}", "\n".join(f"- {each}" for each in conclusion(found))]
     parts += [f"`{command}`", question(found)]
-    deposits.save(deposits.deposits(found), folder / "deposit.png")
+    pictures.save(pictures.deposits(found), folder / "deposit.png")
     if len(found.problem.numbers) > 2:
         pictures.draw_unknowns(folder / "unknowns.png", found)
         parts.append("![unknowns](unknowns.png)")

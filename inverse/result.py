@@ -208,9 +208,9 @@ class Result:
 
     def plot(self) -> "Figure":
         """The deposits observed and found, and their profiles."""
-        from inverse import deposits
+        from inverse import pictures
 
-        return deposits.deposits(self)
+        return pictures.deposits(self)
 
 
 def peak_memory_mib() -> float:

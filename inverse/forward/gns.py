@@ -43,7 +43,6 @@ class GnsForward:
         simulator: Simulator,
         problem: Problem,
         observation: Observation,
-        memory_gib: float = MEMORY_GIB,
         band: Band | None = None,
         flows: dict[bytes, Flow] | None = None,
     ) -> None:
@@ -54,12 +53,12 @@ class GnsForward:
         """
         self.simulator = simulator.requires_grad_(False)
         self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()
-        self.other_particles = [index for index, kind in enumerate(self.kinds) if not kind.differentiable]
+        self.other_particles = [index for index, kind in enumerate(self.kinds) if kind.input is None]
         self.initial = self._initial(problem.scene)
         self.flows = {} if flows is None else flows
         self.indices, self.steps = self.initial.indices, self.initial.steps
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
-        self.kept_steps = int(memory_gib * 2**30 / bytes_per_step)
+        self.kept_steps = int(MEMORY_GIB * 2**30 / bytes_per_step)
 
     def predict(self, parameters: Tensor, /) -> Tensor:
         """The smooth observation, float64 of shape [m] or [S, m], of parameters, float64 of shape [U] or [S, U].
@@ -116,8 +115,9 @@ class GnsForward:
         if self.other_particles:
             initial = self._initial(self.problem.scene_at(parameters.detach().numpy()))
         for index in in_order(self.kinds):
-            if self.kinds[index].differentiable:
-                initial = self.kinds[index].enter(initial, parameters[index])
+            kind = self.kinds[index]
+            if kind.input is not None:
+                initial = kind.input(kind, initial, parameters[index])
         return initial
 
     def _initial(self, scene: Scene) -> InitialState:

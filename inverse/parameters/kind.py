@@ -63,14 +63,9 @@ class Kind:
         return self.attribute or self.form.split(".")[-1]
 
     @property
-    def differentiable(self) -> bool:
-        """Whether it is an input of the surrogate, which is differentiable in it."""
-        return self.input is not None
-
-    @property
     def predicted(self) -> bool:
         """Whether the surrogate knows flows with other values of it: it is an input, or it makes other particles."""
-        return self.differentiable or self.changes_volume
+        return self.input is not None or self.changes_volume
 
     def text(self, value: float) -> str:
         """A value with its unit."""
@@ -120,11 +115,6 @@ class Kind:
         members = list(getattr(draft, self.group))
         members[self.index] = self.changed(members[self.index], value)
         setattr(draft, self.group, tuple(members))
-
-    def enter(self, initial: InitialState, value: Tensor) -> InitialState:
-        """`initial` with this value, differentiable in it: how it enters the surrogate."""
-        assert self.input is not None, "`differentiable` says so"
-        return self.input(self, initial, value)
 
 
 class Velocity(Kind):

@@ -30,12 +30,12 @@ def problem() -> Problem:
     return dataclasses.replace(shipped, scene=scene, observations=(front,), target=TargetSettings())
 
 
-def forward_of(problem: Problem, memory_gib: float = 1.0) -> GnsForward:
+def forward_of(problem: Problem) -> GnsForward:
     torch.manual_seed(0)
     settings = ModelSettings(body_length=0.1, width=16, layers=2, rounds=1, grid_channels=8)
     scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
     observation = build(ObservationSettings(kind="front"), problem.scene)
-    return GnsForward(Simulator(settings, scales), problem, observation, memory_gib)
+    return GnsForward(Simulator(settings, scales), problem, observation)
 
 
 def test_a_rollout_is_in_the_units_of_the_scene(problem: Problem) -> None:

@@ -132,7 +132,7 @@ def test_a_value_enters_the_scene_and_comes_out_again(name: str, value: float, u
     one.check(SOFT)
     assert one.read(SOFT) != value
     changed = with_parameters(SOFT, [name], [value])
-    assert (one.read(changed), one.unit, one.differentiable) == (value, unit, False)
+    assert (one.read(changed), one.unit, one.input) == (value, unit, None)
     # Nothing else has changed.
     back = with_parameters(changed, [name], [one.read(SOFT)])
     assert (one.read(back), back.domain, back.baffles) == (one.read(SOFT), SOFT.domain, SOFT.baffles)

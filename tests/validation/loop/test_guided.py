@@ -16,7 +16,7 @@ from datasets.scene import Scene, Solid
 from gns import card, checkpoint
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
-from inverse import deposits
+from inverse import pictures
 from inverse.forward.gns import GnsForward
 from inverse.found import Purpose, Verdict
 from inverse.parameters.parameter import Parameter
@@ -45,7 +45,7 @@ from validation.loop.verdict import judged, nearer
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(deposits, "RESOLUTION", 40)
+    monkeypatch.setattr(pictures, "RESOLUTION", 40)
 
 
 @pytest.mark.parametrize(("kind", "factor"), [("front", 1.0), ("front", 1.03), ("profile", 0.97)])

@@ -10,7 +10,7 @@ import pytest
 
 from datasets.command_line import WorkFailed
 from datasets.scene import Domain, Mass, Scene
-from inverse import deposits
+from inverse import pictures
 from inverse.found import Verdict
 from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
@@ -31,7 +31,7 @@ JOINT = (
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(deposits, "RESOLUTION", 40)
+    monkeypatch.setattr(pictures, "RESOLUTION", 40)
 
 
 def alone(problem: Problem, mpm: FakeMpm, out: Path) -> Result:

@@ -9,7 +9,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.files import write_json
-from inverse import deposits
+from inverse import pictures
 from inverse.adaptation import PROBLEM, identity
 from inverse.problem import Problem
 from inverse.settings import Surrogate
@@ -22,7 +22,7 @@ TRUTHS = {"first": 17.0, "second": 29.0, "third": 44.0}
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(deposits, "RESOLUTION", 40)
+    monkeypatch.setattr(pictures, "RESOLUTION", 40)
 
 
 @pytest.fixture
