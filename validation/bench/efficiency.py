@@ -7,7 +7,6 @@ over runs has not.
 
 import dataclasses
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 import gns
@@ -24,9 +22,7 @@ from datasets.processes import processors
 from gns.simulator import Simulator
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
-from inverse.forward.interface import Forward
 from inverse.forward.mpm import MpmForward
-from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.problem import Problem, read_problem
 from mpm import simulate_many
@@ -42,7 +38,7 @@ from validation.bench.blocks import (
     hundred_problem,
     sampled,
 )
-from validation.bench.searches import By, Models, Searched, by_reverse, methods, search, slope_of
+from validation.bench.searches import By, Models, Searched, by_reverse, by_runs, methods, search, slope_of
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, INK, ORANGE, RED, figure, pane
 
@@ -151,23 +147,18 @@ def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTE
 
     seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
     seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
-    slopes = [
-        differences(
-            MpmForward(each, observation, simulate_many),
-            own,
-            problem.initial,
-            STEPS[unknowns],
-            chosen,
-            observation.components,
-        )
+    moves = STEPS[unknowns] * np.eye(unknowns)[chosen]
+    differences = [
+        by_runs(MpmForward(each, observation, simulate_many), own, observation.components, moves)(problem.initial)
         for each in seeded
     ]
+    runs, whole = (1 + 2 * count for count in (len(chosen), unknowns))
     found = {
         Method.SURROGATE: reverse(models.surrogate),
         Method.ADJOINT: reverse(models.adjoint),
-        Method.DIFFERENCES: slopes[0],
+        Method.DIFFERENCES: (differences[0].seconds * whole / runs, slope_of(differences[0])),
     }
-    mean = np.mean([slope for _, slope in slopes], axis=0)
+    mean = np.mean([slope_of(each) for each in differences], axis=0)
     norm = float(np.linalg.norm(mean))
     return [
         Gradient(
@@ -180,24 +171,6 @@ def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTE
         )
         for method, (seconds, slope) in found.items()
     ]
-
-
-def differences(
-    forward: Forward, target: Values, start: Vector, step: float, chosen: NDArray[np.int64], components: int
-) -> tuple[float, Vector]:
-    """Seconds of a whole gradient at `start` by central differences of `step`, and the loss's slope in `chosen`.
-
-    d/du of the loss is 2 sum (y - y*) dy/du over the number of points.
-    """
-    moves = step * np.eye(len(start))[chosen]
-    began = time.perf_counter()
-    (observation,) = forward.observe([start])
-    middle = time.perf_counter()
-    values = np.array(forward.observe([start + move for move in moves] + [start - move for move in moves]))
-    end = time.perf_counter()
-    columns = (values[: len(chosen)] - values[len(chosen) :]).T / (2.0 * step)
-    slope = 2.0 * components * (observation - target) @ columns / len(target)
-    return middle - began + (end - middle) * len(start) / len(chosen), slope
 
 
 def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> list[str]:

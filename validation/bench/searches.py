@@ -60,11 +60,11 @@ class Evaluation:
     loss: float
     seconds: float
     slope: Vector | None = None
-    """d(loss)/d(parameters), shape [U]; None for a search without gradients."""
+    """d(loss)/d(parameters), shape [U], or along k of them, shape [k]; None for a search without gradients."""
     residual: Values | None = None
     """Prediction less target, shape [m], where the Jacobian is known."""
     jacobian: NDArray[np.float64] | None = None
-    """d(residual)/d(parameters), shape [m, U]."""
+    """d(residual)/d(parameters), shape [m, U] or [m, k]."""
 
 
 Evaluate = Callable[[Vector], Evaluation]
@@ -144,8 +144,8 @@ class Models:
         if by in (By.SURROGATE, By.PAPER, By.ADJOINT):
             forward = self.adjoint if by is By.ADJOINT else self.surrogate
             return by_reverse(forward, forward.select(self.target.values), components)
-        steps = np.array([STEPS[kind.unit] for kind in self.problem.kinds]) if by is By.DIFFERENCES else None
-        return by_runs(self.mpm, self.mpm.select(self.target.values), components, steps)
+        moves = np.diag(steps_of(self.problem)) if by is By.DIFFERENCES else None
+        return by_runs(self.mpm, self.mpm.select(self.target.values), components, moves)
 
     def checked(self, numbers: Vector) -> float:
         """The loss that the MPM shows at `numbers` [U], with a jitter of its own."""
@@ -174,26 +174,29 @@ def by_reverse(forward: Differentiable, target: Values, components: int) -> Eval
     return evaluate
 
 
-def by_runs(forward: Forward, target: Values, components: int, steps: Vector | None) -> Evaluate:
-    """Loss against `target` [m] and, with `steps` [U], the Jacobian by central differences."""
+def by_runs(forward: Forward, target: Values, components: int, moves: NDArray[np.float64] | None) -> Evaluate:
+    """Loss against `target` [m] and, with `moves` [k, U], slope and Jacobian along each by central differences."""
 
     def evaluate(at: Vector) -> Evaluation:
         began = time.perf_counter()
-        moves = np.zeros((0, len(at))) if steps is None else np.diag(steps)
-        first, *rows = forward.observe([at, *(at + moves), *(at - moves)])
-        half, residual, jacobian = len(moves), first - target, None
-        if steps is not None:
-            jacobian = np.stack(rows[:half], axis=1) - np.stack(rows[half:], axis=1)
-            jacobian /= 2.0 * steps
+        some = np.zeros((0, len(at))) if moves is None else moves
+        first, *rows = forward.observe([at, *(at + some), *(at - some)])
+        seconds, residual, slope, jacobian = time.perf_counter() - began, first - target, None, None
+        if moves is not None:
+            ahead, behind = np.split(np.stack(rows, axis=1), 2, axis=1)
+            jacobian = (ahead - behind) / (2.0 * np.linalg.norm(moves, axis=1))
+            slope = 2.0 * components * residual @ jacobian / len(residual)
+        loss = components * float(np.mean(residual**2))
         return Evaluation(
-            parameters=at.copy(),
-            loss=components * float(np.mean(residual**2)),
-            residual=residual,
-            jacobian=jacobian,
-            seconds=time.perf_counter() - began,
+            parameters=at.copy(), loss=loss, seconds=seconds, slope=slope, residual=residual, jacobian=jacobian
         )
 
     return evaluate
+
+
+def steps_of(problem: Problem) -> Vector:
+    """Steps of the differences of a problem, shape [U]."""
+    return np.array([STEPS[kind.unit] for kind in problem.kinds])
 
 
 def methods(problem: Problem) -> list[By]:
@@ -263,7 +266,7 @@ def quasi_newton(evaluate: Evaluate, problem: Problem, most: int) -> list[Evalua
 def gauss_newton(evaluate: Evaluate, problem: Problem, most: int) -> list[Evaluation]:
     """Least squares by the Jacobian: the trust region reflective method (Branch, Coleman & Li 1999)."""
     # No difference leaves the bounds.
-    steps = np.array([STEPS[kind.unit] for kind in problem.kinds])
+    steps = steps_of(problem)
     bounds, found = (problem.box.lower + steps, problem.box.upper - steps), list[Evaluation]()
 
     def residual(at: Vector) -> Values | None:

@@ -12,8 +12,8 @@ from inverse.parameters import Vector
 from inverse.problem import read_problem
 from validation.bench import efficiency, searches
 from validation.bench.__main__ import main
-from validation.bench.efficiency import Compared, Gradient, Method, differences, draw_gradients, draw_searches, page
-from validation.bench.searches import PAPER, By, Evaluation, Searched, descend, explore
+from validation.bench.efficiency import Compared, Gradient, Method, draw_gradients, draw_searches, page
+from validation.bench.searches import PAPER, By, Evaluation, Searched, by_runs, descend, explore
 from validation.report import plots
 
 
@@ -36,11 +36,12 @@ def test_differences_of_some_columns_are_those_of_the_whole_gradient() -> None:
     start = np.array([0.5, -1.0])
     target = np.array([0.1, -0.2, 0.3])
     forward = Linear()
-    _, slope = differences(forward, target, start, 0.1, np.array([0, 1]), 1)
+    found = by_runs(forward, target, 1, 0.1 * np.eye(2))(start)
     residual = forward.observe([start])[0] - target
-    np.testing.assert_allclose(slope, 2.0 * residual @ Linear.matrix / 3.0, rtol=1e-9)
-    _, second = differences(forward, target, start, 0.1, np.array([1]), 1)
-    assert second[0] == pytest.approx(slope[1])
+    np.testing.assert_allclose(found.slope, 2.0 * residual @ Linear.matrix / 3.0, rtol=1e-9)
+    np.testing.assert_allclose(found.jacobian, Linear.matrix, rtol=1e-9)
+    second = by_runs(forward, target, 1, 0.1 * np.eye(2)[1:])(start)
+    np.testing.assert_allclose(second.slope, found.slope[1:])
 
 
 def test_the_paper_s_descent_is_a_step_of_its_rate_within_the_bounds() -> None:
