@@ -15,14 +15,13 @@ from tqdm import tqdm
 import gns
 from datasets.errors import InputError
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from gns import card, uncertainty
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import (
     SEED,
-    Errors,
     HeldOut,
+    Measured,
     at_wall,
     coarse,
     creep,
@@ -48,15 +47,6 @@ TIMES = 4
 LONG = 4
 """How many scenes are."""
 ALL = "all"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Measured:
-    """One scene by one method."""
-
-    seconds: float
-    """On one thread, without compilation and without loading a model [s]."""
-    errors: Errors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,11 +83,11 @@ class Model:
 
     def fronts(self, kind: str = ALL) -> list[float]:
         """Errors of the fronts that no wall holds [-]."""
-        return [each.rollout.errors.front for each in self.of_kind(kind) if each.free]
+        return [each.rollout.front for each in self.of_kind(kind) if each.free]
 
     def profiles(self, kind: str = ALL) -> list[float]:
         """Errors of the profiles [-]."""
-        return [each.rollout.errors.profile for each in self.of_kind(kind)]
+        return [each.rollout.profile for each in self.of_kind(kind)]
 
     @property
     def points(self) -> dict[int, tuple[float, float]]:
@@ -155,18 +145,16 @@ def measure(path: Path, scenes: Sequence[HeldOut], keep: Path, *, cells: Sequenc
     for each, reference in tqdm([*zip(scenes, references, strict=True)], desc=f"{path.stem}, deposits", unit="scene"):
         truth = deposit_of(reference)
         free = not at_wall(truth, each.scene)
-
-        def measured(flow: Trajectory) -> Measured:
-            return Measured(seconds=flow.summary["wall_s"], errors=Errors.of_flow(flow, truth))  # noqa: B023
-
         compared.append(
             Compared(
                 scene=each,
                 extent=truth.extent,
                 free=free,
-                rollout=measured(gns.simulate(each.scene, model=simulator)),
+                rollout=Measured.of_flow(gns.simulate(each.scene, model=simulator), truth),
                 mpm={
-                    number: measured(simulate(coarse(each.scene, number), precision="f32", threads=1, record=AT_REST))
+                    number: Measured.of_flow(
+                        simulate(coarse(each.scene, number), precision="f32", threads=1, record=AT_REST), truth
+                    )
                     for number in cells
                 },
                 band=band(path, each.scene, truth.front) if free and truth.side == 1 else None,
@@ -193,7 +181,7 @@ def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
 
 def point(runs: Sequence[Measured]) -> tuple[float, float]:
     """Mean seconds of a method, and the rms over the scenes of the larger error of front and profile."""
-    return float(np.mean([each.seconds for each in runs])), rms([each.errors.largest for each in runs])
+    return float(np.mean([each.seconds for each in runs])), rms([each.largest for each in runs])
 
 
 def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | None:

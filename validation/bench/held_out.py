@@ -33,35 +33,24 @@ class HeldOut:
     """A scene that no training data have."""
 
     kind: str
-    number: int
-    """Among those of its kind, from 1."""
     scene: Scene
-
-    @property
-    def name(self) -> str:
-        """Kind and number."""
-        return f"{self.kind} {self.number}"
 
 
 def held_out(dimension: int, number: int) -> list[HeldOut]:
     """So many scenes, the first of every kind, then the second of every kind, and so on."""
     module, definition = FAMILIES[dimension]
     kinds = [each.__name__.replace("_", " ") for each in module.KINDS]
-    drawn = dict.fromkeys(kinds, 0)
-    rounds = math.ceil(number / len(drawn))
-    found: list[HeldOut] = []
-    streams: set[int] = set()
+    found: dict[str, list[HeldOut]] = {kind: [] for kind in kinds}
+    rounds, streams = math.ceil(number / len(found)), set[int]()
     for index in count():
-        if min(drawn.values()) == rounds:
+        if all(len(each) == rounds for each in found.values()):
             break
         kind, stream = kinds[index % len(kinds)], definition.stream(index)
-        if stream in streams or drawn[kind] == rounds:
-            continue
-        streams.add(stream)
-        drawn[kind] += 1
-        scene = definition.draw(np.random.default_rng([SEED, stream]), index)
-        found.append(HeldOut(kind=kind, number=drawn[kind], scene=scene))
-    return sorted(found, key=lambda each: each.number)[:number]
+        if stream not in streams and len(found[kind]) < rounds:
+            streams.add(stream)
+            scene = definition.draw(np.random.default_rng([SEED, stream]), index)
+            found[kind].append(HeldOut(kind=kind, scene=scene))
+    return [each for group in zip(*found.values(), strict=True) for each in group][:number]
 
 
 def coarse(scene: Scene, cells: int) -> Scene:
@@ -89,21 +78,23 @@ def at_wall(deposit: Deposit, scene: Scene) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
-    """Errors of a deposit over the extent of the reference's [-], as those of `gns.score.Score`."""
+class Measured:
+    """One scene by one method; errors are over the extent of the reference's deposit [-], as those of a `Score`."""
 
+    seconds: float
+    """On one thread, without compilation and without loading a model [s]."""
     front: float
     profile: float
 
     @staticmethod
-    def of_flow(flow: Trajectory, reference: Deposit) -> "Errors":
-        """Those of a flow of the same scene."""
+    def of_flow(flow: Trajectory, reference: Deposit) -> "Measured":
+        """That of a flow of the same scene."""
         front, profile = reference.errors(flow.positions[-1], flow.volumes)
-        return Errors(front=front, profile=profile)
+        return Measured(seconds=flow.summary["wall_s"], front=front, profile=profile)
 
     @property
     def largest(self) -> float:
-        """The larger of the two."""
+        """The larger of the two errors."""
         return max(abs(self.front), self.profile)
 
 

@@ -13,8 +13,8 @@ from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from validation.bench.__main__ import main
-from validation.bench.gns import Compared, Measured, Model, draw, mpm_seconds, page
-from validation.bench.held_out import Errors, HeldOut, at_wall, deposit_of
+from validation.bench.gns import Compared, Model, draw, mpm_seconds, page
+from validation.bench.held_out import HeldOut, Measured, at_wall, deposit_of
 from validation.report import plots
 
 BLOCK = Scene(
@@ -33,18 +33,18 @@ def stretched(scene: Scene, by: float) -> Trajectory:
     factor = 1.0 + (by - 1.0) * time / time[-1]
     positions = np.repeat(particles.positions[None], len(time), axis=0)
     positions[..., 0] = 0.1 + factor[:, None] * (positions[..., 0] - 0.1)
-    return flow_of(scene, positions)
+    return flow_of(scene, positions, summary={"wall_s": 1.0})
 
 
 def test_errors_of_deposits_of_known_length() -> None:
     truth = deposit_of(stretched(BLOCK, 2.0))
     assert truth.side == 1
     assert truth.extent == pytest.approx(0.4, rel=0.03)
-    errors = Errors.of_flow(stretched(BLOCK, 2.5), truth)
+    errors = Measured.of_flow(stretched(BLOCK, 2.5), truth)
     assert errors.front == pytest.approx(0.25, rel=0.02)
     # Equal shares at q of the block lie 0.1 q apart: rms 0.1 / sqrt(3) of an extent of 0.4.
     assert errors.profile == pytest.approx(0.25 / math.sqrt(3.0), rel=0.03)
-    assert Errors.of_flow(stretched(BLOCK, 2.0), truth) == Errors(front=0.0, profile=0.0)
+    assert Measured.of_flow(stretched(BLOCK, 2.0), truth) == Measured(seconds=1.0, front=0.0, profile=0.0)
     assert not at_wall(truth, BLOCK)
     assert at_wall(deposit_of(stretched(BLOCK, 4.5)), BLOCK)
 
@@ -53,11 +53,11 @@ def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Mod
     """Two scenes of one model, the second at the wall, beside an MPM on three grids."""
 
     def measured(seconds: float, front: float) -> Measured:
-        return Measured(seconds=seconds, errors=Errors(front=front, profile=0.01))
+        return Measured(seconds=seconds, front=front, profile=0.01)
 
     mpm = {cells: measured(cells**2 / 400.0, 0.4 / cells) for cells in resolutions}
     first = Compared(
-        scene=HeldOut(kind="column", number=1, scene=BLOCK),
+        scene=HeldOut(kind="column", scene=BLOCK),
         extent=0.4,
         free=True,
         rollout=measured(0.5, -0.04),
