@@ -36,10 +36,10 @@ from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.training import LAST, fit
 from gns.units import Units
+from inverse.forward.gns import require_predicted
 from inverse.parameters import Vector
 from inverse.posterior.emulator import fewest_runs, fitted
 from inverse.problem import Problem, read_problem
-from inverse.target import read_each
 from mpm.generate import generate, missing_entries
 
 COMMAND = "python -m inverse.adapt"
@@ -137,14 +137,7 @@ def require_learnable(problem: Problem, settings: ModelSettings) -> None:
     """Raise InputError, which names the key, for a problem whose parameters or observations no surrogate has."""
     if problem.fields:
         raise InputError("expected numbers, a surrogate knows no fields", where=problem.name, key="unknowns")
-    for index, each in enumerate(problem.parameters):
-        if not each.kind.predicted:
-            message = f"expected an input of the surrogate, {each.name} is none"
-            raise InputError(message, where=problem.name, key=f"unknowns[{index}]")
-    for index, measured in enumerate(read_each(problem)):
-        if not measured.observation.of_positions:
-            message = f"expected what follows from positions, no surrogate predicts {measured.observation.label}"
-            raise InputError(message, where=problem.name, key=f"observations[{index}]")
+    require_predicted(problem)
     check(problem.scene_at(problem.initial), settings)
 
 

@@ -9,7 +9,7 @@ from datasets.files import make_folder
 from gns import card, checkpoint
 from gns.library import model_path, shipped
 from inverse.forward.band import band_of
-from inverse.forward.gns import GnsForward
+from inverse.forward.gns import GnsForward, require_predicted
 from inverse.forward.mpm import MpmForward
 from inverse.found import Answer, Verdict
 from inverse.problem import Problem
@@ -68,10 +68,7 @@ def forward_model(
         return AdjointForward(problem, target.observation, simulate_many)
     if forward is ForwardModel.MPM or (forward is None and problem.surrogate is Surrogate.NONE):
         return MpmForward(problem, target.observation, simulate_many)
-    unsupported = [each.name for each in problem.numbers if not each.kind.predicted]
-    if unsupported or not target.observation.of_positions:
-        what = ", ".join(unsupported) or "forces"
-        raise InputError(f"expected mpm, no surrogate predicts {what}", where="--forward gns")
+    require_predicted(problem)
     weights, scene = model_path(model or shipped(problem.scene.dimension)), problem.scene_at(problem.initial)
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.errors import InputError
 from datasets.scene import Scene
 from gns.initial import InitialState, initial_state
 from gns.simulator import Simulator
@@ -18,6 +19,7 @@ from inverse.forward.band import NORMAL, Band
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Vector, in_order
 from inverse.problem import Problem
+from inverse.target import read_each
 
 MEMORY_GIB = 0.5
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
@@ -156,6 +158,18 @@ class GnsForward:
             slope = torch.from_numpy((ahead - behind) / (ends[0] - ends[1])[index])
             found = found + slope * (parameters[index] - parameters[index].detach())
         return found
+
+
+def require_predicted(problem: Problem) -> None:
+    """Raise InputError, which names the key, for numbers or observations that no surrogate has."""
+    for index, each in enumerate(problem.parameters):
+        if not each.kind.predicted:
+            message = f"expected an input of the surrogate, {each.name} is none"
+            raise InputError(message, where=problem.name, key=f"unknowns[{index}]")
+    for index, measured in enumerate(read_each(problem)):
+        if not measured.observation.of_positions:
+            message = f"expected what follows from positions, no surrogate predicts {measured.observation.label}"
+            raise InputError(message, where=problem.name, key=f"observations[{index}]")
 
 
 def side_by_side(flows: Sequence[InitialState]) -> InitialState:
