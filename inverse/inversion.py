@@ -8,8 +8,7 @@ from datasets.errors import InputError
 from datasets.files import make_folder
 from gns import card, checkpoint
 from gns.library import model_path, shipped
-from inverse.forward.band import band_of
-from inverse.forward.gns import GnsForward, require_predicted
+from inverse.forward.gns import GnsForward, band_of, require_predicted
 from inverse.forward.mpm import MpmForward
 from inverse.found import Answer, Verdict
 from inverse.problem import Problem

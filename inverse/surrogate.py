@@ -7,7 +7,7 @@
 | v | `points` | parameters in fractions of their ranges, shape [s, U] |
 | y | `numbers` | what the forward model predicts, m numbers, shape [s, m] |
 | N, S | `Target.covariance` | errors of the measurement, scatter of one flow of the MPM |
-| E | - | error of a surrogate by its band (`inverse.forward.band`) |
+| E | - | error of a surrogate by its band (`inverse.forward.gns`) |
 | J | - | dy/dv by an emulator of all predictions so far |
 
 Predictions that fill the box are the first emulator (`inverse.posterior`); the separate parts of its posterior are the

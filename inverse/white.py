@@ -1,6 +1,6 @@
 """The MPM as a function of white noise: w -> fields and numbers -> runs -> observed numbers, and back.
 
-    field: u = S A w (`inverse.parameters.prior`),    number: lower + (upper - lower) Phi(w)
+    field: u = S A w (`inverse.parameters.field`),    number: lower + (upper - lower) Phi(w)
 
 Phi is the normal distribution: a number is uniform between its bounds. Observed numbers are those of the solver
 itself, by the exact observation operator. Their derivatives are the adjoint's, through the smooth one: each

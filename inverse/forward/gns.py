@@ -1,7 +1,22 @@
-"""The learned simulator as a forward model: from the scene to the deposit, differentiably, many scenes in one batch."""
+"""The learned simulator as a forward model: from the scene to the deposit, differentiably, many scenes in one batch.
+
+Its error in any observation is its deposit moved within its band, observed, less the deposit observed.
+
+A card says how far fronts and profiles of held-out flows are off, as shares b_f and b_p of a flow's extent L (95 %).
+With s = (x - rear) / L, across the flow s = (z - middle) / width, its positions are moved along this axis by
+
+    b_f L / 1.96 s    and    b_p L / 1.96 sin(k pi s) / sqrt(K),  k = 1 .. K
+
+one displacement after the other, in a flow over time in proportion to the time. What each changes of the numbers is a
+column e_k of their covariance, sum_k e_k e_k^T: so a band of two numbers is one of a front, a toe, a profile, a gauge
+or all together, each in its own unit.
+"""
 
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -11,11 +26,11 @@ from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.scene import Scene
+from gns import card
 from gns.initial import InitialState, initial_state
 from gns.simulator import Simulator
 from gns.state import Conditions, State, Tensors
 from gns.unroll import step_activation_bytes, unroll
-from inverse.forward.band import NORMAL, Band
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Vector, in_order
 from inverse.problem import Problem
@@ -27,9 +42,37 @@ NODES = 4_000
 """Particles of a batch without gradients, at most: more of them are no cheaper each."""
 DIFFERENCE = 0.2
 """Step of a central difference, over the range of its parameter: over less, particles come and go in whole rows."""
+WAVES = 3
+"""K."""
+NORMAL = 1.96
+"""Half of a 95 % interval over the standard deviation."""
 T = TypeVar("T", bound=Tensors)
 Flow = tuple[Tensor, InitialState]
 """Positions [m] at the times of an initial state, shape [T, n, D], and this state."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Band:
+    """How far 95 of 100 deposits of the MPM are at most from those of a surrogate, over their extent [-]."""
+
+    front: float = 0.05
+    """b_f."""
+    profile: float = 0.03
+    """b_p."""
+
+    def moved(self, positions: Tensor) -> Iterator[Tensor]:
+        """Positions [m], shape [T, n, D], moved by one displacement after the other."""
+        time = torch.linspace(0.0, 1.0, len(positions), dtype=positions.dtype)[:, None]
+        for axis in range(0, positions.shape[2], 2):
+            along, last = positions[:, :, axis], positions[-1, :, axis]
+            origin = positions[0, :, axis].min() if axis == 0 else 0.5 * (last.min() + last.max())
+            extent = last.max() - (origin if axis == 0 else last.min())
+            share = (along - origin) / extent
+            waves = [torch.sin(k * math.pi * share) / math.sqrt(WAVES) for k in range(1, WAVES + 1)]
+            for shape in (self.front * share, *(self.profile * wave for wave in waves)):
+                other = positions.clone()
+                other[:, :, axis] += extent / NORMAL * time * shape
+                yield other
 
 
 class GnsForward:
@@ -86,7 +129,7 @@ class GnsForward:
             return [self._observed(*self.flows[each.tobytes()]).numpy() for each in parameters]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
-        """Errors of the numbers at parameters [U] by the band (`inverse.forward.band`), shape [K, m].
+        """Errors of the numbers at parameters [U] by the band, shape [K, m].
 
         Of the numbers of single particles each has one of its own as well: between independent errors as large as that
         of a profile, and one of all together of M^(1/2) times the effect.
@@ -158,6 +201,13 @@ class GnsForward:
             slope = torch.from_numpy((ahead - behind) / (ends[0] - ends[1])[index])
             found = found + slope * (parameters[index] - parameters[index].detach())
         return found
+
+
+def band_of(weights: Path, scene: Scene) -> Band:
+    """That of the model in the file `weights` for `scene`, by its card; the usual one where it says nothing."""
+    described = card.read(weights)
+    known = described.calibration(scene) if described is not None else None
+    return Band() if known is None else Band(front=known.front["0.95"], profile=known.profile["0.95"])
 
 
 def require_predicted(problem: Problem) -> None:

@@ -1,17 +1,39 @@
 """An unknown field: nodes over the body, a transform that keeps it between its bounds, a prior.
 
-    f = T(u + m),    u Gaussian of mean 0 (`inverse.parameters.prior`)
+    f = T(u + m),    u Gaussian of mean 0
     T(z) = lower + (upper - lower) / (1 + exp(-z))    with bounds, else T(z) = z
 
 m and the deviation of u are such that the stated mean is the median of f, and the band of 95 % about it 1.96 times the
 stated deviation to either side on average. Everywhere the standard deviation of a field stands for this width.
+
+Its prior is Gaussian and smooth, with a standard deviation and a correlation length that are stated:
+
+    (1 - sum_a s_a^2 d^2/dx_a^2) u = white noise,    s_a = length_a / sqrt(8 nu),    nu = 2 - D / 2
+
+Its solution has the Matern covariance (Whittle 1954; Lindgren, Rue & Lindstroem, An explicit link between Gaussian
+fields and Gaussian Markov random fields, J. R. Stat. Soc. B 73 (2011) 423-498),
+
+    rho(r) = 2^(1 - nu) / Gamma(nu) (kappa r)^nu K_nu(kappa r),    kappa r = |(x - x') / s|,
+
+0.14 at a distance of `length` in 2D (nu = 1) and in 3D (nu = 1/2). By bilinear elements with lumped mass on the nodes,
+
+    K = M + sum_a s_a^2 G_a,    covariance K^-1 M K^-1 = A A^T,    A = K^-1 M^(1/2)
+
+with M the mass and G_a the stiffness along axis a: K is sparse, and a field from white noise w, u = S A w, is one
+solution with it. The operator continues by a correlation length beyond the nodes of the field, where its boundary
+matters less; S takes the nodes of the field and scales each to the stated deviation, which then holds exactly.
 """
 
-from typing import TYPE_CHECKING, cast
+import math
+from collections.abc import Sequence
+from functools import cached_property, reduce
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.optimize import brentq
+from scipy.sparse.linalg import splu
 from scipy.special import expit, logit
 
 from datasets.field import FRICTION, VELOCITIES, Field, Grid
@@ -19,7 +41,6 @@ from datasets.geometry.shapes import require
 from datasets.particles import initial_particles
 from datasets.scene import Scene
 from inverse.parameters.parameter import Parameter
-from inverse.parameters.prior import Prior
 
 if TYPE_CHECKING:
     from mpm.adjoint.gradient import Gradient
@@ -34,6 +55,8 @@ MOST = 0.9
 """Width of the prior's band over the distance of the bounds, at most."""
 WIDEST = 100.0
 """Deviation of u with which every band is as wide as its bounds."""
+COLUMNS = 256
+"""Right-hand neighbours that are solved for at a time."""
 UNITS = {FRICTION: "deg"} | dict.fromkeys(VELOCITIES, "m/s")
 LABELS = {FRICTION: "friction"} | {name: f"velocity along {name[-1]}" for name in VELOCITIES}
 
@@ -146,3 +169,75 @@ def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple
         require(deviation < most, "deviation", message, deviation)
         require(low < mean < high, "mean", f"a value between the bounds {low:g} and {high:g}", mean)
     return spacing, lengths, mean, deviation
+
+
+class Prior:
+    """A Gaussian field of mean 0 on the K nodes of a grid, as a linear function of W independent normal numbers."""
+
+    def __init__(self, grid: Grid, deviation: float, lengths: Sequence[float]) -> None:
+        """deviation: standard deviation at every node; lengths: of correlation along each axis [m]."""
+        self.grid, self.deviation, self.lengths = grid, deviation, tuple(lengths)
+        # Along an axis with one node the field does not vary.
+        dimension = sum(count > 1 for count in grid.nodes)
+        scales = np.array(lengths) / math.sqrt(8.0 * (2.0 - 0.5 * dimension))  # nu
+        margins = [
+            0 if count == 1 else math.ceil(length / step)
+            for count, length, step in zip(grid.nodes, lengths, grid.spacing, strict=True)
+        ]
+        shape = [count + 2 * margin for count, margin in zip(grid.nodes, margins, strict=True)]
+        masses = [lumped_mass(count, step) for count, step in zip(shape, grid.spacing, strict=True)]
+        operator = mass = reduce(sparse.kron, masses)
+        for axis, (count, step) in enumerate(zip(shape, grid.spacing, strict=True)):
+            factors = [stiffness(count, step) if other == axis else each for other, each in enumerate(masses)]
+            operator = operator + scales[axis] ** 2 * reduce(sparse.kron, factors)
+        self.root_mass: Floats = np.sqrt(mass.diagonal())
+        self.operator = sparse.csc_array(operator)
+        self.factor = splu(self.operator)
+        inner = [slice(margin, margin + count) for margin, count in zip(margins, grid.nodes, strict=True)]
+        self.inner: NDArray[np.int64] = np.arange(math.prod(shape)).reshape(shape)[tuple(inner)].ravel()
+        """The nodes of the field among those of the operator, shape [K]."""
+
+    @property
+    def size(self) -> int:
+        """W."""
+        return len(self.root_mass)
+
+    @cached_property
+    def scale(self) -> Floats:
+        """Of S: the stated deviation over that of A w at each node, shape [K]."""
+        found = np.empty(self.grid.count)
+        for first in range(0, len(found), COLUMNS):
+            nodes = self.inner[first : first + COLUMNS]
+            units = np.zeros((self.size, len(nodes)))
+            units[nodes, np.arange(len(nodes))] = 1.0
+            rows = self.root_mass[:, None] * self.factor.solve(units)
+            found[first : first + COLUMNS] = self.deviation / np.sqrt((rows**2).sum(axis=0))
+        return found
+
+    def field(self, white: Floats) -> Floats:
+        """u [K, ...] of w [W, ...]."""
+        flat = white.reshape(self.size, -1)
+        found = self.factor.solve(self.root_mass[:, None] * flat)[self.inner] * self.scale[:, None]
+        return np.asarray(found.reshape(-1, *white.shape[1:]))
+
+    def white(self, adjoint: Floats) -> Floats:
+        """The transpose of `field`: derivatives with respect to w [W, ...] of those with respect to u [K, ...]."""
+        flat = adjoint.reshape(self.grid.count, -1)
+        full = np.zeros((self.size, flat.shape[1]))
+        full[self.inner] = flat * self.scale[:, None]
+        found = self.root_mass[:, None] * self.factor.solve(full)
+        return np.asarray(found.reshape(-1, *adjoint.shape[1:]))
+
+
+def lumped_mass(count: int, step: float) -> Any:
+    """Of linear elements along a line, half of one at its ends; sparse."""
+    lengths = np.full(count, step)
+    if count > 1:
+        lengths[[0, -1]] *= 0.5
+    return sparse.diags_array(lengths)
+
+
+def stiffness(count: int, step: float) -> Any:
+    """int phi_i' phi_j' of linear elements along a line; sparse."""
+    slopes = sparse.diags_array([-np.ones(count - 1), np.ones(count - 1)], offsets=[0, 1], shape=(count - 1, count))
+    return slopes.T @ slopes / step

@@ -16,8 +16,7 @@ from inverse.__main__ import main
 from inverse.found import Verdict
 from inverse.inversion import invert
 from inverse.laplace import Objective, linear_mean
-from inverse.parameters.field import BAND
-from inverse.parameters.prior import Prior
+from inverse.parameters.field import BAND, Prior
 from inverse.problem import read_problem
 from inverse.target import read_target
 from inverse.white import WhiteFlow

@@ -18,8 +18,7 @@ from gns.initial import check
 from gns.library import model_path, shipped
 from gns.ranges import outside
 from gns.simulator import Simulator
-from inverse.forward.band import band_of
-from inverse.forward.gns import Flow, GnsForward
+from inverse.forward.gns import Flow, GnsForward, band_of
 from inverse.problem import Problem
 from inverse.settings import Surrogate as Requested
 from inverse.surrogate import Surrogate
