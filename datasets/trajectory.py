@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from datasets.arrays import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.errors import InputError
-from datasets.files import json_object
+from datasets.files import FARTHEST, json_object
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
 
@@ -19,8 +19,6 @@ Floats = NDArray[np.float32]
 
 SUFFIXES = (".npz", HDF5)
 """Of the files of trajectories."""
-FARTHEST = 1.0e12
-"""Positions [m] and velocities [m/s] beyond this are none: their squares would not fit into single precision."""
 FIELDS = {
     "volume": np.float32,
     "velocities": np.float32,
