@@ -1,5 +1,6 @@
 """What a result is made of: runs of the MPM, answers, and the verdict on them."""
 
+import resource
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -165,3 +166,8 @@ def plain(values: Values) -> float | list[Any] | None:
     if len(values) > MAX_NUMBERS:
         return None
     return float(values[0]) if len(values) == 1 else [float(value) for value in values]
+
+
+def peak_memory_mib() -> float:
+    """The largest resident memory of this process so far [MiB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib
 
@@ -24,8 +24,10 @@ from inverse.fields import FoundField
 from inverse.observations.front import Passed, Toe
 from inverse.observations.profile import Profile
 from inverse.parameters.field import LABELS
-from inverse.result import Result
 from inverse.settings import ObservationSettings
+
+if TYPE_CHECKING:
+    from inverse.result import Result
 
 Floats = NDArray[np.float64]
 Deposit = NDArray[np.floating]
@@ -69,7 +71,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 @matplotlib.rc_context(STYLE)  # type: ignore[arg-type]
-def deposits(found: Result) -> Figure:
+def deposits(found: "Result") -> Figure:
     """The deposits of the target and of the answer, each by itself, and their height profiles over each other."""
     scene, scenes, target = found.problem.scene, standings(found), found.target.deposit
     shown = ({} if target is None else {"target": target}) | {found.forward: found.deposit}
@@ -95,7 +97,7 @@ def deposits(found: Result) -> Figure:
     return figure
 
 
-def standings(found: Result) -> dict[str, Scene]:
+def standings(found: "Result") -> dict[str, Scene]:
     """The scene with its baffles as they were at the start, as found and, where it is known, as in truth."""
     problem, truth = found.problem, found.target.truth
     scenes = {"start": problem.scene_at(problem.initial), "found": problem.scene_at(found.answer)}
@@ -131,7 +133,7 @@ def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene]
     axis.set(xlabel="x [m]", ylabel=f"{'xyz'[across]} [m]")
 
 
-def mark(axis: Axes, found: Result, deposit: Deposit, colour: str) -> str:
+def mark(axis: Axes, found: "Result", deposit: Deposit, colour: str) -> str:
     """Mark on a picture of a deposit what was observed of it, and say it in a few words."""
     observation, across = found.target.observation, deposit.shape[1] - 1
     if isinstance(observation, Passed):
@@ -147,7 +149,7 @@ def mark(axis: Axes, found: Result, deposit: Deposit, colour: str) -> str:
     return f"{observation.kind} {observation.text(observation.exact(deposit))}"
 
 
-def profiles(axis: Axes, found: Result, shown: Mapping[str, Deposit], scene: Scene) -> None:
+def profiles(axis: Axes, found: "Result", shown: Mapping[str, Deposit], scene: Scene) -> None:
     """The height profiles of all deposits, and what is known of a target."""
     target, domain = found.target, scene.domain
     spacing = min(2.0 * domain.cell, 0.5 * domain.size[0])
@@ -167,12 +169,12 @@ def profiles(axis: Axes, found: Result, shown: Mapping[str, Deposit], scene: Sce
     axis.legend()
 
 
-def units_of(found: Result) -> list[str]:
+def units_of(found: "Result") -> list[str]:
     """The units of the numbers, in the order of the problem."""
     return list(dict.fromkeys(kind.unit for kind in found.problem.kinds))
 
 
-def draw_unknowns(path: Path, found: Result) -> None:
+def draw_unknowns(path: Path, found: "Result") -> None:
     """Every number side by side, a panel for each unit: start, found with its half-width, truth."""
     units, truth = units_of(found), found.target.truth
     size = (WIDTH, 0.4 + 3.2 * len(units))
@@ -196,7 +198,7 @@ def draw_unknowns(path: Path, found: Result) -> None:
     save(figure, path)
 
 
-def draw_posterior(path: Path, found: Result) -> None:
+def draw_posterior(path: Path, found: "Result") -> None:
     """Prior and posterior of every number and, of a few, the samples of every pair."""
     count = len(found.problem.numbers)
     pairs = count <= PAIRS
@@ -218,7 +220,7 @@ def draw_posterior(path: Path, found: Result) -> None:
     save(figure, path)
 
 
-def marginal(axis: Axes, found: Result, index: int) -> None:
+def marginal(axis: Axes, found: "Result", index: int) -> None:
     """Prior and posterior of one number."""
     assert found.posterior is not None, "an optimiser has none"
     each, truth, weights = found.problem.numbers[index], found.target.truth or {}, found.posterior.samples.weights
@@ -232,7 +234,7 @@ def marginal(axis: Axes, found: Result, index: int) -> None:
     axis.set(xlim=each.bounds, yticks=[], xlabel=f"{each.name} [{each.kind.unit}]")
 
 
-def pair(axis: Axes, found: Result, first: int, second: int) -> None:
+def pair(axis: Axes, found: "Result", first: int, second: int) -> None:
     """The samples of two numbers."""
     across, up = (found.problem.numbers[index] for index in (first, second))
     truth, samples = found.target.truth or {}, found.samples

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -12,10 +12,12 @@ from tabulate import tabulate
 from datasets.files import write_text
 from inverse import pictures
 from inverse.fields import IDENTIFIED, FoundField
-from inverse.found import Answer, Combination, Purpose, Verdict, unidentified
+from inverse.found import Answer, Combination, Purpose, Verdict, peak_memory_mib, unidentified
 from inverse.noise import CONFIDENCE, rms
 from inverse.observations.joint import Joint, Part
-from inverse.result import Result, peak_memory_mib
+
+if TYPE_CHECKING:
+    from inverse.result import Result
 
 NAMED = 4
 """With more numbers than these the conclusion gives the range of their half-widths, tables leave them out."""
@@ -27,7 +29,7 @@ SUGGESTED = 3
 
 
 @rc_context(pictures.STYLE)  # type: ignore[arg-type]
-def write(found: Result, folder: Path, command: str) -> None:
+def write(found: "Result", folder: Path, command: str) -> None:
     """Write `report.md` and its pictures into `folder`; command: what made it."""
     parts = [f"# {found.problem.name}: {found.verdict}", "\n".join(f"- {each}" for each in conclusion(found))]
     parts += [f"`{command}`", question(found)]
@@ -58,7 +60,7 @@ def write(found: Result, folder: Path, command: str) -> None:
     write_text(folder / "report.md", "\n\n".join(part for part in parts if part) + "\n")
 
 
-def conclusion(found: Result) -> list[str]:
+def conclusion(found: "Result") -> list[str]:
     """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
     runs = f"{found.record.get('flows', len(found.mpm_runs))} MPM runs, " if found.forward == "MPM" else ""
     price = f"Cost: {runs}{found.seconds['total']:.1f} s in all."
@@ -69,7 +71,7 @@ def conclusion(found: Result) -> list[str]:
     return [each for each in sentences if each]
 
 
-def first_found(found: Result) -> str:
+def first_found(found: "Result") -> str:
     """What the surrogate found before any run of the MPM, and what the MPM said of it."""
     said, root = found.surrogate or {}, found.target.observation.root_text
     if "answers" not in said:
@@ -85,7 +87,7 @@ def first_found(found: Result) -> str:
     return f"The surrogate found {'; or '.join(texts)} ({price})."
 
 
-def verdict(found: Result) -> str:
+def verdict(found: "Result") -> str:
     """The verdict, with the distance from the target and the predictive interval."""
     first, runs = found.answers[0], len(found.answers[0].checks)
     if runs == 0:
@@ -111,7 +113,7 @@ def verdict(found: Result) -> str:
     return f"**{words}**: {which} is {distance(found, first)}."
 
 
-def distance(found: Result, answer: Answer) -> str:
+def distance(found: "Result", answer: Answer) -> str:
     """Distance of the MPM at an answer from the target, beside the predictive interval."""
     fit, text = answer.fit, found.target.observation.root_text
     assert fit is not None, "a design has no target"
@@ -125,7 +127,7 @@ def distance(found: Result, answer: Answer) -> str:
     )
 
 
-def numbers(found: Result) -> str:
+def numbers(found: "Result") -> str:
     """The numbers with their half-widths, of every answer."""
     every = found.problem.numbers
     if not every:
@@ -146,7 +148,7 @@ def numbers(found: Result) -> str:
     return f"{'; or '.join(texts)} ({meaning})."
 
 
-def angles(found: Result) -> str:
+def angles(found: "Result") -> str:
     """The angles of friction that were found, as a triaxial test and as a slope would show them."""
     if len(found.problem.numbers) > NAMED:
         return ""
@@ -159,13 +161,13 @@ def angles(found: Result) -> str:
     return sentence(parts)
 
 
-def cells(found: Result, answer: Answer) -> list[str]:
+def cells(found: "Result", answer: Answer) -> list[str]:
     """Each number of an answer with its unit and half-width."""
     both = zip(found.problem.numbers, answer.parameters.tolist(), answer.half_widths.tolist(), strict=True)
     return [f"{each.kind.text(value)} ± {each.kind.text(width)}" for each, value, width in both]
 
 
-def equifinality(found: Result) -> str:
+def equifinality(found: "Result") -> str:
     """What the observation does not constrain, and which measurement would."""
     if found.posterior is None or found.problem.target.minimise:
         return ""
@@ -184,7 +186,7 @@ def equifinality(found: Result) -> str:
     return sentence(parts)
 
 
-def quality(found: Result) -> str:
+def quality(found: "Result") -> str:
     """Errors against the truth, where it is known, and whether the model fits."""
     parts, truth = [], found.target.truth
     if truth:
@@ -206,7 +208,7 @@ def sentence(parts: Sequence[str]) -> str:
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
-def question(found: Result) -> str:
+def question(found: "Result") -> str:
     """What was asked: the numbers in a table with their bounds and what was found, priors of fields, observations."""
     fields = []
     for field in found.fields:
@@ -234,7 +236,7 @@ def question(found: Result) -> str:
     return observed + (f"\n\n{table(list(rows[0]), [list(row.values()) for row in rows])}" if rows else "")
 
 
-def every_answer(found: Result) -> str:
+def every_answer(found: "Result") -> str:
     """A line for each."""
     head = [*(f"`{name}`" for name in found.problem.names), "share of the posterior", "the MPM there"]
     said = ["not asked" if each.fit is None else distance(found, each) for each in found.answers]
@@ -245,7 +247,7 @@ def every_answer(found: Result) -> str:
     return table(head, rows)
 
 
-def comparison(found: Result) -> str:
+def comparison(found: "Result") -> str:
     """Each observation as it was measured and at the answer."""
     whole, target, shown = found.target.observation, found.target, found.predicted
     alone = Part(name=whole.kind, observation=whole, numbers=slice(None))
@@ -295,7 +297,7 @@ def field_table(field: FoundField) -> str:
     return table(head, rows)
 
 
-def uncertainty(found: Result) -> list[str]:
+def uncertainty(found: "Result") -> list[str]:
     """What the half-widths are made of."""
     parts = list(found.notes)
     if found.problem.target.minimise:
@@ -336,7 +338,7 @@ def mix(combination: Combination) -> str:
     return f"{' and '.join(up)} up while {' and '.join(down)} down"
 
 
-def search_table(found: Result) -> str:
+def search_table(found: "Result") -> str:
     """Every iteration; the MPM runs at answers."""
     rows = []
     for record in found.iterations:
@@ -353,7 +355,7 @@ def search_table(found: Result) -> str:
     return text
 
 
-def cost(found: Result) -> str:
+def cost(found: "Result") -> str:
     """Runs, seconds and memory."""
     runs = {
         f"MPM runs, {purpose}": sum(each.purpose is purpose for each in found.mpm_runs)
@@ -372,7 +374,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return tabulate(rows, headers=head, tablefmt="pipe", disable_numparse=True)
 
 
-def summary(found: Result) -> str:
+def summary(found: "Result") -> str:
     """The outcome for the terminal: the conclusion of the report."""
     lines = [each.replace("**", "").replace("`", "") for each in conclusion(found)]
     return "\n".join([f"{found.problem.name}: {found.verdict}", *(f"  {line}" for line in lines)])

@@ -1,7 +1,6 @@
 """The result of an inversion, and everything that it leaves in a folder."""
 
 import math
-import resource
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -15,7 +14,7 @@ from datasets.files import make_folder, replacing, write_json
 from datasets.library import write_scene
 from datasets.scene import Scene
 from inverse.fields import FoundField, arrays_of
-from inverse.found import Answer, Combination, MpmRun, Verdict, plain
+from inverse.found import Answer, Combination, MpmRun, Verdict, peak_memory_mib, plain
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior.answers import half_widths
@@ -211,8 +210,3 @@ class Result:
         from inverse import pictures
 
         return pictures.deposits(self)
-
-
-def peak_memory_mib() -> float:
-    """The largest resident memory of this process so far [MiB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -15,8 +15,8 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import KINDS
 from inverse.observations.joint import Joint, Part
+from inverse.observations.measured import Context
 from inverse.observations.observation import Matrix, Measurement, Values
-from inverse.observations.table import Context
 from inverse.problem import Problem
 
 

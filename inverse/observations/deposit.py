@@ -10,8 +10,8 @@ from datasets.errors import InputError
 from datasets.particles import mass_centroids, mass_volumes, particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from inverse.observations.measured import Context, read_columns, require_inside
 from inverse.observations.observation import Measurement, Observation, Values, fitted_tail
-from inverse.observations.table import Context, read_columns, require_inside
 from inverse.settings import ObservationSettings
 
 DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)

@@ -11,8 +11,8 @@ from datasets.errors import InputError
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
+from inverse.observations.measured import require_inside
 from inverse.observations.observation import Observation, Rollout, Values, at_times
-from inverse.observations.table import require_inside
 from inverse.settings import ObservationSettings
 
 IMPULSE_SCATTER = 0.05

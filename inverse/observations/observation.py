@@ -17,8 +17,7 @@ from datasets import measures
 from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from inverse.observations.measured_profile import MeasuredProfile
-from inverse.observations.table import Context, tabulated
+from inverse.observations.measured import Context, MeasuredProfile, tabulated
 from inverse.settings import ObservationSettings, noise_of
 
 Values = NDArray[np.float64]

@@ -22,9 +22,8 @@ from datasets.errors import InputError
 from datasets.geometry.ground import elevation
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
-from inverse.observations.measured_profile import MeasuredProfile, profile_of
+from inverse.observations.measured import Context, MeasuredProfile, profile_of
 from inverse.observations.observation import Measurement, Observation, Values, at_times
-from inverse.observations.table import Context
 from inverse.settings import Heights, ObservationSettings, noise_of
 
 SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)

@@ -11,9 +11,8 @@ from datasets.material import Material
 from datasets.measures import height_profile
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Mass, Scene, Solid
-from inverse.observations.measured_profile import profile_of
+from inverse.observations.measured import Context, profile_of
 from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile
-from inverse.observations.table import Context
 from inverse.problem import Problem, read_problem
 from inverse.settings import Heights, LengthUnit, ObservationSettings, TargetSettings
 from inverse.target import Target, read_each, read_target

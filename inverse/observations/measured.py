@@ -1,24 +1,34 @@
-"""A measured profile: rows x and height of a CSV, made heights above the floor and held against what was released.
+"""What was measured, in a CSV: columns of numbers by their header, in the units of the problem, and profiles.
+
+A profile has rows x and height, made heights above the floor and held against what was released:
 
     h = (height - datum) in metres;    |1 - A / A0| within a bound,  A = int h dx,  A0 = released volume over the width
 
 What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for.
 """
 
+import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from datasets import files
 from datasets.errors import InputError
 from datasets.geometry.ground import elevation
-from inverse.observations.table import Context, read_columns, require_inside
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
 from inverse.settings import Heights, ObservationSettings
 
 Floats = NDArray[np.float64]
 
+LENGTHS = ("x", "z", "front", "height")
+"""Columns that are lengths."""
 EDGE = 0.01
 """Height over the largest, below which a deposit has ended."""
 FURTHEST = 2.0
@@ -36,6 +46,52 @@ AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25), Heights.EL
 
 Sand that is released dense, at a porosity of 0.38, and comes to rest loose, at 0.45, takes up an eighth more.
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Context:
+    """What the numbers of a measurement are read and checked with."""
+
+    scene: Scene
+    folder: Path
+    """Relative paths start here."""
+    released: float | None
+    """Volume of the masses over the width [m^2]; None where that is itself a parameter."""
+    run: Trajectory | None = None
+    """The flow that was observed, where it is known."""
+
+
+def tabulated(
+    settings: ObservationSettings, context: Context, columns: Mapping[str, str], optional: Sequence[str]
+) -> ObservationSettings:
+    """`settings` with the numbers of their `csv` [m, s] under the keys that its columns stand for."""
+    required, given = [name for name in columns if name not in optional], dict[str, Any]()
+    for name, column in read_columns(context.folder / str(settings.csv), required, optional).items():
+        datum = settings.datum if name == "height" else 0.0
+        metres = settings.unit.metres if name in LENGTHS else 1.0
+        given[columns[name]] = tuple(((column - datum) * metres).tolist())
+    return dataclasses.replace(settings, csv=None, **given)
+
+
+def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
+    """The columns `names` as they stand in a CSV, and those of `optional` that it has, each of shape [R].
+
+    Raises InputError, which names the file.
+    """
+    found = files.read_columns(path, tuple(names), tuple(optional), others=True)
+    if len(found[names[0]]) < 2:
+        raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
+    return {name: found[name] for name in (*names, *optional) if name in found}
+
+
+def require_inside(x: Floats, length: float) -> Floats:
+    """`x` [m], if they lie in the box of `length` [m]. Raises InputError."""
+    slack = 1e-9 * length
+    outside = x[(x < -slack) | (x > length + slack)]
+    if len(outside):
+        got = f"got {outside[-1]:g} m; unit says in what unit the file is"
+        raise InputError(f"expected x between the walls, 0 and {length:g} m, {got}")
+    return x
 
 
 @dataclass(frozen=True, kw_only=True)
