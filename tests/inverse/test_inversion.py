@@ -47,7 +47,7 @@ class WithGradient(Formula):
         return self.formula(parameters)
 
 
-def solved(problem: Problem, forward: Formula, truth: Floats) -> Inversion:
+def inversion(problem: Problem, forward: Formula, truth: Floats) -> Inversion:
     (values,) = forward.observe([truth])
     observation = build(ObservationSettings(kind="toe"), problem.scene)
     target = Target(observation=observation, values=values, deviation=np.full(len(values), 1e-3))
@@ -61,7 +61,7 @@ def test_the_truth_in_few_runs(make_problem: Any, made: type[Formula], share: tu
     problem = make_problem(2, *NAMES)
     truth = problem.box.lower + np.array(share) * problem.box.range
     forward = made(problem)
-    found = solved(problem, forward, truth)
+    found = inversion(problem, forward, truth)
     (answer,) = found.answers
     # The half-width of a linear fit of twelve numbers of 1 mm to slopes of some 0.1 m.
     np.testing.assert_array_less(np.abs(answer.point - share), np.maximum(answer.half_widths, 0.01))
@@ -78,13 +78,13 @@ def test_both_roots_of_an_even_formula_are_answers(make_problem: Any) -> None:
             return (share - 0.5) ** 2 * torch.ones(4, dtype=torch.float64)
 
     problem = make_problem(2, NAMES[0])
-    found = solved(problem, Even(problem), problem.box.lower + 0.25 * problem.box.range)
+    found = inversion(problem, Even(problem), problem.box.lower + 0.25 * problem.box.range)
     assert sorted(round(float(each.point[0]), 2) for each in found.answers) == pytest.approx([0.25, 0.75], abs=0.02)
 
 
 def test_parameters_beyond_the_bounds_end_on_them(make_problem: Any) -> None:
     problem = make_problem(2, *NAMES)
     forward = Formula(problem, curvature=0.0)
-    found = solved(problem, forward, problem.box.upper + 0.2 * problem.box.range)
+    found = inversion(problem, forward, problem.box.upper + 0.2 * problem.box.range)
     best = found.minima[int(np.argmin(found.losses(found.minima)))]
     assert best.max() == pytest.approx(1.0, abs=0.01)
