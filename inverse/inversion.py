@@ -11,10 +11,10 @@ from gns.library import model_path, shipped
 from inverse.forward.gns import GnsForward, band_of, require_predicted
 from inverse.forward.mpm import MpmForward
 from inverse.found import Answer, Verdict
+from inverse.optimise import ROUGH, inverted
 from inverse.problem import Problem
 from inverse.result import Result
 from inverse.settings import ForwardModel, Surrogate
-from inverse.surrogate import ROUGH, inverted
 from inverse.target import Target, read_each, read_target
 from mpm import simulate, simulate_many
 

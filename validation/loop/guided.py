@@ -1,6 +1,6 @@
 """Where a surrogate leads: the MPM runs at its answers first, then around them, and corrects them.
 
-No run is made beyond the surrogate's region (`inverse.surrogate`) unless the MPM contradicts: where it is off by more
+No run is made beyond the surrogate's region (`inverse.optimise`) unless the MPM contradicts: where it is off by more
 than the band allows, the region is so much wider, and twice as wide wherever the posterior comes to its edge.
 """
 
@@ -9,10 +9,10 @@ import dataclasses
 import numpy as np
 
 from inverse.found import MpmRun, Purpose
+from inverse.optimise import Inversion
 from inverse.posterior.emulator import fewest_runs
 from inverse.posterior.posterior import next_points
 from inverse.posterior.settings import CONSTANTS
-from inverse.surrogate import Inversion
 from validation.loop.search import Search
 from validation.loop.task import Task
 from validation.loop.verdict import checked

@@ -17,11 +17,11 @@ from datasets.trajectory import Trajectory
 from inverse.adaptation import deposits as adapted_runs
 from inverse.forward.interface import Simulate
 from inverse.found import MpmRun, Purpose, Verdict
+from inverse.optimise import Inversion, inverted
 from inverse.parameters import Vector
 from inverse.posterior.information import Information, information, measurements
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
-from inverse.surrogate import Inversion, inverted
 from inverse.target import read_target
 from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate

@@ -1,6 +1,6 @@
 """Whether a learned surrogate is asked: where the scene is in its range and a run of the MPM is dear.
 
-It inverts first (`inverse.surrogate`); the MPM then runs where its answers are (`validation.loop.guided`).
+It inverts first (`inverse.optimise`); the MPM then runs where its answers are (`validation.loop.guided`).
 """
 
 import dataclasses
@@ -19,9 +19,9 @@ from gns.library import model_path, shipped
 from gns.ranges import outside
 from gns.simulator import Simulator
 from inverse.forward.gns import Flow, GnsForward, band_of
+from inverse.optimise import Surrogate
 from inverse.problem import Problem
 from inverse.settings import Surrogate as Requested
-from inverse.surrogate import Surrogate
 from inverse.target import Target
 from mpm.resolution import particle_steps
 from validation.loop.task import Task

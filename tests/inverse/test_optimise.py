@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from inverse.observations import build
+from inverse.optimise import Inversion, inverted
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings
-from inverse.surrogate import Inversion, inverted
 from inverse.target import Target
 
 Floats = NDArray[np.float64]
