@@ -45,7 +45,7 @@ def main(
     out
         Folder of the model and its data.
     runs
-        Runs of the MPM, of which every fourth is held out.
+        Runs of the MPM, of which every fifth is held out.
     minutes
         Time to train [min]; the runs come on top.
     model

@@ -3,7 +3,8 @@
 A shipped model interpolates between flows of many kinds. An inversion asks for one kind, with a few unknowns: some 64
 runs fill their box, and minutes of training on whole flows lower the error several times. Parameters are points of a
 Sobol sequence between the prior bounds (Sobol, On the distribution of points in a cube, USSR Comput. Math. Math. Phys.
-7 (1967) 86-112), each flow with a jitter seed of its own; every fourth is held out, for the scores and the band.
+7 (1967) 86-112), each flow with a jitter seed of its own; every fifth is held out, for the scores and the band.
+Powers of two would not do: those of a Sobol sequence that are so many apart fill one slice of the box alone.
 """
 
 import dataclasses
@@ -45,11 +46,11 @@ from mpm.generate import generate, missing_entries
 COMMAND = "python -m inverse.adapt"
 DATA, PROBLEM = "data", "problem.json"
 """In the folder of a run: its flows, and what problem they are of."""
-HELD_OUT = 4
-"""Of so many flows one is held out."""
+HELD_OUT = 5
+"""Of so many flows one is held out; odd, so that those lie all over the box."""
 BATCH = 2
 """Samples of an update; as many processes share them at most."""
-FEWEST = 6
+FEWEST = 7
 """Flows at least, of which two are held out."""
 MOST_SCORED = 24
 """Held-out flows at most that a training is scored by."""
@@ -75,7 +76,7 @@ def adapt(
     >>> from validation import solve
     >>> result = solve("friction-tall-42", "out/loop", model=adapt("friction-tall-42", "out/tall"))
 
-    runs: of the MPM, of which a fourth is held out; minutes: of training; model: to begin with, that which ships where
+    runs: of the MPM, of which a fifth is held out; minutes: of training; model: to begin with, that which ships where
     absent; jobs: processes side by side, one a processor where absent; seed: of the parameters, jitters and samples.
     The same call again makes what is missing. Raises InputError for a problem that no surrogate can learn and where
     `out` is another problem's, WorkFailed where a run of the MPM fails.
