@@ -121,15 +121,16 @@ def _end_after(sentinel: int) -> None:
 
 @contextmanager
 def without_main() -> Iterator[None]:
-    """While this lasts, processes that start do not run the user's script again: it needs no guard for that."""
+    """While this lasts, processes that start do not run the user's script again: it needs no guard for that.
+
+    A module that was started by `python -m` has one; there processes find the functions that it gives them.
+    """
     main: Any = sys.modules["__main__"]
-    file, spec = getattr(main, "__file__", None), main.__spec__
-    main.__spec__ = None
+    file = getattr(main, "__file__", None) if getattr(main, "__spec__", None) is None else None
     if file is not None:
         del main.__file__
     try:
         yield
     finally:
-        main.__spec__ = spec
         if file is not None:
             main.__file__ = file

@@ -213,6 +213,7 @@ def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(tmp_path: P
     deadline = time.monotonic() + 240.0
     while not list(tmp_path.rglob("[!.]*.npz")):
         assert time.monotonic() < deadline
+        assert process.poll() is None, process.communicate()[1]
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     _, error = process.communicate(timeout=240.0)
