@@ -55,6 +55,8 @@ class Family:
     """Cells of the target's flow, as a share of the scene's: what the inversion's own cells get wrong."""
     surrogate: Surrogate = Surrogate.NONE
     """Whether one leads."""
+    adapted: bool = False
+    """Whether it is one of `inverse.adapt`, whose runs of the MPM are known."""
 
 
 FAMILIES = {
@@ -74,6 +76,12 @@ FAMILIES = {
         title="Velocities of ten layers, the surrogate leads", problem="velocity-layers-10", surrogate=Surrogate.GNS
     ),
     "baffles-gns": Family(title="Two baffles, the surrogate leads", problem="baffles-2", surrogate=Surrogate.GNS),
+    "front-adapted": Family(
+        title="Friction, front, an adapted surrogate leads",
+        problem="unseen-friction-square-27",
+        surrogate=Surrogate.GNS,
+        adapted=True,
+    ),
 }
 DEFAULT = ("front", "profile")
 """Families that are solved where none is named."""
@@ -97,7 +105,14 @@ class Twin(Record):
 
 
 def bench(
-    out: Path, *, quick: bool, keep: Path, twins: int = 40, only: tuple[str, ...] = DEFAULT, scheduler: str = ""
+    out: Path,
+    *,
+    quick: bool,
+    keep: Path,
+    twins: int = 40,
+    only: tuple[str, ...] = DEFAULT,
+    model: Path | None = None,
+    scheduler: str = "",
 ) -> str:
     """Solve twin experiments with truths from the prior; write OUT/coverage.md and return its conclusion.
 
@@ -113,8 +128,10 @@ def bench(
         Of each family.
     only
         Families to solve (front, profile, front-noise, cohesion, front-fine, profile-fine, layers, velocities,
-        baffles; where the surrogate leads: front-gns, velocities-gns, baffles-gns); the page has all that there are in
-        `keep`.
+        baffles; where the surrogate leads: front-gns, velocities-gns, baffles-gns, front-adapted); the page has all
+        that there are in `keep`.
+    model
+        Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
     scheduler
         Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
     """
@@ -124,7 +141,9 @@ def bench(
         raise InputError(f"expected at least one twin, got {twins}", where="--twins")
     asked = [(name, number) for name in (only[:1] if quick else only) for number in range(2 if quick else twins)]
     missing = [(name, number) for name, number in asked if read_twin(path_of(number, keep / name)) is None]
-    tasks = [(FAMILIES[name], number) for name, number in missing]
+    if model is None and any(FAMILIES[name].adapted for name, _ in missing):
+        raise InputError("expected the folder of an adaptation", key="--model")
+    tasks = [(FAMILIES[name], number, model) for name, number in missing]
     with nullcontext() if not scheduler else connected(scheduler) as workers:
         results: Iterator[tuple[int, Twin]] = (
             enumerate(solve_twin(*task) for task in tasks)
@@ -142,6 +161,7 @@ def bench(
     draw(out / "coverage.png", found)
     flags = "" if twins == 40 else f" --twins {twins}"
     flags += "" if only == DEFAULT else "".join(f" --only {name}" for name in only)
+    flags += "" if model is None else " --model RUN"
     return page(found, flags=flags, quick=quick).write(out / "coverage.md")
 
 
@@ -155,15 +175,16 @@ def read_twin(path: Path) -> Twin | None:
     return None if (known := read_json(path)) is None else from_mapping(Twin, known)
 
 
-def solve_twin(family: Family, number: int, threads: int | None = None) -> Twin:
-    """Solve the twin of this number; threads: of the MPM, all cores unless given."""
+def solve_twin(family: Family, number: int, model: Path | None = None, threads: int | None = None) -> Twin:
+    """Solve the twin of this number; model: of an adaptation; threads: of the MPM, all cores unless given."""
     simulate = simulate_many if threads is None else partial(simulate_many, threads=threads)
     with tempfile.TemporaryDirectory() as folder:
         problem = drawn(family, number)
         truth = problem.target.truth
         if family.finer != 1.0:
             problem = with_finer_target(problem, family.finer, Path(folder))
-        return located(solve(problem, simulate=simulate), truth, FIRST_SEED + number)
+        found = solve(problem, simulate=simulate, model=model if family.adapted else None)
+        return located(found, truth, FIRST_SEED + number)
 
 
 def drawn(family: Family, number: int) -> Problem:
