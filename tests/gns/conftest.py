@@ -17,7 +17,7 @@ from gns.simulator import Normalisation, Simulator
 from gns.state import Conditions, State
 from tests.flows import flow_of
 
-NORMALISATION = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mean=0.6, friction_std=0.2)
+NORMALISATION = Normalisation(displacement_scale=3e-3, acceleration_scale=7e-4, friction_mean=0.6, friction_std=0.2)
 Cloud = Callable[..., tuple[State, Conditions]]
 TINY = [
     *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),

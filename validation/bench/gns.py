@@ -15,7 +15,7 @@ from tqdm import tqdm
 import gns
 from datasets.errors import InputError
 from datasets.scene import Scene
-from gns import card, uncertainty
+from gns import card
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import (
@@ -173,7 +173,7 @@ def measure(path: Path, scenes: Sequence[HeldOut], keep: Path, *, cells: Sequenc
 def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
     """See `Compared.band`."""
     try:
-        prediction = uncertainty.predict(scene, model=path, level=LEVEL)
+        prediction = gns.predict(scene, model=path, level=LEVEL)
     except InputError:
         return None
     return prediction.front - front, prediction.half_width
@@ -268,7 +268,7 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
         )
     result.section("What it knows of itself, and rest")
     result.text(f"""
-        Bands of {LEVEL:.0%} (`gns.uncertainty`) on free fronts at larger x. Creep: speed of the faster end of a deposit
+        Bands of {LEVEL:.0%} (`gns.predict`) on free fronts at larger x. Creep: speed of the faster end of a deposit
         over the second half of a rollout {TIMES} times as long as its scene, of scenes that come to rest in the MPM.
     """)
     result.table([self_row(each) for each in found])

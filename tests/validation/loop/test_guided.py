@@ -167,7 +167,7 @@ class Level:
 def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The file of a tiny model with a card."""
     settings = ModelSettings(body_length=0.2, width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
-    scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
+    scales = Normalisation(displacement_scale=0.003, acceleration_scale=0.01, friction_mean=0.6, friction_std=0.2)
     checkpoint.save(tmp_path / "tiny.safetensors", Simulator(settings, scales), {})
     monkeypatch.setattr(card, "read", lambda path: Level())
     monkeypatch.setattr(
