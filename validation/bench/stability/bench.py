@@ -54,14 +54,9 @@ class Check(Record):
 
     def finding(self, flow: Trajectory) -> Finding:
         """What it is in `flow`."""
-        usual = QUANTITIES[self.quantity]
-        return Finding(
-            check=usual.name,
-            value=usual.measure(flow),
-            unit=usual.unit,
-            minimum=usual.minimum if self.minimum is None else self.minimum,
-            maximum=usual.maximum if self.maximum is None else self.maximum,
-        )
+        given = {"minimum": self.minimum, "maximum": self.maximum}
+        changes = {name: value for name, value in given.items() if value is not None}
+        return dataclasses.replace(QUANTITIES[self.quantity](flow), **changes)
 
 
 @dataclass(frozen=True, kw_only=True)
