@@ -8,6 +8,7 @@ import pytest
 from datasets.definitions.held_out import ASPECTS, is_held_out, neighbours
 from datasets.library import read_scene
 from datasets.scene import Baffle, Domain, Mass, Scene
+from tests.scenes import scene_of
 
 
 def redrawn(scene: Scene, factor: float, *, mirrored: bool = False) -> Scene:
@@ -37,10 +38,11 @@ def test_what_ships_is_held_out_scaled_mirrored_and_of_another_sand(name: str) -
     assert neighbours(redrawn(scene, 0.5, mirrored=True), redrawn(scene, 3.0))
 
 
-COLUMN = Scene(
-    domain=Domain(size=(2.0, 1.0), cell=0.01),
+COLUMN = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.31, 0.4)),
+    size=(2.0, 1.0),
+    cell=0.01,
     material=read_scene("column-short-21").material,
-    masses=(Mass(lower=(0.0, 0.0), size=(0.31, 0.4)),),
 )
 
 

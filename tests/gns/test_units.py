@@ -14,14 +14,14 @@ from gns.inference import simulate
 from gns.settings import GRAVITY, ModelSettings
 from gns.simulator import Simulator
 from gns.units import Units
+from tests.scenes import scene_of
 
-SCENE = Scene(
-    domain=Domain(size=(0.6, 0.4), cell=0.01),
+SCENE = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.1, 0.1), velocity=(1.2, 0.3)),
+    Mass(lower=(0.0, 0.1), size=(0.1, 0.06)),
+    size=(0.6, 0.4),
+    cell=0.01,
     material=Material(friction_deg=35.0, cohesion=80.0, tension_cutoff=40.0),
-    masses=(
-        Mass(lower=(0.0, 0.0), size=(0.1, 0.1), velocity=(1.2, 0.3)),
-        Mass(lower=(0.0, 0.1), size=(0.1, 0.06)),
-    ),
     duration=0.2,
     floor_friction=0.4,
     damping=0.1,

@@ -7,19 +7,18 @@ import pytest
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Domain, Gate, Mass, Scene
+from datasets.scene import Gate, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, simulate
 from mpm.adjoint.gradient import gradient
+from tests.scenes import SAND, scene_of
 
 CELL = 0.02
-SAND = Material(friction_deg=30.0)
 COLUMN = Mass(lower=(0.4, 0.0), size=(0.2, 0.3), release=0.05)
-SCENE = Scene(domain=Domain(size=(1.0, 0.4), cell=CELL), material=SAND, masses=(COLUMN,), duration=0.2)
+SCENE = scene_of(COLUMN, size=(1.0, 0.4), cell=CELL, duration=0.2)
 BLOCK = Mass(lower=(0.1, 0.0, 0.06), size=(0.1, 0.1, 0.08), release=0.02)
-SCENE_3D = Scene(domain=Domain(size=(0.3, 0.2, 0.2), cell=CELL), material=SAND, masses=(BLOCK,), duration=0.06)
+SCENE_3D = scene_of(BLOCK, size=(0.3, 0.2, 0.2), cell=CELL, duration=0.06)
 
 
 def with_masses(scene: Scene, *masses: Mass, **changes: object) -> Scene:

@@ -10,10 +10,10 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene
 from mpm import WITH_FIELDS, Recording, runtime, simulate, simulate_many
-from tests.mpm import scenes
-from tests.mpm.scenes import SAND
+from tests import scenes
+from tests.scenes import SAND, scene_of
 from validation.bench.stability.exact_solutions import (
     FreeFlight,
     SlidingBlock,
@@ -87,7 +87,7 @@ def test_an_elastic_bar_rings_with_its_period() -> None:
         *masses,
         material=FIRM,
         gravity=0.0,
-        domain=Domain(size=(1.0, 1.0), cell=0.01),
+        cell=0.01,
         duration=0.1,
         frame_dt=0.0005,
         jitter=0.0,
@@ -215,10 +215,9 @@ def test_a_missing_gpu_is_one_clear_line() -> None:
     assert simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01)).summary["arch"] == "cpu"
 
 
-COLUMN = Scene(
-    domain=Domain(size=(1.6, 0.6), cell=0.02),
-    material=SAND,
-    masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),),
+COLUMN = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),
+    size=(1.6, 0.6),
     duration=1.0,
     frame_dt=0.005,
     floor_friction=0.385,
@@ -251,10 +250,11 @@ def test_the_front_does_not_depend_on_stiffness_step_or_output_interval() -> Non
 @pytest.mark.double
 def test_the_default_relaxation_scales_with_the_flow() -> None:
     """Ten times the length, sqrt(10) times the time and ten times the modulus give the same flow, scaled."""
-    large = Scene(
-        domain=Domain(size=(16.0, 6.0), cell=0.2),
+    large = scene_of(
+        Mass(lower=(0.0, 0.0), size=(2.0, 4.0)),
+        size=(16.0, 6.0),
+        cell=0.2,
         material=dataclasses.replace(SAND, young=2.0e7),
-        masses=(Mass(lower=(0.0, 0.0), size=(2.0, 4.0)),),
         duration=math.sqrt(10.0),
         frame_dt=0.005 * math.sqrt(10.0),
         floor_friction=0.385,
