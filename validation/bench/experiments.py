@@ -20,9 +20,9 @@ from validation.experiments.experiment import (
     Quantity,
     Reading,
     Shipped,
+    quantity,
     read_experiments,
 )
-from validation.experiments.quantities import quantity
 from validation.report.page import Page, percent, rms, signed
 from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure, pane
 from validation.runs import Run, RunStore
@@ -183,7 +183,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         angles = each.experiment.angles
         names = [angle.name for angle in angles] or [INFERRED]
         for reading, name in zip(each.experiment.readings or [first], names, strict=True):
-            known = coarse.get((each.name, case.name, reading), lambda measured: math.nan)
+            known = coarse.get((each.name, case.name, reading), lambda _: math.nan)
             best = fine[each.name, case.name, first] if reading == first else known
             (scores if reading == first else others).extend(
                 Score(

@@ -14,7 +14,7 @@ from tests.flows import flow_of
 from tests.scenes import scene_of
 from validation.bench.__main__ import main
 from validation.bench.gns import Compared, Model, draw, mpm_seconds, page
-from validation.bench.held_out import HeldOut, Measured, at_wall, deposit_of
+from validation.bench.held_out import Measured, at_wall, deposit_of
 from validation.report import plots
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
@@ -51,7 +51,7 @@ def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Mod
 
     mpm = {cells: measured(cells**2 / 400.0, 0.4 / cells) for cells in resolutions}
     first = Compared(
-        scene=HeldOut(kind="column", scene=BLOCK),
+        kind="column",
         extent=0.4,
         free=True,
         rollout=measured(0.5, -0.04),

@@ -10,8 +10,7 @@ from datasets.scene import Mass
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from tests.scenes import scene_of
-from validation.experiments.experiment import Measured, Quantity, Status
-from validation.experiments.quantities import edge, quantity
+from validation.experiments.experiment import Measured, Quantity, Status, edge, quantity
 
 BLOCK = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.1)), size=(1.0, 0.2), cell=0.01, jitter=0.0)
 AT_START = initial_particles(BLOCK).positions

@@ -54,9 +54,12 @@ class Check(Record):
 
     def finding(self, flow: Trajectory) -> Finding:
         """What it is in `flow`."""
-        given = {"minimum": self.minimum, "maximum": self.maximum}
-        changes = {name: value for name, value in given.items() if value is not None}
-        return dataclasses.replace(QUANTITIES[self.quantity](flow), **changes)
+        found = QUANTITIES[self.quantity](flow)
+        return dataclasses.replace(
+            found,
+            minimum=found.minimum if self.minimum is None else self.minimum,
+            maximum=found.maximum if self.maximum is None else self.maximum,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
