@@ -23,6 +23,14 @@ Vector = NDArray[np.float64]
 XX, YY, ZZ, XY, YZ, ZX = range(6)
 
 
+def tensor(components: Vector) -> Vector:
+    """Symmetric tensors, shape [..., 3, 3], of components xx, yy, zz, xy and, in 3D, yz, zx, shape [..., 4 or 6]."""
+    full = np.zeros((*components.shape[:-1], 3, 3))
+    for number, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: components.shape[-1]]):
+        full[..., i, j] = full[..., j, i] = components[..., number]
+    return full
+
+
 @ti.func
 def strengths_now(m: ti.template(), strain, cell, dt, features: ti.template()):
     """As `mpm.physics.particles.strength_of`, of the properties `m` of an element after the plastic strain `strain`."""

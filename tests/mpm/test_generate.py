@@ -21,7 +21,7 @@ from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.cluster import Workers
 from mpm.generate import command, generate, thinned
-from tests.breaking import dataset_files, orphans, start, unfinished
+from tests.breaking import BLOCKS, dataset_files, orphans, start, unfinished
 
 ROOT = Path(__file__).parents[2]
 
@@ -45,21 +45,6 @@ TINY = Definition(
     split=lambda index: (Split.TRAIN, Split.VALID, Split.TEST, Split.TRAIN)[index],
     draw=draw,
 )
-
-BLOCKS = """
-count = 1000
-split_period = 3
-[scene]
-duration = { choice = [0.005, 0.01] }
-[scene.domain]
-size = [0.4, 0.2]
-cell = 0.05
-[scene.material]
-friction_deg = { uniform = [20.0, 40.0] }
-[[scene.masses]]
-lower = [{ uniform = [0.0, 0.2] }, 0.0]
-size = [0.1, 0.1]
-"""
 
 FILES = ["test/tiny-0002.npz", "train/tiny-0000.npz", "train/tiny-0003.npz", "valid/tiny-0001.npz"]
 
@@ -192,7 +177,7 @@ def test_wrong_input_is_one_line_and_status_2(
 
 def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(tmp_path: Path) -> None:
     """In a session of its own, where a terminal sends Ctrl-C to all, once it has left its first trajectory."""
-    (tmp_path / "blocks.toml").write_text(BLOCKS)
+    (tmp_path / "blocks.toml").write_text(BLOCKS.replace("count = 10", "count = 1000"))
     process = start(["-m", "mpm.generate", str(tmp_path / "blocks.toml"), "--out", str(tmp_path), "--jobs", "2"])
     deadline = time.monotonic() + 240.0
     while not list(tmp_path.rglob("[!.]*.npz")):

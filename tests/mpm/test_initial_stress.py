@@ -13,6 +13,7 @@ from datasets.particles import initial_particles
 from datasets.scene import Mass, Scene, Solid
 from mpm import WITH_FIELDS, simulate
 from mpm.initial.stress import initial_tractions
+from tests.mpm.element import tensor
 from tests.scenes import SAND, scene_of
 
 CELL = 0.02
@@ -42,14 +43,6 @@ def row_means(scene: Scene, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Means over the rows of cells, from the floor up."""
     row = (initial_particles(scene).positions[:, 1] / CELL).astype(int)
     return np.bincount(row, values) / np.bincount(row)
-
-
-def tensor(stress: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Components as in the kernel to matrices, shape [N, 3, 3]."""
-    full = np.zeros((len(stress), 3, 3))
-    for column, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: stress.shape[1]]):
-        full[:, i, j] = full[:, j, i] = stress[:, column]
-    return full
 
 
 @pytest.mark.parametrize(("precision", "most"), [("f64", 1.0e-12), ("f32", 1.0e-6)])

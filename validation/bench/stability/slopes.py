@@ -54,7 +54,7 @@ class KnownSlope(Record):
 
 
 KNOWN = tuple(from_mapping(KnownSlope, each) for each in read_toml(Path(__file__).with_suffix(".toml"))["slopes"])
-TAYLOR, CUT, BISHOP, SAND = KNOWN
+TAYLOR, _, BISHOP, SAND = KNOWN
 WITHOUT_DILATION = tuple(
     dataclasses.replace(
         each, name=each.name.replace("φ = ψ", "ψ = 0, φ"), source=f"{each.source} for ψ = φ", dilates=False
