@@ -18,6 +18,11 @@ def scene_of(
     return Scene(domain=Domain(size=size, cell=cell), material=material, masses=masses or (COLUMN,), **changes)
 
 
+def with_masses(scene: Scene, *masses: Mass, **changes: Any) -> Scene:
+    """The scene of these masses, and with other changes."""
+    return replace(scene, masses=masses, **changes)
+
+
 def box(*masses: Mass, **changes: Any) -> Scene:
     """Masses in a box of 1 m on cells of 2 cm, for 0.1 s in frames of 5 ms unless changed."""
     return scene_of(*masses, **{"duration": 0.1, "frame_dt": 0.005} | changes)

@@ -10,7 +10,7 @@ from datasets.particles import initial_particles
 from datasets.scene import Gate, Mass, Scene
 from mpm import WITH_FIELDS, simulate
 from mpm.adjoint.gradient import gradient
-from tests.scenes import SAND, scene_of
+from tests.scenes import SAND, scene_of, with_masses
 from validation.bench.stability.invariants import momentum
 
 CELL = 0.02
@@ -18,10 +18,6 @@ COLUMN = Mass(lower=(0.4, 0.0), size=(0.2, 0.3), release=0.05)
 SCENE = scene_of(COLUMN, size=(1.0, 0.4), cell=CELL, duration=0.2)
 BLOCK = Mass(lower=(0.1, 0.0, 0.06), size=(0.1, 0.1, 0.08), release=0.02)
 SCENE_3D = scene_of(BLOCK, size=(0.3, 0.2, 0.2), cell=CELL, duration=0.06)
-
-
-def with_masses(scene: Scene, *masses: Mass, **changes: object) -> Scene:
-    return dataclasses.replace(scene, masses=masses, **changes)  # type: ignore[arg-type]
 
 
 @pytest.mark.double

@@ -8,11 +8,11 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.geometry.nearest import nearest
-from datasets.geometry.surface import surface_of
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, simulate
+from tests.datasets.geometry.solids import surface
 from tests.scenes import scene_of
 from validation.bench.stability.exact_solutions import settlement, total_energy
 from validation.bench.stability.invariants import momentum
@@ -107,33 +107,20 @@ def test_a_block_holds_below_the_angle_of_its_base_and_slides_beyond_it_by_the_c
         assert acceleration == pytest.approx(GRAVITY * (np.sin(theta) - 0.5 * np.cos(theta)), rel=0.01)
 
 
-def thrown(*baffles: Baffle, speed: float) -> Scene:
-    """A block of sand thrown along the box."""
-    return scene_of(
-        Mass(lower=(0.2, 0.1), size=(0.2, 0.2), velocity=(speed, 0.0)),
-        size=(2.0, 0.6),
-        cell=CELL,
-        material=SAND,
-        baffles=baffles,
-        duration=0.2,
-        frame_dt=0.002,
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("thickness", "speed"), [(0.5, 50.0), (0.2, 20.0), (0.05, 5.0)])
 def test_nothing_passes_a_thin_plate(thickness: float, speed: float) -> None:
     face = 0.8 + 0.3 * CELL
-    scene = thrown(Baffle(lower=(face, 0.0), size=(thickness * CELL, 0.6)), speed=speed)
+    plate = Baffle(lower=(face, 0.0), size=(thickness * CELL, 0.6))
+    block = Mass(lower=(0.2, 0.1), size=(0.2, 0.2), velocity=(speed, 0.0))
+    scene = scene_of(block, size=(2.0, 0.6), material=SAND, baffles=(plate,), duration=0.2, frame_dt=0.002)
     assert simulate(scene).positions[:, :, 0].max() <= face + 1.0e-6
 
 
 def assert_outside(flow: Trajectory) -> None:
     """No particle is inside a solid, in any tenth frame."""
-    surface = surface_of(flow.scene)
-    assert surface is not None
     for positions in flow.positions[::10]:
-        assert nearest(surface, positions.astype(float)).distance.min() > -1.0e-5 * flow.scene.domain.cell
+        assert nearest(surface(flow.scene), positions.astype(float)).distance.min() > -1.0e-5 * flow.scene.domain.cell
 
 
 @pytest.mark.slow
@@ -145,7 +132,6 @@ def test_a_kinked_terrain_and_a_funnel_do_not_leak() -> None:
         scene = scene_of(
             Mass(lower=(0.05, 0.52), size=(0.5, 0.2)),
             size=(0.8, 0.8),
-            cell=CELL,
             material=SAND,
             solids=(Solid(kind="terrain", points=points, friction=0.4),),
             duration=0.8,
@@ -160,7 +146,6 @@ def test_momentum_goes_into_walls_and_solids_alone() -> None:
     scene = scene_of(
         Mass(lower=(0.0, 0.36), size=(0.2, 0.2)),
         size=(1.0, 0.6),
-        cell=CELL,
         material=SAND,
         solids=(
             Solid(kind="terrain", points=((0.0, 0.35), (0.5, 0.1), (1.0, 0.06)), friction=0.2),
@@ -183,7 +168,6 @@ def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
         scene = scene_of(
             Mass(lower=(0.3, 0.087), size=(0.3, 0.06)),
             size=(1.0, 0.4),
-            cell=CELL,
             material=Material(friction_deg=45.0, density=1500.0, young=1.0e6, poisson=0.3, cohesion=2000.0),
             solids=(Solid(lower=(0.0, 0.0), size=(1.0, 0.087), **surface),),
             slope_deg=25.0,
@@ -205,7 +189,6 @@ def test_rough_surfaces_hold_what_touches_them() -> None:
     scene = scene_of(
         Mass(lower=(0.1, 0.0), size=(0.2, 0.1)),
         size=(0.6, 0.4),
-        cell=CELL,
         material=strong,
         slope_deg=40.0,
         floor_friction="rough",
@@ -218,9 +201,7 @@ def test_rough_surfaces_hold_what_touches_them() -> None:
     ]
     assert abs(moved[0]) < 0.01 * moved[1]
     baffle = Baffle(lower=(0.4, 0.0), size=(0.1, 0.1), friction="rough")
-    surface = surface_of(dataclasses.replace(scene, baffles=(baffle,)))
-    assert surface is not None
-    assert np.isinf(surface.friction).all()
+    assert np.isinf(surface(dataclasses.replace(scene, baffles=(baffle,))).friction).all()
     with pytest.raises(InputError, match="'rough', got 'glued'"):
         dataclasses.replace(scene, wall_friction="glued")
 
@@ -230,7 +211,6 @@ def test_open_sides_let_sand_out_and_count_it() -> None:
     scene = scene_of(
         Mass(lower=(0.2, 0.0), size=(0.2, 0.3)),
         size=(0.6, 0.4),
-        cell=CELL,
         material=SAND,
         open_sides=("x+",),
         floor_friction=0.2,

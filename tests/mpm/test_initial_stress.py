@@ -14,7 +14,7 @@ from datasets.scene import Mass, Scene, Solid
 from mpm import WITH_FIELDS, simulate
 from mpm.initial.stress import initial_tractions
 from tests.mpm.element import tensor
-from tests.scenes import SAND, scene_of
+from tests.scenes import SAND, scene_of, with_masses
 
 CELL = 0.02
 STIFF_CLAY = Material(friction_deg=30.0, cohesion=1.0e6, tension_cutoff=1.0e6)
@@ -22,10 +22,6 @@ BED_2D = scene_of(Mass(lower=(0.0, 0.0), size=(1.0, 0.4), k0=0.5), size=(1.0, 0.
 BED_3D = scene_of(
     Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1), k0=0.5), size=(0.2, 0.2, 0.1), cell=CELL, jitter=0.4, duration=0.5
 )
-
-
-def with_masses(scene: Scene, *masses: Mass, **changes: object) -> Scene:
-    return dataclasses.replace(scene, masses=masses, **changes)  # type: ignore[arg-type]
 
 
 def stress_of(scene: Scene) -> NDArray[np.float64]:

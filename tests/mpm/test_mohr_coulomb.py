@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datasets.material import Material
-from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_controlled, follow_states, follow_whole, returned, tensor
+from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_controlled, follow_states, returned, tensor
 
 pytestmark = pytest.mark.double
 
@@ -105,7 +105,7 @@ def test_the_return_does_not_know_the_axes(dilation_deg: float) -> None:
     principal[:6, 1] = principal[:6, 0]
     principal[6:12, 1] = principal[6:12, 2]
     principal[12:14] = principal[12:14, :1]
-    expected = returned(sand, principal, limit=sand.tension_limit)
+    expected = returned(sand, principal)
     for values, rotated_result, turn in zip(principal, expected, rotations(60), strict=True):
         start = components(turn @ np.diag(values) @ turn.T)
         result = follow(sand, np.zeros((1, 3, 3)), start)[0]
@@ -120,7 +120,7 @@ def test_plane_strain_in_three_dimensions_is_the_two_dimensional_law() -> None:
     deep[:, :2, :2] = gradients
     for dilation_deg in (0.0, 10.0):
         sand = Material(friction_deg=35.0, cohesion=100.0, tension_cutoff=50.0, dilation_deg=dilation_deg)
-        (flat, flat_strain), (solid, solid_strain) = follow_whole(sand, gradients), follow_whole(sand, deep)
+        (flat, flat_strain, _), (solid, solid_strain, _) = (follow_states(sand, path) for path in (gradients, deep))
         np.testing.assert_allclose(solid[:, :4], flat, atol=1e-6 * np.abs(flat).max())
         np.testing.assert_allclose(solid[:, 4:], 0.0, atol=1e-6)
         np.testing.assert_allclose(solid_strain, flat_strain, atol=1e-9)

@@ -16,7 +16,6 @@ from datasets.scene import Scene, Solid
 from gns import card, checkpoint
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
-from inverse import pictures
 from inverse.forward.gns import GnsForward
 from inverse.found import Purpose, Verdict
 from inverse.parameters.parameter import Parameter
@@ -41,11 +40,6 @@ from validation.loop.search import first
 from validation.loop.surrogate import choose, learned
 from validation.loop.task import Task
 from validation.loop.verdict import judged, nearer
-
-
-@pytest.fixture(autouse=True)
-def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "RESOLUTION", 40)
 
 
 @pytest.mark.parametrize(("kind", "factor"), [("front", 1.0), ("front", 1.03), ("profile", 0.97)])
