@@ -11,12 +11,6 @@ pytestmark = pytest.mark.double
 SAND = Material(friction_deg=30.0, cohesion=1.0e4, tension_cutoff=5.0e3)
 
 
-def trial_states(scale: float, count: int = 4000) -> np.ndarray:
-    """Sorted random principal stresses [Pa], far beyond yield, mostly compressive."""
-    states = np.random.default_rng(3).normal(-scale, scale, (count, 3))
-    return -np.sort(-states, axis=1)
-
-
 def test_uniaxial_strain_is_elastic_then_on_the_yield_line() -> None:
     """Elastic: lateral over axial stress nu / (1 - nu); where that leaves the cone of cohesionless sand, 1 / N."""
     squeeze = np.tile([[0.0, 0.0], [0.0, -1e-5]], (200, 1, 1))
@@ -101,7 +95,7 @@ def test_triaxial_tests_in_six_directions(axis: int, sign: float) -> None:
 def test_the_return_does_not_know_the_axes(dilation_deg: float) -> None:
     """A trial stress turned by any rotation returns to the turned result; its principal values are returned as such."""
     sand = Material(friction_deg=30.0, cohesion=1.0e4, tension_cutoff=5.0e3, dilation_deg=dilation_deg)
-    principal = trial_states(1.5e5, 60)
+    principal = -np.sort(-np.random.default_rng(3).normal(-1.5e5, 1.5e5, (60, 3)), axis=1)
     principal[:6, 1] = principal[:6, 0]
     principal[6:12, 1] = principal[6:12, 2]
     principal[12:14] = principal[12:14, :1]

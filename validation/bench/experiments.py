@@ -183,7 +183,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         angles = each.experiment.angles
         names = [angle.name for angle in angles] or [INFERRED]
         for reading, name in zip(each.experiment.readings or [first], names, strict=True):
-            known = coarse.get((each.name, case.name, reading), lambda _: math.nan)
+            known: Callable[[Measured], float] = coarse.get((each.name, case.name, reading), lambda _: math.nan)
             best = fine[each.name, case.name, first] if reading == first else known
             (scores if reading == first else others).extend(
                 Score(
