@@ -25,19 +25,16 @@ except ImportError as error:
     ) from None
 
 if TYPE_CHECKING:
-    from gns.inference import load, simulate
-    from gns.uncertainty import predict
-
-_MODULES = {"load": "gns.inference", "predict": "gns.uncertainty", "simulate": "gns.inference"}
+    from gns.inference import load, predict, simulate
 
 __all__ = ["load", "predict", "simulate"]
 
 
 def __getattr__(name: str) -> Any:
     """Import on first use: torch takes seconds, which no `--help` should."""
-    if name not in _MODULES:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULES[name]), name)
+    return getattr(import_module("gns.inference"), name)
 
 
 def __dir__() -> list[str]:

@@ -30,11 +30,13 @@ if TYPE_CHECKING:
 
 LICENCE = "MIT"
 """That of the repository."""
+LEVELS = (0.5, 0.8, 0.95)
+"""Of the bands that it has quantiles for."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration(Record):
-    """How far a deposit may be from the MPM's, by flows that no training saw (`gns.uncertainty`)."""
+    """How far a deposit may be from the MPM's, by flows that no training saw (`gns.score`)."""
 
     front: dict[str, float]
     """Level -> quantile of the front's absolute error over the extent [-]."""
@@ -126,7 +128,6 @@ def describe(
 ) -> Card:
     """The card of a model of this history that was trained on these scenes, by definition or folder."""
     settings = simulator.settings
-    constants = ("displacement_scale", "acceleration_scale", "friction_mean", "friction_std")
     datasets = {}
     for name, some in scenes.items():
         across = [Units.of_body(scene).length / scene.domain.cell for scene in some]
@@ -138,7 +139,7 @@ def describe(
     return Card(
         settings=settings,
         features=features(settings),
-        normalisation={name: float(getattr(simulator, name)) for name in constants},
+        normalisation={name: float(value) for name, value in simulator.named_buffers()},
         training=Training(
             command=str(provenance.get("command", "")),
             seed=provenance.get("seed"),

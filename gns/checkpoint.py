@@ -30,7 +30,7 @@ from gns.simulator import Normalisation, Simulator
 WHAT = "whole weights of a model"
 FORMAT = "4"
 """Raised when files get another layout."""
-BLANK = Normalisation(displacement=1.0, acceleration=1.0, friction_mean=0.0, friction_std=1.0)
+BLANK = Normalisation(displacement_scale=1.0, acceleration_scale=1.0, friction_mean=0.0, friction_std=1.0)
 """The true constants are among the tensors."""
 
 

@@ -44,7 +44,7 @@ def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tenso
     start = _clamped(before.detach().index_select(0, near), ends.detach())
     start = _freed(start, ends.detach(), fixed)
     own_start = fixed.own(start)
-    is_turned = boxes.cosine is not None
+    is_turned = boxes.turn is not None
     # Where a box has stopped a particle, its new path is clear of that box, whatever stops it next: a round each. Of
     # turned ones that is so but for the next one to send it back.
     for _ in range(boxes.half.shape[1] * (2 if is_turned else 1)):

@@ -39,32 +39,11 @@ class Graph:
 
 
 def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) -> Graph:
-    """The graph of `positions` [m], shape [N, D], with cutoff `radius` [m].
+    """The graph of `positions` [m], shape [N, D], D at most 3: all pairs no further apart than `radius` [m].
 
-    batch: the sample that each particle belongs to, shape [N].
-
-    Messages are continuously differentiable in the positions although neighbours come and go (`gns.messages`).
-    """
-    edge_index, starts = neighbours(positions, radius, batch)
-    return Graph(edge_index=edge_index, starts=starts, positions=(positions - positions.detach().mean(dim=0)) / radius)
-
-
-def mean_envelope_sum(radius: float, particle_volume: float, dimension: int) -> float:
-    """Sum of the envelope over the neighbours of a particle inside a dense packing [-].
-
-    The mean of (1 - r^2)^2 over the unit ball, times the number of particles in a ball of the radius.
-    """
-    mean = 1.0 - 2.0 * dimension / (dimension + 2.0) + dimension / (dimension + 4.0)
-    ball = math.pi ** (dimension / 2.0) / math.gamma(dimension / 2.0 + 1.0) * radius**dimension
-    return float(mean * ball / particle_volume)
-
-
-def neighbours(positions: Tensor, radius: float, batch: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """All pairs no further apart than `radius` [m] among `positions` [m], shape [N, D], D at most 3.
-
-    batch: the sample that each particle belongs to, shape [N]; there are no edges between samples. Returns senders and
-    receivers, both ways, sorted by receiver, then by sender, [2, E], and the first edge of each receiver, [N + 1], both
-    int64 on the device of the positions. Raises WorkFailed for positions that are not finite.
+    batch: the sample that each particle belongs to, shape [N]; there are no edges between samples. Messages are
+    continuously differentiable in the positions although neighbours come and go (`gns.messages`). Raises WorkFailed for
+    positions that are not finite.
     """
     points = positions.detach().double().cpu().numpy()
     if not np.isfinite(points).all():
@@ -79,8 +58,22 @@ def neighbours(positions: Tensor, radius: float, batch: Tensor | None = None) ->
     while np.prod(extent / edge + 1.0) > most:
         edge *= 1.5
     counts = (extent / edge).astype(np.int64) + 1
-    index, starts = cell_list(axes, samples, radius, lower, edge, counts)
-    return torch.from_numpy(index).to(positions.device), torch.from_numpy(starts).to(positions.device)
+    edge_index, starts = map(torch.from_numpy, cell_list(axes, samples, radius, lower, edge, counts))
+    return Graph(
+        edge_index=edge_index.to(positions.device),
+        starts=starts.to(positions.device),
+        positions=(positions - positions.detach().mean(dim=0)) / radius,
+    )
+
+
+def mean_envelope_sum(radius: float, particle_volume: float, dimension: int) -> float:
+    """Sum of the envelope over the neighbours of a particle inside a dense packing [-].
+
+    The mean of (1 - r^2)^2 over the unit ball, times the number of particles in a ball of the radius.
+    """
+    mean = 1.0 - 2.0 * dimension / (dimension + 2.0) + dimension / (dimension + 4.0)
+    ball = math.pi ** (dimension / 2.0) / math.gamma(dimension / 2.0 + 1.0) * radius**dimension
+    return float(mean * ball / particle_volume)
 
 
 @numba.njit(cache=True)

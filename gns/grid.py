@@ -219,11 +219,10 @@ def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
     at smaller coordinates than these, is by Green's theorem -sum_e int min(zeta_e(s) - z, 0) ds over the edges e of the
     box, each with its ordinate zeta_e(s) at abscissas s up to x; a cell has the mixed difference of F.
     """
-    assert boxes.cosine is not None
-    assert boxes.sine is not None
+    assert boxes.turn is not None
     half = torch.stack((boxes.half[..., 0], boxes.half[..., -1]), dim=-1)
     corners = half.unsqueeze(2) * half.new_tensor(CORNERS)
-    vertices = rotated(corners, boxes.cosine.unsqueeze(2), boxes.sine.unsqueeze(2))
+    vertices = rotated(corners, *(each.unsqueeze(2) for each in boxes.turn))
     # Farther than any vertex, where the gradient would be one of two.
     extent = 1.1 * vertices.detach().abs().amax(dim=2)
     # From the middle of the box: [B, K, 1, X + 1].

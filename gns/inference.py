@@ -1,17 +1,20 @@
-"""Load a learned simulator, and roll a scene out with it: `gns.load`, `gns.simulate`."""
+"""Load a learned simulator, and roll a scene out with it: `gns.load`, `gns.simulate`, `gns.predict`."""
 
 import dataclasses
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from datasets import measures
+from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from gns import checkpoint
+from gns import card, checkpoint
 from gns.initial import initial_state
 from gns.library import model_path, shipped
 from gns.simulator import Simulator
@@ -89,4 +92,52 @@ def simulate(
         mass=initial.mass,
         scene=dataclasses.replace(scene, frame_dt=initial.step, duration=initial.step * max(len(positions) - 1, 1)),
         summary=summary,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """The deposit of a flow, and how far the MPM's may be from it."""
+
+    deposit: NDArray[np.floating]
+    """Positions of the particles [m], shape [n, D]."""
+    front: float
+    """Front of that deposit [m]."""
+    extent: float
+    """From its rear to its front [m]."""
+    half_width: float
+    """The MPM's front is within this distance of it, at the level asked for [m]."""
+    profile_error: float
+    """Distance along x of equal shares of the two deposits, rms, at most, at that level [m]."""
+    warning: str | None = None
+    """Why it may not be: the scene is outside of the training data."""
+
+
+def predict(scene: Scene | str | Path, *, model: str | Path | None = None, level: float = 0.95) -> Prediction:
+    """Roll out a scene, with how far the MPM may be by flows that training never saw (`gns.score`).
+
+        prediction = gns.predict("column-tall-42", level=0.95)
+        prediction.front, prediction.half_width     # [m]; 95 of 100 fronts of the MPM are within
+
+    scene: a scene, the path of one in TOML, or the name of a shipped one; model: a file or a shipped name, that of the
+    scene's dimension where absent; level: one of `gns.card.LEVELS`. Raises InputError.
+    """
+    scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
+    path = model_path(model or shipped(scene.dimension))
+    if level not in card.LEVELS:
+        raise InputError(f"expected one of {', '.join(map(str, card.LEVELS))}, got {level:g}", key="level")
+    described, key = card.read(path), f"{level:g}"
+    known = described.calibration(scene, key) if described is not None else None
+    if known is None:
+        message = "expected a calibration on the model's card, which python -m gns.score --keep writes"
+        raise InputError(message, where=str(card.card_path(path)), key="calibration")
+    rollout = simulate(scene, model=path)
+    rear, front = measures.ends(rollout.positions[-1], rollout.volumes)
+    return Prediction(
+        deposit=rollout.positions[-1],
+        front=front,
+        extent=front - rear,
+        half_width=known.front[key] * (front - rear),
+        profile_error=known.profile[key] * (front - rear),
+        warning=card.warning(path, scene),
     )

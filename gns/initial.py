@@ -176,17 +176,17 @@ def conditions_of(
     numbers = ("size", "gravity", "floor_friction", "wall_friction", "damping")
     parts = {name: joined([getattr(each, name) for each in around]) for name in numbers}
     if count := max(len(each.baffles) for each in around):
-        parts["baffles"] = joined([filled(each.baffles, count, ABSENT) for each in around])
-        parts["baffle_friction"] = joined([filled(each.baffle_friction, count, 0.0) for each in around])
-        if any(each.baffle_turn.any() for each in around):
-            parts["baffle_turn"] = joined([filled(each.baffle_turn, count, 0.0) for each in around])
+        for name, value in (("baffles", ABSENT), ("baffle_friction", 0.0), ("baffle_turn", 0.0)):
+            if name != "baffle_turn" or any(each.baffle_turn.any() for each in around):
+                parts[name] = joined([padded(getattr(each, name), [count], constant_values=value) for each in around])
     grounds = [each.ground for each in around]
     ground = None
     if shapes := [each[0].shape for each in grounds if each is not None]:
         shape = tuple(map(max, zip(*shapes, strict=True)))
         absent = np.full(shape, ABSENT), np.zeros(shape)
         elevation, roughness = (
-            joined([extended((absent if each is None else each)[field], shape) for each in grounds]) for field in (0, 1)
+            joined([padded((absent if each is None else each)[field], shape, mode="edge") for each in grounds])
+            for field in (0, 1)
         )
         ground = Ground(elevation=elevation, friction=roughness, spacing=spacing)
     return Conditions(
@@ -205,11 +205,7 @@ def joined(values: Sequence[Floats | float]) -> Tensor:
     return torch.from_numpy(np.stack([np.asarray(each, np.float32) for each in values]))
 
 
-def filled(rows: Floats, count: int, value: float) -> Floats:
-    """As many rows of `value` behind the `rows` that they are `count`."""
-    return np.pad(rows, [(0, count - len(rows)), *[(0, 0)] * (rows.ndim - 1)], constant_values=value)
-
-
-def extended(raster: NDArray[np.floating], shape: Sequence[int]) -> NDArray[np.floating]:
-    """A raster that goes on as at its edges, up to `shape`."""
-    return np.pad(raster, [(0, count - own) for count, own in zip(shape, raster.shape, strict=True)], mode="edge")
+def padded(values: NDArray[np.floating], shape: Sequence[int], **how: Any) -> NDArray[np.floating]:
+    """Values with more behind them along their first axes, up to `shape`; how: see `numpy.pad`."""
+    behind = [(0, count - own) for count, own in zip(shape, values.shape, strict=False)]
+    return np.pad(values, behind + [(0, 0)] * (values.ndim - len(shape)), **how)

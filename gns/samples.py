@@ -167,8 +167,8 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
             acceleration += float(np.square(change, dtype=np.float64).sum())
             count += change.size
     return Normalisation(
-        displacement=float(np.sqrt(displacement / max(count, 1))) or 1.0,
-        acceleration=float(np.sqrt(acceleration / max(count, 1))) or 1.0,
+        displacement_scale=float(np.sqrt(displacement / max(count, 1))) or 1.0,
+        acceleration_scale=float(np.sqrt(acceleration / max(count, 1))) or 1.0,
         friction_mean=float(np.mean(friction)),
         friction_std=float(np.std(friction)) or 1.0,
     )

@@ -1,4 +1,17 @@
-"""How good a model is: whole rollouts of held-out flows. `python -m gns.score DATASET... --model MODEL`."""
+"""How good a model is: whole rollouts of held-out flows. `python -m gns.score DATASET... --model MODEL`.
+
+The half-width of a prediction (`gns.predict`) is a share of the extent of its deposit, the quantile of the absolute
+errors e over the extent on n held-out flows (split conformal prediction, Angelopoulos & Bates, Conformal prediction: a
+gentle introduction, Foundations and Trends in Machine Learning 16, 2023, chapter 1):
+
+    q = the ceil((n + 1) level)-th smallest e        where there are so many
+    q = rms(e) t_n((1 + level) / 2)                  of fewer flows
+
+A new flow that is drawn as those n were is within q with a probability of at least `level`, whatever the errors are
+distributed like; by Student's t_n, the law of a Gaussian error of unknown variance over the rms of n others, where they
+are Gaussian. A model has such quantiles for each dataset that it was trained on; those of the narrowest one whose
+ranges hold the scene count (`gns.card.Card.calibration`). Outside of all ranges nothing is promised.
+"""
 
 import dataclasses
 import math
@@ -17,15 +30,11 @@ from datasets import command_line, measures
 from datasets.errors import InputError
 from datasets.training.samples import Flow
 from gns import card
-from gns.card import Calibration
+from gns.card import LEVELS, Calibration
 from gns.library import model_path
 
 if TYPE_CHECKING:
     from gns.simulator import Simulator
-
-
-LEVELS = (0.5, 0.8, 0.95)
-"""Of the bands that a card has quantiles for."""
 
 
 @dataclass(frozen=True, kw_only=True)

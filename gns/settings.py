@@ -13,6 +13,13 @@ UP = 1
 """The axis that points up."""
 
 
+def require(settings: object, key: str, ok: bool, expected: str) -> None:
+    """Raise InputError where `ok` does not hold of `key`."""
+    if not ok:
+        value = getattr(settings, key)
+        raise InputError(f"expected {expected}, got {list(value) if isinstance(value, tuple) else value}", key=key)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ModelSettings(Record):
     """Resolution in space and time, and the sizes of the network."""
@@ -54,19 +61,15 @@ class ModelSettings(Record):
     """Convolutions on the background grid per round, with dilations 1, 2, 4, ..."""
 
     def __post_init__(self) -> None:
-        def require(key: str, ok: bool, expected: str) -> None:
-            if not ok:
-                raise InputError(f"expected {expected}, got {getattr(self, key)}", key=key)
-
-        require("dimension", self.dimension in (2, 3), "2 or 3")
+        require(self, "dimension", self.dimension in (2, 3), "2 or 3")
         lengths = ("cell", "radius", "grid_cell", *(() if self.body_length is None else ("body_length",)))
         for key in (*lengths, "frame_dt", "density"):
-            require(key, 0.0 < getattr(self, key) < math.inf, "a positive number")
+            require(self, key, 0.0 < getattr(self, key) < math.inf, "a positive number")
         for key in ("particles_per_cell", "frames_per_step", "history", "width", "layers", "rounds", "grid_channels"):
-            require(key, getattr(self, key) >= 1, "an integer of at least 1")
+            require(self, key, getattr(self, key) >= 1, "an integer of at least 1")
         for key in ("rest_speed", "mlp_layers", "grid_layers"):
-            require(key, getattr(self, key) >= 0, "a number of at least 0")
-        require("layers", self.layers % self.rounds == 0, f"a multiple of the {self.rounds} rounds")
+            require(self, key, getattr(self, key) >= 0, "a number of at least 0")
+        require(self, "layers", self.layers % self.rounds == 0, f"a multiple of the {self.rounds} rounds")
 
     @property
     def step(self) -> float:
@@ -148,11 +151,8 @@ class TrainingSettings:
     def __post_init__(self) -> None:
         positive = "minutes", "batch", "learning_rate", "loss_scale", "validations", "validate_flows", "memory_gib"
         for key in positive:
-            if not getattr(self, key) > 0:
-                raise InputError(f"expected a positive number, got {getattr(self, key)}", key=key)
-        if self.updates is not None and self.updates < 1:
-            raise InputError(f"expected an integer of at least 1, got {self.updates}", key="updates")
-        if not self.unroll or min(self.unroll) < 1:
-            raise InputError(f"expected integers of at least 1, got {list(self.unroll)}", key="unroll")
-        if self.shares and not (min(self.shares) >= 0.0 and sum(self.shares) > 0.0):
-            raise InputError(f"expected shares of at least 0, not all of them, got {list(self.shares)}", key="shares")
+            require(self, key, getattr(self, key) > 0, "a positive number")
+        require(self, "updates", self.updates is None or self.updates >= 1, "an integer of at least 1")
+        require(self, "unroll", bool(self.unroll) and min(self.unroll) >= 1, "integers of at least 1")
+        some = not self.shares or (min(self.shares) >= 0.0 and sum(self.shares) > 0.0)
+        require(self, "shares", some, "shares of at least 0, not all of them")

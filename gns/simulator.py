@@ -1,5 +1,6 @@
 """The simulator: one step of a granular flow, learned."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import torch
@@ -35,9 +36,9 @@ as far as a dry one."""
 class Normalisation:
     """Statistics of the training data at the model's step."""
 
-    displacement: float
+    displacement_scale: float
     """Root mean square displacement of a particle in a step [m]."""
-    acceleration: float
+    acceleration_scale: float
     """Root mean square change of the displacement from step to step, without that of gravity [m]."""
     friction_mean: float
     """Mean of tan(phi) [-]."""
@@ -73,12 +74,7 @@ class Simulator(nn.Module):
     def __init__(self, settings: ModelSettings, normalisation: Normalisation) -> None:
         super().__init__()
         self.settings = settings
-        for name, value in (
-            ("displacement_scale", normalisation.displacement),
-            ("acceleration_scale", normalisation.acceleration),
-            ("friction_mean", normalisation.friction_mean),
-            ("friction_std", normalisation.friction_std),
-        ):
+        for name, value in dataclasses.asdict(normalisation).items():
             self.register_buffer(name, torch.tensor(value, dtype=torch.get_default_dtype()))
         count = sum(features(settings).values())
         self.network = Network(count, constant_count(settings.dimension), FORCES, settings)

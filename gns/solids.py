@@ -33,10 +33,8 @@ class Boxes:
     """[m], shape [n, K, D]."""
     half: Tensor
     """Half of the extent along its own axes [m], shape [n, K, D]."""
-    cosine: Tensor | None
-    """Of its turn [-], shape [n, K]; absent where none is turned."""
-    sine: Tensor | None
-    """Likewise."""
+    turn: tuple[Tensor, Tensor] | None
+    """Cosine and sine of its turn [-], shape [n, K] each; absent where none is turned."""
 
     @staticmethod
     def of_conditions(conditions: Conditions, margin: float = 0.0) -> "Boxes":
@@ -47,14 +45,13 @@ class Boxes:
         return Boxes(
             middle=0.5 * (lower + upper),
             half=0.5 * (upper - lower) + margin,
-            cosine=None if turn is None else turn.cos(),
-            sine=None if turn is None else turn.sin(),
+            turn=None if turn is None else (turn.cos(), turn.sin()),
         )
 
     def each(self, change: Callable[[Tensor], Tensor]) -> "Boxes":
         """The boxes after the same change of all their tensors."""
-        cosine, sine = (None if part is None else change(part) for part in (self.cosine, self.sine))
-        return Boxes(middle=change(self.middle), half=change(self.half), cosine=cosine, sine=sine)
+        turn = None if self.turn is None else (change(self.turn[0]), change(self.turn[1]))
+        return Boxes(middle=change(self.middle), half=change(self.half), turn=turn)
 
     def select(self, rows: Tensor) -> "Boxes":
         """The boxes of these rows."""
@@ -68,19 +65,16 @@ class Boxes:
     def own(self, points: Tensor) -> Tensor:
         """Points [n, D] in the axes of their boxes [m], shape [n, K, D]."""
         vectors = points.unsqueeze(1) - self.middle
-        return vectors if self.cosine is None or self.sine is None else rotated(vectors, self.cosine, -self.sine)
+        return vectors if self.turn is None else rotated(vectors, self.turn[0], -self.turn[1])
 
     def world_vectors(self, vectors: Tensor) -> Tensor:
         """Vectors [n, K, D] from the axes of their boxes in those of the scene."""
-        return vectors if self.cosine is None or self.sine is None else rotated(vectors, self.cosine, self.sine)
+        return vectors if self.turn is None else rotated(vectors, *self.turn)
 
     @property
     def half_extent(self) -> Tensor:
         """Half of the extent along the axes of the scene [m], shape [n, K, D]."""
-        if self.cosine is None or self.sine is None:
-            return self.half
-        cosine, sine = self.cosine.abs(), self.sine.abs()
-        return rotated(self.half, cosine, sine, symmetric=True)
+        return self.half if self.turn is None else rotated(self.half, *map(torch.abs, self.turn), symmetric=True)
 
     def contain(self, points: Tensor, slack: float) -> Tensor:
         """Which points [n, D] are farther than `slack` [m] inside which box, shape [n, K]."""

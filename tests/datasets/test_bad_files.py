@@ -66,15 +66,6 @@ def mesh_scene(path: Path) -> None:
     scene_from(data, path.parent)
 
 
-def write_mesh(path: Path) -> None:
-    vertices, triangles = sphere((0.5, 0.5, 0.5), 0.3, 8)
-    meshio.Mesh(vertices, [("triangle", triangles)]).write(path)
-
-
-def write_csv(path: Path) -> None:
-    path.write_text("# surveyed\nx,z,y\n" + "".join(f"{x},{z},{x + z}\n" for x in range(4) for z in range(3)))
-
-
 KINDS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "scene": ("scene.toml", read_scene),
     "trajectory": ("flow.npz", read_trajectory),
@@ -97,9 +88,10 @@ def whole(request: pytest.FixtureRequest, tmp_path: Path, trajectory: Trajectory
         case "object arrays":
             geoelements.write(path, [("flow", toy(2))])
         case "table":
-            write_csv(path)
+            path.write_text("# surveyed\nx,z,y\n" + "".join(f"{x},{z},{x + z}\n" for x in range(4) for z in range(3)))
         case _:
-            write_mesh(path)
+            vertices, triangles = sphere((0.5, 0.5, 0.5), 0.3, 8)
+            meshio.Mesh(vertices, [("triangle", triangles)]).write(path)
     return path
 
 

@@ -15,6 +15,7 @@ from datasets.exchange import geoelements
 from datasets.exchange.__main__ import command
 from datasets.files import write_json
 from datasets.trajectory import Trajectory
+from tests.breaking import dataset_files
 from tests.datasets.test_arrays import OBJECTS, npy, with_member
 from tests.datasets.toys import FRAMES, toy, toy_dataset, toy_scene
 
@@ -31,10 +32,6 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     assert exchange(*arguments) == 2
     (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("talus: ")]
     return line
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def scene_file(folder: Path, dimension: int) -> Path:
@@ -96,9 +93,9 @@ def test_nothing_else_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixtu
     ours = toy_dataset(tmp_path / "ours", 2)
     assert "empty folder" in refused(capsys, ours, *TO, "--out", ours)
     exchange(ours, *TO, "--out", tmp_path / "theirs")
-    before = contents(tmp_path / "theirs")
+    before = dataset_files(tmp_path / "theirs")
     assert "empty folder" in refused(capsys, ours, *TO, "--out", tmp_path / "theirs")
-    assert contents(tmp_path / "theirs") == before
+    assert dataset_files(tmp_path / "theirs") == before
     toy(3).save(ours / "train" / "toy-0009.npz")
     assert "toy-0009.npz" in refused(capsys, ours, *TO, "--out", tmp_path / "mixed")
     assert not (tmp_path / "mixed").exists()

@@ -7,40 +7,35 @@ import pytest
 
 from datasets.definitions.held_out import ASPECTS, is_held_out, neighbours
 from datasets.library import read_scene
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene
+from tests.scenes import scaled, scene_of
 
 
-def redrawn(scene: Scene, factor: float, *, mirrored: bool = False) -> Scene:
-    """The scene with all lengths times `factor`, in the mirror along x or not."""
-    length = scene.domain.size[0]
+def mirrored(scene: Scene) -> Scene:
+    """The scene in the mirror along x."""
 
     def box(each: Mass | Baffle) -> Any:
-        lower = (length - each.lower[0] - each.size[0], *each.lower[1:]) if mirrored else each.lower
-        shape = {"lower": lower, "size": each.size}
-        scaled = {key: tuple(factor * value for value in values) for key, values in shape.items()}
-        return dataclasses.replace(each, **scaled, **({"velocity": None} if isinstance(each, Mass) else {}))
+        left = scene.domain.size[0] - each.lower[0] - each.size[0]
+        return dataclasses.replace(each, lower=(left, *each.lower[1:]))
 
-    return dataclasses.replace(
-        scene,
-        domain=Domain(size=tuple(factor * each for each in scene.domain.size), cell=factor * scene.domain.cell),
-        masses=tuple(map(box, scene.masses)),
-        baffles=tuple(map(box, scene.baffles)),
-    )
+    masses, baffles = (tuple(map(box, some)) for some in (scene.masses, scene.baffles))
+    return dataclasses.replace(scene, masses=masses, baffles=baffles)
 
 
 @pytest.mark.parametrize("name", ["column-tall-42", "layers-10", "baffles-5"])
 def test_what_ships_is_held_out_scaled_mirrored_and_of_another_sand(name: str) -> None:
     scene = read_scene(name)
     softer = dataclasses.replace(scene.with_friction_deg(17.0), floor_friction=0.9)
-    for same in (scene, redrawn(scene, 3.0), redrawn(scene, 0.5, mirrored=True), softer):
+    for same in (scene, scaled(scene, 3.0), mirrored(scaled(scene, 0.5)), softer):
         assert is_held_out(same)
-    assert neighbours(redrawn(scene, 0.5, mirrored=True), redrawn(scene, 3.0))
+    assert neighbours(mirrored(scaled(scene, 0.5)), scaled(scene, 3.0))
 
 
-COLUMN = Scene(
-    domain=Domain(size=(2.0, 1.0), cell=0.01),
+COLUMN = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.31, 0.4)),
+    size=(2.0, 1.0),
+    cell=0.01,
     material=read_scene("column-short-21").material,
-    masses=(Mass(lower=(0.0, 0.0), size=(0.31, 0.4)),),
 )
 
 

@@ -13,10 +13,10 @@ from datasets.command_line import run
 from datasets.maps.__main__ import command, write
 from datasets.maps.files import Georeference, outline
 from datasets.maps.plan import maps_of
-from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
+from tests import scenes
 from tests.flows import flow_of
 
 ALPS = Georeference(east=500_000.0, north=5_200_000.0, crs="EPSG:25832")
@@ -24,12 +24,8 @@ ALPS = Georeference(east=500_000.0, north=5_200_000.0, crs="EPSG:25832")
 
 def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[float, ...]], cell: float = 0.05) -> Scene:
     """Boxes of sand (lower corner, size) in a box."""
-    return Scene(
-        domain=Domain(size=size, cell=cell),
-        material=Material(friction_deg=30.0),
-        masses=tuple(Mass(lower=lower, size=extent) for lower, extent in boxes),
-        frame_dt=0.1,
-        jitter=0.0,
+    return scenes.scene_of(
+        *(Mass(lower=lower, size=extent) for lower, extent in boxes), size=size, cell=cell, frame_dt=0.1, jitter=0.0
     )
 
 

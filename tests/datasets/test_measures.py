@@ -67,16 +67,12 @@ def test_toe_of_a_uniform_block() -> None:
     assert toe(block(0.4, 0.2)) == pytest.approx((0.38, 0.1))
 
 
-def trapezoid(profile: np.ndarray, stations: np.ndarray) -> float:
-    return float(np.trapezoid(profile, stations))
-
-
 def test_profile_conserves_volume() -> None:
     stream = np.random.default_rng(0)
     stations = np.linspace(0.0, 1.0, 21)
     points = stream.random((1000, 2))
     points[:3, 0] = [0.0, 1.0, 1.0 + 1e-7]
-    assert trapezoid(height_profile(points, 2e-5, stations), stations) == pytest.approx(1000 * 2e-5)
+    assert np.trapezoid(height_profile(points, 2e-5, stations), stations) == pytest.approx(1000 * 2e-5)
 
 
 def test_the_distance_of_deposits_is_that_of_their_parts() -> None:

@@ -11,6 +11,7 @@ from datasets.field import Field, Grid
 from datasets.material import Material
 from datasets.particles import initial_particles, particle_count, particle_volumes, warn_if_unresolved
 from datasets.scene import Domain, Mass, Scene
+from tests.scenes import scene_of
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -79,7 +80,7 @@ def test_another_mass_leaves_the_particles_of_the_first(scene: Scene) -> None:
 )
 def test_a_mass_that_turns_in_3d(given: float | tuple[float, ...] | None, omega: tuple[float, ...]) -> None:
     mass = Mass(lower=(0.1, 0.0, 0.1), size=(0.1, 0.1, 0.2), angular_velocity=given)
-    scene = Scene(domain=Domain(size=(0.4, 0.4, 0.4), cell=0.05), material=Material(friction_deg=30.0), masses=(mass,))
+    scene = scene_of(mass, size=(0.4, 0.4, 0.4), cell=0.05)
     particles = initial_particles(scene)
     arm = particles.positions - [0.15, 0.05, 0.2]
     np.testing.assert_allclose(particles.velocities, np.cross(omega, arm), atol=1e-15)
@@ -92,10 +93,12 @@ GRIDS = {
     "3D": Grid((0.0, 0.1, 0.2), (0.5, 0.2, 0.1), (3, 4, 5)),
     "one node along y": Grid((0.0, 0.5), (0.25, 1.0), (5, 1)),
 }
-SCENE = Scene(
-    domain=Domain(size=(1.0, 0.5), cell=0.05),
+SCENE = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.3, 0.2)),
+    Mass(lower=(0.5, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
+    size=(1.0, 0.5),
+    cell=0.05,
     material=Material(friction_deg=30.0, cohesion=100.0),
-    masses=(Mass(lower=(0.0, 0.0), size=(0.3, 0.2)), Mass(lower=(0.5, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0))),
 )
 FRICTION = Field(
     quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 0.5), nodes=(2, 2), values=(20.0, 30.0, 40.0, 50.0)

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.training.samples import (
     Flow,
     Sample,
@@ -24,6 +23,7 @@ from datasets.training.samples import (
 )
 from datasets.training.statistics import MOVING_SPEED, MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory, open_trajectory
+from tests.scenes import scene_of
 
 
 @pytest.fixture
@@ -91,10 +91,10 @@ BAFFLES = (
 def stretch() -> Sample:
     """A sample in a box of 0.8 x 0.6 x 0.8 m, points and corners at random, but for two baffles."""
     rng = np.random.default_rng(0)
-    scene = Scene(
-        domain=Domain(size=(0.8, 0.6, 0.8), cell=0.1),
-        material=Material(friction_deg=30.0),
-        masses=(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1)),),
+    scene = scene_of(
+        Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1)),
+        size=(0.8, 0.6, 0.8),
+        cell=0.1,
         baffles=BAFFLES,
         slope_deg=20.0,
         baffle_friction=0.3,

@@ -10,7 +10,8 @@ from datasets.checks import warn_if_unlikely
 from datasets.errors import InputError
 from datasets.library import SCENES, read_scene, write_scene
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Mass, Solid
+from tests.scenes import SAND, scene_of
 
 GOOD = """
 duration = 1.0
@@ -91,13 +92,12 @@ def test_a_scene_that_ships_is_likely_and_is_written_and_read_back_equal(tmp_pat
 
 def test_shapes_and_numpy_numbers_that_are_written_read_back_equal(tmp_path: Path) -> None:
     triangle = ((0.0, 0.1), (0.3, 0.1), (0.0, 0.3))
-    scene = Scene(
-        domain=Domain(size=(1.0, 0.5), cell=0.05),
+    scene = scene_of(
+        Mass(kind="polygon", vertices=triangle, material=Material(friction_deg=0.0, cohesion=50.0)),
+        Mass(lower=(0.7, 0.2), size=(0.1, 0.1), k0="elastic", release="settled"),
+        size=(1.0, 0.5),
+        cell=0.05,
         material=Material(friction_deg=float(np.float64(30.0)), cohesion=np.float64(100.0)),
-        masses=(
-            Mass(kind="polygon", vertices=triangle, material=Material(friction_deg=0.0, cohesion=50.0)),
-            Mass(lower=(0.7, 0.2), size=(0.1, 0.1), k0="elastic", release="settled"),
-        ),
         baffles=(Baffle(lower=(0.9, 0.0), size=(0.05, 0.2), turned_deg=10.0),),
         solids=(Solid(kind="terrain", points=((0.0, 0.05), (1.0, 0.0))),),
         open_sides=("x+",),
@@ -106,10 +106,7 @@ def test_shapes_and_numpy_numbers_that_are_written_read_back_equal(tmp_path: Pat
     assert read_scene(tmp_path / "again.toml") == scene
 
 
-SAND = Material(friction_deg=30.0)
-SCENE = Scene(
-    domain=Domain(size=(1.0, 0.5), cell=0.05), material=SAND, masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),)
-)
+SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=0.05)
 
 
 @pytest.mark.parametrize(

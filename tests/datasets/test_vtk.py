@@ -14,9 +14,10 @@ from datasets.exchange import vtk
 from datasets.exchange.vtk import write_vtk
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Domain, Mass, Solid
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
+from tests.scenes import scene_of
 
 LEFT, RIGHT = Material(friction_deg=30.0), Material(friction_deg=40.0)
 START = np.array([[0.02, 0.01, 0.05], [0.06, 0.03, 0.05], [0.03, 0.02, 0.04], [0.07, 0.01, 0.06]])
@@ -30,13 +31,12 @@ def flow() -> Trajectory:
     stream = np.random.default_rng(2)
     positions = START + SPEED * time[:, None, None] + 0.5 * ACCELERATION * time[:, None, None] ** 2
     return flow_of(
-        Scene(
-            domain=Domain(size=(0.3, 0.2, 0.1), cell=0.01),
+        scene_of(
+            Mass(lower=(0.0, 0.0, 0.02), size=(0.04, 0.04, 0.05)),
+            Mass(lower=(0.04, 0.0, 0.02), size=(0.04, 0.04, 0.05), material=RIGHT),
+            size=(0.3, 0.2, 0.1),
+            cell=0.01,
             material=LEFT,
-            masses=(
-                Mass(lower=(0.0, 0.0, 0.02), size=(0.04, 0.04, 0.05)),
-                Mass(lower=(0.04, 0.0, 0.02), size=(0.04, 0.04, 0.05), material=RIGHT),
-            ),
             baffles=(
                 Baffle(lower=(0.2, 0.0, 0.0), size=(0.02, 0.1, 0.03)),
                 Baffle(lower=(0.25, 0.0, 0.05), size=(0.01, 0.05, 0.02)),

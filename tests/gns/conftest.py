@@ -10,14 +10,15 @@ import torch
 
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Mass
 from datasets.trajectory import Trajectory
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.state import Conditions, State
 from tests.flows import flow_of
+from tests.scenes import scene_of
 
-NORMALISATION = Normalisation(displacement=3e-3, acceleration=7e-4, friction_mean=0.6, friction_std=0.2)
+NORMALISATION = Normalisation(displacement_scale=3e-3, acceleration_scale=7e-4, friction_mean=0.6, friction_std=0.2)
 Cloud = Callable[..., tuple[State, Conditions]]
 TINY = [
     *("--width", "8", "--layers", "1", "--rounds", "1", "--grid-channels", "4", "--grid-layers", "1"),
@@ -87,10 +88,11 @@ def spreading(
     friction_deg: float, *, length: float = 0.12, height: float = 0.16, duration: float = 0.25, seed: int = 0
 ) -> Trajectory:
     """A column at the left wall that spreads and flattens at constant volume, the less the rougher it is."""
-    scene = Scene(
-        domain=Domain(size=(0.6, 0.4), cell=0.01),
+    scene = scene_of(
+        Mass(lower=(0.0, 0.0), size=(length, height)),
+        size=(0.6, 0.4),
+        cell=0.01,
         material=Material(friction_deg=friction_deg),
-        masses=(Mass(lower=(0.0, 0.0), size=(length, height)),),
         duration=duration,
         seed=seed,
     )

@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -99,14 +100,15 @@ def test_a_card_is_written_again_from_the_folders_of_the_data(
 
 
 COLUMN = read_scene("column-tall-42")
+column = partial(dataclasses.replace, COLUMN)
 
 
 def with_mass(**changes: Any) -> Scene:
-    return dataclasses.replace(COLUMN, masses=(dataclasses.replace(COLUMN.masses[0], **changes),))
+    return column(masses=(dataclasses.replace(COLUMN.masses[0], **changes),))
 
 
 def sand(**changes: Any) -> Scene:
-    return dataclasses.replace(COLUMN, material=dataclasses.replace(COLUMN.material, **changes))
+    return column(material=dataclasses.replace(COLUMN.material, **changes))
 
 
 def on(slope: float) -> Scene:
@@ -114,7 +116,7 @@ def on(slope: float) -> Scene:
     points = ((0.0, 0.3), (0.25, 0.3), (0.25 + slope, 0.1), (2.0, 0.1))
     ground = Solid(kind="terrain", points=points, friction=0.4)
     mass = Mass(lower=(0.0, 0.3), size=(0.2, 0.4))
-    return dataclasses.replace(COLUMN, domain=Domain(size=(2.0, 1.0), cell=0.01), masses=(mass,), solids=(ground,))
+    return column(domain=Domain(size=(2.0, 1.0), cell=0.01), masses=(mass,), solids=(ground,))
 
 
 OUTSIDE: dict[str, Callable[[], Scene]] = {
@@ -127,30 +129,28 @@ OUTSIDE: dict[str, Callable[[], Scene]] = {
     "dilation_deg": lambda: sand(dilation_deg=15.0),
     "k0": lambda: with_mass(k0=0.5),
     "barriers": lambda: with_mass(release=0.2),
-    "volume_correction": lambda: dataclasses.replace(COLUMN, volume_correction=True),
-    "channel": lambda: dataclasses.replace(COLUMN, channel=Channel(width=0.1, friction_deg=10.0)),
-    "floor_friction": lambda: dataclasses.replace(COLUMN, floor_friction=2.0),
-    "damping": lambda: dataclasses.replace(COLUMN, damping=0.7),
-    "slope_deg": lambda: dataclasses.replace(COLUMN, slope_deg=50.0),
+    "volume_correction": lambda: column(volume_correction=True),
+    "channel": lambda: column(channel=Channel(width=0.1, friction_deg=10.0)),
+    "floor_friction": lambda: column(floor_friction=2.0),
+    "damping": lambda: column(damping=0.7),
+    "slope_deg": lambda: column(slope_deg=50.0),
     "ground_deg": lambda: on(0.05),
-    "slope_length": lambda: dataclasses.replace(COLUMN, slope_deg=20.0, domain=Domain(size=(4.0, 1.0), cell=0.01)),
-    "masses": lambda: dataclasses.replace(
-        COLUMN, masses=tuple(Mass(lower=(0.0, 0.02 * row), size=(0.2, 0.02)) for row in range(20))
-    ),
+    "slope_length": lambda: column(slope_deg=20.0, domain=Domain(size=(4.0, 1.0), cell=0.01)),
+    "masses": lambda: column(masses=tuple(Mass(lower=(0.0, 0.02 * row), size=(0.2, 0.02)) for row in range(20))),
     "mass_aspect": lambda: with_mass(size=(0.8, 0.05)),
     "drop": lambda: with_mass(lower=(0.0, 0.55)),
     "room_along": lambda: with_mass(size=(0.95, 0.4)),
     "speed": lambda: with_mass(velocity=(4.0, 0.0)),
     "spin": lambda: with_mass(angular_velocity=5.0),
-    "baffles": lambda: dataclasses.replace(
-        COLUMN, baffles=tuple(Baffle(lower=(0.3 + 0.08 * row, 0.0), size=(0.02, 0.05)) for row in range(8))
+    "baffles": lambda: column(
+        baffles=tuple(Baffle(lower=(0.3 + 0.08 * row, 0.0), size=(0.02, 0.05)) for row in range(8))
     ),
-    "baffle_distance": lambda: dataclasses.replace(
-        COLUMN, domain=Domain(size=(3.0, 1.0), cell=0.01), baffles=(Baffle(lower=(2.0, 0.0), size=(0.1, 0.1)),)
+    "baffle_distance": lambda: column(
+        domain=Domain(size=(3.0, 1.0), cell=0.01), baffles=(Baffle(lower=(2.0, 0.0), size=(0.1, 0.1)),)
     ),
-    "duration": lambda: dataclasses.replace(COLUMN, duration=3.0),
-    "spacing": lambda: dataclasses.replace(COLUMN, domain=Domain(size=(1.0, 1.0), cell=0.05)),
-    "gravity": lambda: dataclasses.replace(COLUMN, gravity=0.0),
+    "duration": lambda: column(duration=3.0),
+    "spacing": lambda: column(domain=Domain(size=(1.0, 1.0), cell=0.05)),
+    "gravity": lambda: column(gravity=0.0),
 }
 
 

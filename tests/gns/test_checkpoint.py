@@ -28,7 +28,7 @@ def test_a_model_comes_back_without_flags(lively: Simulator, file: Path) -> None
     model = checkpoint.load(file)
     assert model.simulator.settings == lively.settings
     assert model.provenance == {"seed": 3, "datasets": ["a"], "score": None}
-    assert model.simulator.acceleration_scale.item() == pytest.approx(NORMALISATION.acceleration)
+    assert model.simulator.acceleration_scale.item() == pytest.approx(NORMALISATION.acceleration_scale)
     assert not model.simulator.training
     again, own = model.simulator.state_dict(), lively.state_dict()
     assert again.keys() == own.keys()

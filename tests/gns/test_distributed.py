@@ -1,8 +1,5 @@
 """Two processes train on the mean of their gradients."""
 
-import multiprocessing
-import os
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +10,7 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from datasets.training.samples import Sample, cut
-from gns.distributed import joined, rank
+from gns.distributed import joined, rank, together
 from gns.samples import batched, flows_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
@@ -35,19 +32,10 @@ def gradients(simulator: Simulator, samples: list[Sample]) -> dict[str, torch.Te
     return {name: value.grad for name, value in simulator.named_parameters() if value.grad is not None}
 
 
-def worker(number: int, port: int, simulator: Simulator, samples: list[Sample], out: Path) -> None:
-    """One of two processes, as torchrun starts them."""
-    environment = {
-        "RANK": number,
-        "LOCAL_RANK": number,
-        "WORLD_SIZE": 2,
-        "MASTER_ADDR": "127.0.0.1",
-        "MASTER_PORT": port,
-    }
-    os.environ.update({key: str(value) for key, value in environment.items()})
+def work(simulator: Simulator, parts: list[list[Sample]], out: Path) -> None:
+    """One of two processes."""
     with joined("cpu"):
-        assert rank() == number
-        torch.save(gradients(simulator, samples), out / f"{number}.pt")
+        torch.save(gradients(simulator, parts[rank()]), out / f"{rank()}.pt")
 
 
 def test_two_processes_give_the_mean_of_their_gradients(
@@ -60,17 +48,7 @@ def test_two_processes_give_the_mean_of_their_gradients(
         for flow, now in zip(flows, (0, 5, 9), strict=False)
     ]
     parts = [samples[:2], samples[2:]]
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    # Forked: torch is there already.
-    context = multiprocessing.get_context("fork")
-    workers = [context.Process(target=worker, args=(rank, port, simulator, parts[rank], tmp_path)) for rank in (0, 1)]
-    for each in workers:
-        each.start()
-    for each in workers:
-        each.join(60.0)
-    assert [each.exitcode for each in workers] == [0, 0]
+    together(2, work, simulator, parts, tmp_path)
     alone = [gradients(simulator, part) for part in parts]
     first, second = (torch.load(tmp_path / f"{rank}.pt", weights_only=True) for rank in (0, 1))
     assert alone[0].keys() == first.keys()

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from datasets.command_line import WorkFailed
-from gns.graph import mean_envelope_sum, neighbours, radius_graph
+from gns.graph import mean_envelope_sum, radius_graph
 from gns.messages import messages
 
 
@@ -25,10 +25,10 @@ def assert_right(positions: Tensor, radius: float, batch: Tensor | None = None) 
     one_way = one_way[square <= radius * radius]
     senders, receivers = np.concatenate((one_way, one_way[:, ::-1])).T
     order = np.lexsort((senders, receivers))
-    index, starts = neighbours(positions, radius, batch)
-    np.testing.assert_array_equal(index.numpy(), np.stack((senders[order], receivers[order])))
+    graph = radius_graph(positions, radius, batch)
+    np.testing.assert_array_equal(graph.edge_index.numpy(), np.stack((senders[order], receivers[order])))
     counts = np.bincount(receivers, minlength=len(positions))
-    np.testing.assert_array_equal(starts.numpy(), np.concatenate(([0], np.cumsum(counts))))
+    np.testing.assert_array_equal(graph.starts.numpy(), np.concatenate(([0], np.cumsum(counts))))
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -63,7 +63,7 @@ def test_positions_that_are_not_finite_end_a_rollout_in_one_line(value: float) -
     positions = torch.zeros(5, 2)
     positions[3, 1] = value
     with pytest.raises(WorkFailed, match="no longer finite"):
-        neighbours(positions, 0.1)
+        radius_graph(positions, 0.1)
 
 
 def test_a_message_fades_out_with_zero_value_and_slope() -> None:

@@ -9,20 +9,20 @@ import torch
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Mass, Scene, Solid
 from gns.initial import initial_state
 from gns.settings import ModelSettings
 from gns.units import Units
+from tests.scenes import scene_of
 
 SETTINGS = ModelSettings()
 SOIL = Material(friction_deg=30.0, cohesion=500.0)
-SCENE = Scene(
-    domain=Domain(size=(0.6, 0.4), cell=0.01),
+SCENE = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.1, 0.1), velocity=(1.0, 0.0)),
+    Mass(lower=(0.0, 0.1), size=(0.1, 0.06), material=SOIL),
+    size=(0.6, 0.4),
+    cell=0.01,
     material=Material(friction_deg=35.0),
-    masses=(
-        Mass(lower=(0.0, 0.0), size=(0.1, 0.1), velocity=(1.0, 0.0)),
-        Mass(lower=(0.0, 0.1), size=(0.1, 0.06), material=SOIL),
-    ),
     baffles=(Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), Baffle(lower=(0.5, 0.02), size=(0.04, 0.2), friction=0.7)),
     duration=0.25,
     slope_deg=30.0,

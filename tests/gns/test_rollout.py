@@ -9,31 +9,24 @@ import pytest
 import torch
 
 from datasets import command_line, measures
+from datasets.library import write_scene
+from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from gns import checkpoint, library
 from gns.rollout import rollout
 from gns.simulator import Simulator
 from tests.gns.conftest import spreading
+from tests.scenes import scene_of
 
-SCENE = """
-duration = 0.25
-[domain]
-size = [0.6, 0.4]
-cell = 0.01
-[material]
-friction_deg = 30.0
-[[masses]]
-lower = [0.0, 0.0]
-size = [0.12, 0.16]
-"""
-DEEP = SCENE.replace("0.4]", "0.4, 0.1]").replace("0.0]", "0.0, 0.0]").replace("0.16]", "0.16, 0.1]")
+SCENE = spreading(30.0).scene
+DEEP = scene_of(Mass(lower=(0.0, 0.0, 0.0), size=(0.12, 0.16, 0.1)), size=(0.6, 0.4, 0.1), cell=0.01, duration=0.25)
 
 
 @pytest.fixture
 def files(simulator: Simulator, tmp_path: Path) -> dict[str, Path]:
     """A scene, a model and the first 21 frames of a run of the scene."""
     paths = {"scene": tmp_path / "scene.toml", "model": tmp_path / "model.safetensors", "start": tmp_path / "start.npz"}
-    paths["scene"].write_text(SCENE)
+    write_scene(SCENE, paths["scene"])
     checkpoint.save(paths["model"], simulator, {})
     whole = spreading(30.0)
     dataclasses.replace(
@@ -71,9 +64,9 @@ def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("scene", "model"), [(SCENE, "flow2d.safetensors"), (DEEP, "obstacle3d.safetensors")])
 def test_the_shipped_model_is_that_of_the_dimension(
-    scene: str, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scene: Scene, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "scene.toml").write_text(scene)
+    write_scene(scene, tmp_path / "scene.toml")
     monkeypatch.setattr(library, "WEIGHTS", tmp_path)
     assert command_line.run(rollout, "rollout", [str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 2
     assert f"{model}: expected whole weights of a model, there is none" in capsys.readouterr().err
@@ -85,7 +78,7 @@ def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.Capture
     short.write_bytes(whole[:1000])
     spreading(31.0).save(tmp_path / "other.npz")
     deep = tmp_path / "deep.toml"
-    deep.write_text(DEEP)
+    write_scene(DEEP, deep)
     cases = [
         ({**files, "model": short}, [], "short.safetensors: expected whole weights"),
         ({**files, "model": tmp_path / "none.safetensors"}, [], "expected whole weights of a model, there is none"),

@@ -9,19 +9,19 @@ import pytest
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import released_volume
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Mass, Solid
 from gns.inference import simulate
 from gns.settings import GRAVITY, ModelSettings
 from gns.simulator import Simulator
 from gns.units import Units
+from tests.scenes import scaled, scene_of
 
-SCENE = Scene(
-    domain=Domain(size=(0.6, 0.4), cell=0.01),
+SCENE = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.1, 0.1), velocity=(1.2, 0.3)),
+    Mass(lower=(0.0, 0.1), size=(0.1, 0.06)),
+    size=(0.6, 0.4),
+    cell=0.01,
     material=Material(friction_deg=35.0, cohesion=80.0, tension_cutoff=40.0),
-    masses=(
-        Mass(lower=(0.0, 0.0), size=(0.1, 0.1), velocity=(1.2, 0.3)),
-        Mass(lower=(0.0, 0.1), size=(0.1, 0.06)),
-    ),
     duration=0.2,
     floor_friction=0.4,
     damping=0.1,
@@ -36,46 +36,6 @@ VARIANTS = {
         solids=(Solid(kind="terrain", points=((0.0, 0.1), (0.12, 0.1), (0.3, 0.02), (0.6, 0.02)), friction=0.5),),
     ),
 }
-
-
-def scaled(scene: Scene, length: float, *, gravity: float, density: float) -> Scene:
-    """A similar scene: lengths times `length`, under another gravity [m/s^2] and of another density [kg/m^3]."""
-    time = math.sqrt(length * scene.gravity / gravity)
-    sand = scene.material
-    stress = density * gravity / (sand.density * scene.gravity) * length
-
-    def long(values: tuple[float, ...], factor: float = length) -> tuple[float, ...]:
-        return tuple(factor * value for value in values)
-
-    return dataclasses.replace(
-        scene,
-        domain=Domain(size=long(scene.domain.size), cell=length * scene.domain.cell),
-        material=dataclasses.replace(
-            sand,
-            density=density,
-            young=stress * sand.young,
-            cohesion=stress * sand.cohesion,
-            tension_cutoff=stress * sand.tension_cutoff,
-        ),
-        masses=tuple(
-            dataclasses.replace(
-                mass,
-                lower=long(mass.lower),
-                size=long(mass.size),
-                velocity=mass.velocity and long(mass.velocity, length / time),
-            )
-            for mass in scene.masses
-        ),
-        baffles=tuple(
-            dataclasses.replace(each, lower=long(each.lower), size=long(each.size)) for each in scene.baffles
-        ),
-        solids=tuple(
-            dataclasses.replace(each, points=tuple(long(point) for point in each.points or ())) for each in scene.solids
-        ),
-        duration=time * scene.duration,
-        frame_dt=time * scene.frame_dt,
-        gravity=gravity,
-    )
 
 
 @pytest.mark.parametrize("name", VARIANTS)

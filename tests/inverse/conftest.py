@@ -90,7 +90,7 @@ def simulator(dimension: int) -> Simulator:
         grid_layers=2,
         rest_speed=0.01,
     )
-    scales = Normalisation(displacement=0.005, acceleration=0.001, friction_mean=0.6, friction_std=0.2)
+    scales = Normalisation(displacement_scale=0.005, acceleration_scale=0.001, friction_mean=0.6, friction_std=0.2)
     made = Simulator(settings, scales)
     with torch.no_grad():
         made.network.decoder.mlp[-1].weight.normal_(std=0.3)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
 import taichi as ti
@@ -13,7 +12,7 @@ from datasets.material import Material
 from mpm import runtime
 from mpm.arrays.batch import aligned
 from mpm.arrays.features import Features
-from mpm.arrays.layout import Precision, Property
+from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_row
 from mpm.physics.mohr_coulomb import return_principal, softened
 from mpm.physics.stress import stress_step
@@ -21,6 +20,14 @@ from mpm.physics.stress import stress_step
 Vector = NDArray[np.float64]
 
 XX, YY, ZZ, XY, YZ, ZX = range(6)
+
+
+def tensor(components: Vector) -> Vector:
+    """Symmetric tensors, shape [..., 3, 3], of components xx, yy, zz, xy and, in 3D, yz, zx, shape [..., 4 or 6]."""
+    full = np.zeros((*components.shape[:-1], 3, 3))
+    for number, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: components.shape[-1]]):
+        full[..., i, j] = full[..., j, i] = components[..., number]
+    return full
 
 
 @ti.func
@@ -52,7 +59,7 @@ def path_kernel(features: Features) -> Callable[..., None]:
 
     `stress` ends with the plastic strain and what is remembered of opened cracks.
     """
-    real = ti.f32 if features.precision == "f32" else ti.f64
+    real = ti.f64
     blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
     width = features.stresses + 2
 
@@ -85,8 +92,7 @@ def return_kernel(features: Features) -> Callable[..., None]:
 
     The fourth of each is overwritten with what opening cost.
     """
-    real = ti.f32 if features.precision == "f32" else ti.f64
-    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
+    blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, ti.f64), ndim=1)
 
     @ti.kernel
     def return_all(s: blocks, m: ti.types.ndarray()):
@@ -110,7 +116,6 @@ def follow_states(
     gradients: Vector,
     start: Vector | None = None,
     *,
-    precision: Precision = "f64",
     corrected: bool = False,
     cohesive: bool = True,
     cell: float = 1.0,
@@ -119,10 +124,10 @@ def follow_states(
     """Stress [Pa], shape [S, 4 or 6], accumulated plastic strain [-] and opening remembered [Pa], shape [S] each, along
     increments [S, D, D] [-]; `cell` [m] is the thickness of a band where the material softens, `dt` [s] the time of an
     increment where friction grows with the rate of shear."""
-    runtime.start(precision)
+    runtime.start("f64")
     features = Features(
         dimension=gradients.shape[1],
-        precision=precision,
+        precision="f64",
         dilates=True,
         cohesive=cohesive,
         strain_recorded=True,
@@ -130,7 +135,7 @@ def follow_states(
         softens=material.softening_length is not None,
         inertial=material.friction_limit_deg is not None,
     )
-    real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
+    real = np.dtype(np.float64)
     width = features.stresses + 2
     stress = aligned((width, features.lanes), real)
     if start is not None:
@@ -139,21 +144,13 @@ def follow_states(
     increments = np.ascontiguousarray(gradients.reshape(len(gradients), -1), real)
     path_kernel(features)(stress, increments, history, np.array(properties_row(material, 1.0), real), cell, dt)
     assert np.all(history == history[:, :1])
-    series = history[:, 0].reshape(len(gradients), width).astype(np.float64)
+    series = history[:, 0].reshape(len(gradients), width)
     return series[:, :-2], series[:, -2], series[:, -1]
 
 
-def follow_whole(
-    material: Material, gradients: Vector, start: Vector | None = None, precision: Precision = "f64"
-) -> tuple[Vector, Vector]:
-    """Stress [Pa], shape [S, 4 or 6], and plastic strain increment [-], shape [S], along increments [S, D, D] [-]."""
-    stress, strain, _ = follow_states(material, gradients, start, precision=precision)
-    return stress, np.diff(strain, prepend=0.0)
-
-
-def follow(material: Material, gradients: Vector, start: Vector | None = None, precision: Precision = "f64") -> Vector:
+def follow(material: Material, gradients: Vector, start: Vector | None = None) -> Vector:
     """Stress [Pa] after each displacement-gradient increment [-] of shape [S, D, D]; shape [S, 4 or 6]."""
-    return follow_whole(material, gradients, start, precision)[0]
+    return follow_states(material, gradients, start)[0]
 
 
 def follow_controlled(
@@ -176,31 +173,20 @@ def follow_controlled(
     return np.array(history)
 
 
-def returned(material: Material, stresses: Vector, *, limit: float | None = None) -> Vector:
-    """Sorted principal stresses [Pa], shape [E, 3], returned; `limit` [Pa] replaces the material's tension limit."""
-    return returned_whole(material, stresses, limit=limit)[0]
+def returned(material: Material, stresses: Vector) -> Vector:
+    """Sorted principal stresses [Pa], shape [E, 3], returned."""
+    return returned_whole(material, stresses)[0]
 
 
-def returned_whole(
-    material: Material,
-    stresses: Vector,
-    *,
-    limit: float | None = None,
-    precision: Precision = "f64",
-    cohesive: bool = True,
-) -> tuple[Vector, Vector]:
+def returned_whole(material: Material, stresses: Vector) -> tuple[Vector, Vector]:
     """What `returned` does, and the mean stress that opening cost [Pa], shape [E]."""
-    runtime.start(precision)
-    features = Features(dimension=2, precision=precision, dilates=material.dilation_deg > 0.0, cohesive=cohesive)
-    real: np.dtype[Any] = np.dtype(np.float64 if precision == "f64" else np.float32)
+    runtime.start("f64")
+    features = Features(dimension=2, precision="f64", dilates=material.dilation_deg > 0.0, cohesive=True)
     count, lanes = len(stresses), features.lanes
-    blocks = aligned((-(-count // lanes), 4, lanes), real)
+    blocks = aligned((-(-count // lanes), 4, lanes), np.dtype(np.float64))
     padded = np.zeros((len(blocks) * lanes, 4))
     padded[:count, :3] = stresses
     blocks[:] = np.moveaxis(padded.reshape(-1, lanes, 4), 1, 2)
-    properties = np.array(properties_row(material, 1.0), real)
-    if limit is not None:
-        properties[Property.LIMIT] = limit
-    return_kernel(features)(blocks.reshape(-1, lanes), properties)
-    result = np.moveaxis(blocks, 1, 2).reshape(-1, 4)[:count].astype(np.float64)
+    return_kernel(features)(blocks.reshape(-1, lanes), np.array(properties_row(material, 1.0), np.float64))
+    result = np.moveaxis(blocks, 1, 2).reshape(-1, 4)[:count]
     return result[:, :3], result[:, 3]

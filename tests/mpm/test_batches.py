@@ -12,7 +12,7 @@ from datasets.particles import Particles, initial_particles
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
-from tests.mpm.scenes import COLUMN, SAND, box, room
+from tests.scenes import COLUMN, SAND, box, room
 
 
 def test_every_public_name_is_there() -> None:

@@ -2,14 +2,15 @@
 
 import dataclasses
 import math
+from functools import partial
 
 import pytest
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.scene import Channel, Domain, Mass, Scene
+from datasets.scene import Channel, Mass
 from mpm import LAST, simulate
-from tests.mpm.scenes import box
+from tests.scenes import box
 from validation.bench.stability.exact_solutions import centre_displacement
 
 BLOCK = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson=0.3, young=1.0e7)
@@ -40,14 +41,10 @@ def test_a_block_slides_between_walls(friction_deg: float, floor: float) -> None
 def test_sand_in_a_channel_flows_as_between_walls_in_three_dimensions() -> None:
     """The front of a column in a channel six cells wide, within 3 % of that in 3D; without walls it goes further."""
     width, sand, angle = 0.12, Material(friction_deg=30.0, young=1.0e6), 15.0
-    rest = {"floor_friction": 0.5, "duration": 0.5, "frame_dt": 0.005, "material": sand}
-    flat = Scene(domain=Domain(size=(1.2, 0.4), cell=0.02), masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.3)),), **rest)
-    deep = Scene(
-        domain=Domain(size=(1.2, 0.4, width), cell=0.02),
-        masses=(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.3, width)),),
-        wall_friction=math.tan(math.radians(angle)),
-        **rest,
-    )
+    flow = partial(box, floor_friction=0.5, duration=0.5, material=sand)
+    flat = flow(Mass(lower=(0.0, 0.0), size=(0.2, 0.3)), size=(1.2, 0.4))
+    body, side = Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.3, width)), math.tan(math.radians(angle))
+    deep = flow(body, size=(1.2, 0.4, width), wall_friction=side)
     walled = dataclasses.replace(flat, channel=Channel(width=width, friction_deg=angle))
     fronts = [float(simulate(each, record=LAST).summary["front"]) for each in (flat, walled, deep)]
     assert fronts[1] == pytest.approx(fronts[2], rel=0.03)
@@ -65,5 +62,5 @@ def test_sand_in_a_channel_flows_as_between_walls_in_three_dimensions() -> None:
 def test_what_is_no_channel_is_refused(key: str, channel: dict[str, float], size: tuple[float, ...]) -> None:
     mass = Mass(lower=(0.0,) * len(size), size=(0.2,) * len(size))
     with pytest.raises(InputError) as caught:
-        box(mass, domain=Domain(size=size, cell=0.02), channel=Channel(**channel))
+        box(mass, size=size, channel=Channel(**channel))
     assert caught.value.key == key

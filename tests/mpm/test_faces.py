@@ -5,10 +5,11 @@ import pytest
 from numpy.typing import NDArray
 
 from datasets.geometry.nearest import feet, nearest
-from datasets.geometry.surface import Surface, surface_of
-from datasets.scene import Baffle, Domain, Mass, Material, Scene, Solid
+from datasets.scene import Baffle, Mass, Scene, Solid
 from mpm.arrays.layout import PADDING
 from mpm.solids.obstacles import faces_near, node_shape
+from tests import scenes
+from tests.datasets.geometry.solids import surface
 
 CELL = 0.05
 WAVES = tuple(
@@ -30,21 +31,13 @@ SCENES = {
 
 def scene_of(dimension: int) -> Scene:
     """A scene with solids of several kinds and a baffle."""
-    size = (1.0, 1.0, 1.0)[:dimension]
-    return Scene(
-        domain=Domain(size=size, cell=CELL),
-        material=Material(friction_deg=30.0),
-        masses=(Mass(lower=(0.9,) * dimension, size=(0.1,) * dimension),),
+    return scenes.scene_of(
+        Mass(lower=(0.9,) * dimension, size=(0.1,) * dimension),
+        size=(1.0,) * dimension,
+        cell=CELL,
         baffles=(Baffle(lower=(0.8, 0.0, 0.8)[:dimension], size=(0.1, 0.6, 0.2)[:dimension]),),
         solids=SCENES[dimension],
     )
-
-
-def surface(scene: Scene) -> Surface:
-    """The surface of a scene that has one."""
-    found = surface_of(scene)
-    assert found is not None
-    return found
 
 
 def box_cells(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -23,7 +21,7 @@ from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.cluster import Workers
 from mpm.generate import command, generate, thinned
-from tests.breaking import orphans, unfinished
+from tests.breaking import BLOCKS, dataset_files, orphans, start, unfinished
 
 ROOT = Path(__file__).parents[2]
 
@@ -48,27 +46,7 @@ TINY = Definition(
     draw=draw,
 )
 
-BLOCKS = """
-count = 1000
-split_period = 3
-[scene]
-duration = { choice = [0.005, 0.01] }
-[scene.domain]
-size = [0.4, 0.2]
-cell = 0.05
-[scene.material]
-friction_deg = { uniform = [20.0, 40.0] }
-[[scene.masses]]
-lower = [{ uniform = [0.0, 0.2] }, 0.0]
-size = [0.1, 0.1]
-"""
-
 FILES = ["test/tiny-0002.npz", "train/tiny-0000.npz", "train/tiny-0003.npz", "valid/tiny-0001.npz"]
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """Every file of a dataset."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +58,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_is_left_behind(dataset: Path) -> None:
-    assert sorted(contents(dataset)) == sorted(["metadata.json", *FILES])
+    assert sorted(dataset_files(dataset)) == sorted(["metadata.json", *FILES])
     for entry in TINY.entries(seed=7):
         trajectory = Trajectory.load(dataset / entry.split.value / f"{entry.name}.npz")
         assert trajectory.scene == entry.scene
@@ -95,7 +73,7 @@ def test_what_is_left_behind(dataset: Path) -> None:
 
 def test_two_jobs_give_the_same_bytes_as_one(dataset: Path, tmp_path: Path) -> None:
     generate(TINY, tmp_path, seed=7, count=None, jobs=2)
-    assert contents(tmp_path) == contents(dataset)
+    assert dataset_files(tmp_path) == dataset_files(dataset)
 
 
 STORAGE = Storage(cell=0.05, kept=1)
@@ -106,7 +84,7 @@ def test_what_is_stored_of_finer_truth_is_the_same_for_any_jobs(dataset: Path, t
     definition = replace(TINY, storage=STORAGE)
     for jobs in (1, 2):
         generate(definition, tmp_path / str(jobs), seed=7, count=None, jobs=jobs)
-    assert contents(tmp_path / "1") == contents(tmp_path / "2")
+    assert dataset_files(tmp_path / "1") == dataset_files(tmp_path / "2")
     for entry in definition.entries(seed=7):
         name = f"{entry.split.value}/{entry.name}.npz"
         stored, expected = Trajectory.load(tmp_path / "1" / name), thinned(Trajectory.load(dataset / name), STORAGE)
@@ -147,7 +125,7 @@ def test_a_broken_run_is_finished_and_what_stands_is_kept(dataset: Path, tmp_pat
     (tmp_path / "train" / ".part-tiny-0000-x.npz").write_bytes(b"half")
     before = (tmp_path / FILES[1]).stat().st_mtime_ns
     generate(TINY, tmp_path, seed=7, count=None, jobs=1)
-    assert contents(tmp_path) == contents(dataset)
+    assert dataset_files(tmp_path) == dataset_files(dataset)
     assert (tmp_path / FILES[1]).stat().st_mtime_ns == before
 
 
@@ -157,11 +135,11 @@ def test_a_broken_run_is_finished_and_what_stands_is_kept(dataset: Path, tmp_pat
     ids=["another seed", "fewer than there are"],
 )
 def test_another_dataset_in_the_folder_is_refused(dataset: Path, seed: int, count: int | None, named: str) -> None:
-    before = contents(dataset)
+    before = dataset_files(dataset)
     with pytest.raises(InputError) as caught:
         generate(TINY, dataset, seed=seed, count=count, jobs=1)
     assert caught.value.where == str(dataset / named)
-    assert contents(dataset) == before
+    assert dataset_files(dataset) == before
 
 
 @pytest.mark.usefixtures("at_once")
@@ -199,17 +177,8 @@ def test_wrong_input_is_one_line_and_status_2(
 
 def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(tmp_path: Path) -> None:
     """In a session of its own, where a terminal sends Ctrl-C to all, once it has left its first trajectory."""
-    (tmp_path / "blocks.toml").write_text(BLOCKS)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "mpm.generate", str(tmp_path / "blocks.toml"), "--out", str(tmp_path), "--jobs", "2"],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        # A shell that runs the tests in the background has it ignored.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    (tmp_path / "blocks.toml").write_text(BLOCKS.replace("count = 10", "count = 1000"))
+    process = start(["-m", "mpm.generate", str(tmp_path / "blocks.toml"), "--out", str(tmp_path), "--jobs", "2"])
     deadline = time.monotonic() + 240.0
     while not list(tmp_path.rglob("[!.]*.npz")):
         assert time.monotonic() < deadline

@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from datasets.material import Material
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Mass, Scene
 from mpm import LAST, runtime, simulate
 from mpm.arrays.batch import Batch
 from mpm.kernel import Phase, kernel
 from tests.mpm.element import XX, XY, YY, ZZ, follow_states
-from tests.mpm.scenes import COLUMN, SAND, box
+from tests.scenes import COLUMN, SAND, box, scene_of
 
 Floats = NDArray[np.float64]
 
@@ -39,10 +39,11 @@ class EndlessLayer:
         cell = DEPTH / CELLS
         self.length = PERIOD * cell
         self.frame_dt = 0.999 * STEPS * 0.4 * cell / material.wave_speed
-        self.scene = Scene(
-            domain=Domain(size=(3.0 * self.length, 1.5 * DEPTH), cell=cell),
+        self.scene = scene_of(
+            Mass(lower=(0.0, 0.0), size=(3.0 * self.length, DEPTH)),
+            size=(3.0 * self.length, 1.5 * DEPTH),
+            cell=cell,
             material=material,
-            masses=(Mass(lower=(0.0, 0.0), size=(3.0 * self.length, DEPTH)),),
             slope_deg=slope_deg,
             floor_friction="rough",
             frame_dt=self.frame_dt,

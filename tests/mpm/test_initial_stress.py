@@ -2,6 +2,7 @@
 
 import dataclasses
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,30 +10,18 @@ from numpy.typing import NDArray
 
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Domain, Mass, Scene, Solid
+from datasets.scene import Mass, Scene, Solid
 from mpm import WITH_FIELDS, simulate
 from mpm.initial.stress import initial_tractions
+from tests.mpm.element import tensor
+from tests.scenes import SAND, scene_of, with_masses
 
 CELL = 0.02
-SAND = Material(friction_deg=30.0)
 STIFF_CLAY = Material(friction_deg=30.0, cohesion=1.0e6, tension_cutoff=1.0e6)
-BED_2D = Scene(
-    domain=Domain(size=(1.0, 0.6), cell=CELL),
-    material=SAND,
-    masses=(Mass(lower=(0.0, 0.0), size=(1.0, 0.4), k0=0.5),),
-    duration=0.5,
+BED_2D = scene_of(Mass(lower=(0.0, 0.0), size=(1.0, 0.4), k0=0.5), size=(1.0, 0.6), cell=CELL, duration=0.5)
+BED_3D = scene_of(
+    Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1), k0=0.5), size=(0.2, 0.2, 0.1), cell=CELL, jitter=0.4, duration=0.5
 )
-BED_3D = Scene(
-    domain=Domain(size=(0.2, 0.2, 0.1), cell=CELL),
-    material=SAND,
-    masses=(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1), k0=0.5),),
-    jitter=0.4,
-    duration=0.5,
-)
-
-
-def with_masses(scene: Scene, *masses: Mass, **changes: object) -> Scene:
-    return dataclasses.replace(scene, masses=masses, **changes)  # type: ignore[arg-type]
 
 
 def stress_of(scene: Scene) -> NDArray[np.float64]:
@@ -50,14 +39,6 @@ def row_means(scene: Scene, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Means over the rows of cells, from the floor up."""
     row = (initial_particles(scene).positions[:, 1] / CELL).astype(int)
     return np.bincount(row, values) / np.bincount(row)
-
-
-def tensor(stress: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Components as in the kernel to matrices, shape [N, 3, 3]."""
-    full = np.zeros((len(stress), 3, 3))
-    for column, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: stress.shape[1]]):
-        full[:, i, j] = full[:, j, i] = stress[:, column]
-    return full
 
 
 @pytest.mark.parametrize(("precision", "most"), [("f64", 1.0e-12), ("f32", 1.0e-6)])
@@ -136,9 +117,9 @@ CAP = ((0.5, 5.0), (3.0, 5.0), (2.5, 6.0), (1.0, 6.0))
 HILL = Solid(kind="terrain", points=((0.0, 4.0), (3.0, 4.0), (9.0, 1.0), (12.0, 1.0)), friction=0.8)
 
 
-def on_ground(*masses: Mass, **changes: object) -> Scene:
-    settings = {"domain": Domain(size=(12.0, 7.0), cell=0.25), "duration": 0.5, "frame_dt": 0.01} | changes
-    return Scene(material=SILT, masses=masses, floor_friction=1.0, **settings)  # type: ignore[arg-type]
+def on_ground(*masses: Mass, **changes: Any) -> Scene:
+    settings = {"size": (12.0, 7.0), "cell": 0.25, "duration": 0.5, "frame_dt": 0.01} | changes
+    return scene_of(*masses, material=SILT, floor_friction=1.0, **settings)
 
 
 STANDING = {
@@ -172,8 +153,7 @@ def test_a_mesh_stands_in_3d() -> None:
     quads = [(0, 3, 2, 1), (4, 5, 6, 7), *sides]
     triangles = tuple(t for a, b, c, d in quads for t in ((a, b, c), (a, c, d)))
     body = Mass(kind="mesh", vertices=tuple(map(tuple, vertices.tolist())), triangles=triangles, k0="elastic")
-    box = Domain(size=(6.0, 3.0, 3.0), cell=0.25)
-    assert fastest(on_ground(body, domain=box, duration=0.1), "f32") <= 0.005
+    assert fastest(on_ground(body, size=(6.0, 3.0, 3.0), duration=0.1), "f32") <= 0.005
 
 
 def test_sand_that_cannot_stand_is_said_to_be_unbalanced() -> None:

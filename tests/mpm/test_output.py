@@ -11,7 +11,7 @@ from datasets.scene import Baffle, Mass
 from mpm import Recording, simulate
 from mpm.output.request import window_frames
 from mpm.output.smoothing import smoothed, weights
-from tests.mpm.scenes import SAND, box
+from tests.scenes import SAND, box
 
 REST = Recording(frames=3, fields=True, until_rest=True)
 EVERYTHING = Recording(fields=True, wall_forces=True)

@@ -8,7 +8,6 @@ import pytest
 from datasets.errors import InputError
 from datasets.geometry.placement import connected, corners
 from datasets.library import read_scene
-from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 from mpm.resolution import (
     Measured,
@@ -19,15 +18,12 @@ from mpm.resolution import (
     read_tolerance,
     resolved,
 )
+from tests.scenes import scene_of
 
 
 def scene(*masses: tuple[tuple[float, ...], tuple[float, ...]], size: tuple[float, ...] = (1.0, 1.0)) -> Scene:
     """Masses given as (lower, size) in a box of cells of 0.01 m."""
-    return Scene(
-        domain=Domain(size=size, cell=0.01),
-        material=Material(friction_deg=30.0),
-        masses=tuple(Mass(lower=lower, size=extent) for lower, extent in masses),
-    )
+    return scene_of(*(Mass(lower=lower, size=extent) for lower, extent in masses), size=size, cell=0.01)
 
 
 COLUMN = scene(((0.0, 0.0), (0.2, 0.4)))

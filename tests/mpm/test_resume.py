@@ -24,7 +24,7 @@ from mpm.output.checkpoint import Checkpoint
 from mpm.run import command
 from mpm.simulation import Interrupted, simulate_each
 from tests.breaking import SCENE
-from tests.mpm.scenes import COLUMN, box
+from tests.scenes import COLUMN, box
 
 RECORD = Recording(frames=3, fields=True, wall_forces=True)
 OPEN = box(duration=0.28)

@@ -14,10 +14,15 @@ from tests.breaking import SCENE
 SHORT = SCENE.replace("duration = 0.25", "duration = 0.02\nframe_dt = 0.005")
 
 
+def ran(folder: Path, text: str = SHORT, *flags: str) -> int:
+    """Run the scene of `text`; the exit status."""
+    (folder / "pile.toml").write_text(text)
+    return run(command, "mpm.run", [str(folder / "pile.toml"), "--out", str(folder / "out"), *flags])
+
+
 def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path) -> None:
-    scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    scene.write_text(SHORT)
-    assert run(command, "mpm.run", [str(scene), "--out", str(out)]) == 0
+    out = tmp_path / "out"
+    assert ran(tmp_path) == 0
     trajectory = Trajectory.load(out / "trajectory.npz")
     assert trajectory.positions.shape == (5, 400, 2)
     summary = json.loads((out / "summary.json").read_text())
@@ -38,21 +43,18 @@ def test_it_leaves_a_trajectory_and_a_summary(tmp_path: Path) -> None:
 def test_a_mistake_is_one_line_and_leaves_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, said: str
 ) -> None:
-    scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    scene.write_text(SHORT.replace("cell = 0.02\n[material]", change))
-    assert run(command, "mpm.run", [str(scene), "--out", str(out)]) == 2
+    assert ran(tmp_path, SHORT.replace("cell = 0.02\n[material]", change)) == 2
     error = capsys.readouterr().err
     assert said in error
-    assert str(scene) in error
+    assert str(tmp_path / "pile.toml") in error
     assert error.count("\n") == 1
-    assert not out.exists()
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
 def test_a_baffle_its_forces_and_a_series_for_paraview(tmp_path: Path) -> None:
-    scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    scene.write_text(SHORT + "[[baffles]]\nlower = [0.22, 0.0]\nsize = [0.1, 0.1]\n")
-    assert run(command, "mpm.run", [str(scene), "--out", str(out), "--vtk", "--forces"]) == 0
+    out = tmp_path / "out"
+    assert ran(tmp_path, SHORT + "[[baffles]]\nlower = [0.22, 0.0]\nsize = [0.1, 0.1]\n", "--vtk", "--forces") == 0
     trajectory = Trajectory.load(out / "trajectory.npz")
     assert trajectory.solid_impulse is not None
     assert trajectory.pressure is not None
@@ -64,10 +66,8 @@ def test_a_baffle_its_forces_and_a_series_for_paraview(tmp_path: Path) -> None:
 
 
 def test_fields_rest_and_precision(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene, out = tmp_path / "pile.toml", tmp_path / "out"
-    scene.write_text(SHORT.replace("duration = 0.02", "duration = 2.0\ndamping = 0.2"))
-    flags = ["--fields", "--until-rest", "--precision", "f64"]
-    assert run(command, "mpm.run", [str(scene), "--out", str(out), *flags]) == 0
+    out, text = tmp_path / "out", SHORT.replace("duration = 0.02", "duration = 2.0\ndamping = 0.2")
+    assert ran(tmp_path, text, "--fields", "--until-rest", "--precision", "f64") == 0
     assert "at rest after" in capsys.readouterr().out
     summary = json.loads((out / "summary.json").read_text())
     assert 0.0 < summary["rest_time"] < 2.0

@@ -19,7 +19,7 @@ from mpm.adjoint.gradient import gradient
 from mpm.initial.stages import particles_after
 from mpm.output.checkpoint import Checkpoint
 from mpm.simulation import Interrupted, Options
-from tests.mpm.scenes import box, room
+from tests.scenes import box, room
 
 CLAY = Material(friction_deg=20.0, cohesion=2.0e4, tension_cutoff=1.0e4)
 COLUMN = Mass(lower=(0.4, 0.0), size=(0.2, 0.2), k0="elastic")

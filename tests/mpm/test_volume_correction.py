@@ -5,23 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Domain, Mass
 from mpm import LAST, WITH_FIELDS, simulate
+from tests.scenes import SAND, scene_of
 
-SAND = Material(friction_deg=30.0)
-BED = Scene(
-    domain=Domain(size=(0.4, 0.5), cell=0.02),
-    material=SAND,
-    masses=(Mass(lower=(0.0, 0.0), size=(0.4, 0.2), k0=0.5),),
-    duration=0.2,
-    frame_dt=0.01,
-)
-DROPPED = Scene(
-    domain=Domain(size=(0.125, 0.5, 0.1), cell=0.025),
-    material=SAND,
-    masses=(Mass(lower=(0.0, 0.15, 0.0), size=(0.125, 0.15, 0.1)),),
+BED = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.2), k0=0.5), size=(0.4, 0.5), duration=0.2, frame_dt=0.01)
+DROPPED = scene_of(
+    Mass(lower=(0.0, 0.15, 0.0), size=(0.125, 0.15, 0.1)),
+    size=(0.125, 0.5, 0.1),
+    cell=0.025,
     duration=1.0,
     frame_dt=0.01,
 )
@@ -68,9 +61,7 @@ def test_the_floor_is_met_where_it_is(offset: float) -> None:
 
 THIN = Mass(lower=(0.05, 0.3), size=(0.4, 0.003))
 THICK = Mass(lower=(0.55, 0.3), size=(0.2, 0.1))
-SCENE = Scene(
-    domain=Domain(size=(0.8, 0.5), cell=0.02), material=SAND, masses=(THIN, THICK), duration=0.1, frame_dt=0.01
-)
+SCENE = scene_of(THIN, THICK, size=(0.8, 0.5), duration=0.1, frame_dt=0.01)
 
 
 @pytest.mark.double

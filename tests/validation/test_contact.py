@@ -9,6 +9,7 @@ import pytest
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from mpm import LAST, simulate, simulate_many
+from tests.scenes import scene_of
 
 SLOPE = math.radians(20.0)
 CELL = 0.02
@@ -25,10 +26,11 @@ def level(along: float, above: float) -> tuple[float, float]:
 
 def on_incline(seed: int) -> tuple[Scene, Scene]:
     """The same sand runs down the floor of a tilted box, and down a polyline in a level one."""
-    tilted = Scene(
-        domain=Domain(size=(2.4, 0.5), cell=CELL),
+    tilted = scene_of(
+        Mass(lower=(0.2, 0.0), size=(0.3, 0.2)),
+        size=(2.4, 0.5),
+        cell=CELL,
         material=SAND,
-        masses=(Mass(lower=(0.2, 0.0), size=(0.3, 0.2)),),
         floor_friction=0.45,
         slope_deg=math.degrees(SLOPE),
         duration=0.8,
@@ -69,10 +71,10 @@ def test_sand_runs_as_far_down_a_polyline_as_down_the_floor_of_a_tilted_box() ->
 def test_a_bed_presses_on_a_smooth_baffle_alike_wherever_its_face_cuts_the_cells() -> None:
     def thrust(offset: float) -> float:
         length = 0.4 + offset * CELL
-        scene = Scene(
-            domain=Domain(size=(1.0, 0.6), cell=CELL),
-            material=Material(friction_deg=30.0),
-            masses=(Mass(lower=(0.0, 0.0), size=(length, 0.3)),),
+        scene = scene_of(
+            Mass(lower=(0.0, 0.0), size=(length, 0.3)),
+            size=(1.0, 0.6),
+            cell=CELL,
             baffles=(Baffle(lower=(length, 0.0), size=(0.2, 0.5)),),
             damping=0.2,
             step_fraction=0.9,

@@ -8,19 +8,15 @@ import numpy as np
 import pytest
 
 from datasets.command_line import WorkFailed
-from datasets.material import Material
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import ALL, AT_REST, LAST, Recording, ScenesFailed
+from tests.scenes import scene_of
 from tests.validation.loop.flows import FakeMpm
 from validation import runs
 from validation.runs import SHARE, Run, RunStore
 
-SCENE = Scene(
-    domain=Domain(size=(1.0, 1.0), cell=0.01),
-    material=Material(friction_deg=30.0),
-    masses=(Mass(lower=(0.0, 0.0), size=(0.4, 0.2)),),
-)
+SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.2)), cell=0.01)
 
 
 class Fragile(FakeMpm):

@@ -10,10 +10,10 @@ from matplotlib import colormaps
 from matplotlib.image import imread
 
 from datasets.command_line import WorkFailed, run
-from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Mass
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
+from tests.scenes import scene_of
 from validation.report import rendering
 from validation.report.rendering import Colour, Picture
 from validation.vtk import command
@@ -40,10 +40,9 @@ opengl = pytest.mark.usefixtures("_opengl")
 def slide(dimension: int) -> Trajectory:
     """Three frames of a block that slides towards a baffle and flattens."""
     z, deep = ((0.1,), (0.2,)) if dimension == 3 else ((), ())
-    scene = Scene(
-        domain=Domain(size=(1.0, 0.5, 0.4)[:dimension], cell=0.02),
-        material=Material(friction_deg=30.0),
-        masses=(Mass(lower=(0.1, 0.0, *z), size=(0.2, 0.2, *deep)),),
+    scene = scene_of(
+        Mass(lower=(0.1, 0.0, *z), size=(0.2, 0.2, *deep)),
+        size=(1.0, 0.5, 0.4)[:dimension],
         baffles=(Baffle(lower=(0.7, 0.0, *z), size=(0.1, 0.3, *deep)),),
         duration=0.2,
         frame_dt=0.1,

@@ -10,38 +10,44 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 import gns
+from datasets.library import read_scene
 from datasets.processes import processors
+from datasets.scene import Mass, Scene
 from gns.simulator import Simulator
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
 from inverse.forward.mpm import MpmForward
 from inverse.parameters import Vector
+from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem, read_problem
+from inverse.settings import ObservationSettings, TargetSettings
 from mpm import simulate_many
-from validation.bench.blocks import (
-    AT_FLOOR,
-    AT_TOP,
-    CUTS,
-    FRACTION,
-    HUNDRED,
-    MOST_COLUMNS,
-    STEPS,
-    blocks_problem,
-    hundred_problem,
-    sampled,
-)
 from validation.bench.searches import By, Models, Searched, by_reverse, by_runs, methods, search, slope_of
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, INK, ORANGE, RED, figure, pane
 
+SCENE = "layers-10"
+CUTS = {1: (1, 1), 10: (1, 10), 100: (10, 10)}
+"""Blocks along x and along y, by the number of unknowns."""
+AT_FLOOR, AT_TOP = 1.5, 0.15
+"""True velocities [m/s], about the paper's; a block has that of its middle."""
+FRACTION = 0.5
+"""Of the true velocities: where the gradient is evaluated."""
+STEPS = {1: 0.15, 10: 0.15, 100: 0.5}
+"""Step of the differences [m/s]: a smaller part of the sand moves the deposit less."""
+MOST_COLUMNS = 10
+"""Unknowns whose differences are run; the seconds of more are multiplied."""
+HUNDRED = "velocity-blocks-100"
+"""The problem of a hundred blocks; a start of 0.75 m/s and the bounds of `velocity-layers-10`."""
 JITTERS = 4
 """Jitter seeds of the MPM's differences that gradients are compared with."""
 LIMITS = {"friction-tall-42": 15.0, "velocity-layers-10": 40.0, HUNDRED: 50.0}
@@ -95,6 +101,62 @@ class Compared:
     def level(self) -> float:
         """The loss below which no answer is better than another, by the MPM's own scatter."""
         return SAME * max(self.floor, min(each.loss for each in self.searches))
+
+
+def blocks(columns: int, layers: int) -> Scene:
+    """The layers' sand in `columns` times `layers` blocks at their true velocities, cut between its particles.
+
+    However it is cut, its particles are the same: no cut goes through a particle's share of a cell.
+    """
+    whole = read_scene(SCENE)
+    spacing = whole.particle_spacing
+    across = round(whole.masses[0].size[0] / spacing)
+    up = round(max(mass.lower[1] + mass.size[1] for mass in whole.masses) / spacing)
+    x, y = (np.round(np.linspace(0, count, parts + 1)) for count, parts in ((across, columns), (up, layers)))
+    masses = []
+    for j, i in product(range(layers), range(columns)):
+        middle = (y[j] + y[j + 1]) / 2.0 / up
+        masses.append(
+            Mass(
+                lower=(float(x[i] * spacing), float(y[j] * spacing)),
+                size=(float((x[i + 1] - x[i]) * spacing), float((y[j + 1] - y[j]) * spacing)),
+                velocity=(AT_FLOOR + (AT_TOP - AT_FLOOR) * float(middle), 0.0),
+            )
+        )
+    return dataclasses.replace(whole, masses=tuple(masses))
+
+
+def blocks_problem(unknowns: int, *, duration: float | None = None) -> Problem:
+    """The velocities of so many blocks from their deposit; it starts at `FRACTION` of the true ones."""
+    scene = blocks(*CUTS[unknowns])
+    scene = scene if duration is None else dataclasses.replace(scene, duration=duration)
+    return Problem(
+        name=f"blocks-{unknowns}",
+        scene=scene,
+        parameters=tuple(
+            Parameter(
+                name=f"masses[{index}].velocity_x",
+                initial=FRACTION * (mass.velocity or (0.0,))[0],
+                lower=-3.0,
+                upper=3.0,
+            )
+            for index, mass in enumerate(scene.masses)
+        ),
+        observations=(ObservationSettings(kind="deposit"),),
+        target=TargetSettings(twin=True),
+    )
+
+
+def hundred_problem() -> Problem:
+    """As `velocity-layers-10`, of a hundred blocks."""
+    problem = blocks_problem(100)
+    numbers = tuple(dataclasses.replace(each, initial=0.75, lower=-1.0, upper=3.0) for each in problem.parameters)
+    return dataclasses.replace(problem, name=HUNDRED, parameters=numbers)
+
+
+def sampled(count: int) -> NDArray[np.int64]:
+    """Unknowns whose differences are run, ascending: all, or `MOST_COLUMNS` of them along the diagonal of the cuts."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_COLUMNS)).round().astype(np.int64))
 
 
 def bench(out: Path, *, quick: bool, keep: Path) -> str:
@@ -273,7 +335,8 @@ def draw_gradients(path: Path, gradients: Sequence[Gradient]) -> None:
             for each in curve:
                 fill = "none" if each.columns < each.unknowns else colour
                 axis.plot(each.unknowns, each.seconds, "o", color=colour, mfc=fill)
-        logarithmic(axis, "unknowns", "seconds per gradient")
+        axis.set(xscale="log", yscale="log", xlabel="unknowns", ylabel="seconds per gradient")
+        axis.legend(fontsize=7)
 
 
 def draw_searches(path: Path, compared: Sequence[Compared]) -> None:
@@ -288,14 +351,5 @@ def draw_searches(path: Path, compared: Sequence[Compared]) -> None:
                         lowest = np.minimum.accumulate(one.losses) if one.by_mpm else [one.loss]
                         axis.plot(one.seconds[-len(lowest) :], lowest, f"{marker}-", lw=1.2, markersize=4, label=by)
             axis.axhline(each.floor, color=INK, linewidth=0.8, linestyle=":", label="the truth")
-            axis.set_title(each.problem)
-            logarithmic(axis, "seconds", "MPM loss [m²]")
-
-
-def logarithmic(axis: Axes, x: str, y: str) -> None:
-    """Logarithmic axes with labels and a legend."""
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.set_xlabel(x)
-    axis.set_ylabel(y)
-    axis.legend(fontsize=7)
+            axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="MPM loss [m²]", title=each.problem)
+            axis.legend(fontsize=7)

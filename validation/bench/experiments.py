@@ -20,9 +20,9 @@ from validation.experiments.experiment import (
     Quantity,
     Reading,
     Shipped,
+    quantity,
     read_experiments,
 )
-from validation.experiments.quantities import quantity
 from validation.report.page import Page, percent, rms, signed
 from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure, pane
 from validation.runs import Run, RunStore
@@ -183,7 +183,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         angles = each.experiment.angles
         names = [angle.name for angle in angles] or [INFERRED]
         for reading, name in zip(each.experiment.readings or [first], names, strict=True):
-            known = coarse.get((each.name, case.name, reading), no_number)
+            known: Callable[[Measured], float] = coarse.get((each.name, case.name, reading), lambda _: math.nan)
             best = fine[each.name, case.name, first] if reading == first else known
             (scores if reading == first else others).extend(
                 Score(
@@ -204,11 +204,6 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         others=tuple(others),
         inferred=tuple(inferred),
     )
-
-
-def no_number(measured: Measured) -> float:
-    """What a run that was not made gives."""
-    return math.nan
 
 
 def ladder(shipped: Shipped) -> list[Reading]:

@@ -15,12 +15,11 @@ from tqdm import tqdm
 import gns
 from datasets.errors import InputError
 from datasets.scene import Scene
-from gns import card, uncertainty
+from gns import card
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import (
     SEED,
-    HeldOut,
     Measured,
     at_wall,
     coarse,
@@ -53,7 +52,8 @@ ALL = "all"
 class Compared:
     """One held-out scene by a model and by the coarse MPM."""
 
-    scene: HeldOut
+    kind: str
+    """Of the scene."""
     extent: float
     """Of the reference's deposit [m]."""
     free: bool
@@ -79,7 +79,7 @@ class Model:
 
     def of_kind(self, kind: str) -> list[Compared]:
         """The scenes of a kind."""
-        return [each for each in self.compared if kind in (ALL, each.scene.kind)]
+        return [each for each in self.compared if kind in (ALL, each.kind)]
 
     def fronts(self, kind: str = ALL) -> list[float]:
         """Errors of the fronts that no wall holds [-]."""
@@ -125,45 +125,46 @@ def bench(out: Path, *, quick: bool, keep: Path, model: tuple[Path, ...] = ()) -
         dimension = gns.load(path).settings.dimension
         chosen, cells = held_out(dimension, 2 if quick else SCENES[dimension]), CELLS[dimension][: 2 if quick else None]
         if quick:
-            chosen = [dataclasses.replace(each, scene=coarse(each.scene, QUICK_CELLS[dimension])) for each in chosen]
+            chosen = [(kind, coarse(scene, QUICK_CELLS[dimension])) for kind, scene in chosen]
         found.append(measure(path, chosen, keep, cells=cells, long=1 if quick else LONG))
     draw(out / "gns.png", found)
     flags = "".join(f" --model {path}" for path in model)
     return page(found, flags=flags, quick=quick).write(out / "gns.md")
 
 
-def measure(path: Path, scenes: Sequence[HeldOut], keep: Path, *, cells: Sequence[int], long: int) -> Model:
+def measure(path: Path, scenes: Sequence[tuple[str, Scene]], keep: Path, *, cells: Sequence[int], long: int) -> Model:
     """Everything of one model."""
     simulator = gns.load(path)
     dimension = simulator.settings.dimension
-    references = RunStore(keep / f"{dimension}d").run([Run(scene=each.scene, record=AT_REST) for each in scenes])
+    references = RunStore(keep / f"{dimension}d").run([Run(scene=scene, record=AT_REST) for _, scene in scenes])
     # Kernels are compiled, or read from their cache, at a first call.
-    gns.simulate(scenes[0].scene, model=simulator)
+    gns.simulate(scenes[0][1], model=simulator)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     compared = []
-    for each, reference in tqdm([*zip(scenes, references, strict=True)], desc=f"{path.stem}, deposits", unit="scene"):
+    pairs = [*zip(scenes, references, strict=True)]
+    for (kind, scene), reference in tqdm(pairs, desc=f"{path.stem}, deposits", unit="scene"):
         truth = deposit_of(reference)
-        free = not at_wall(truth, each.scene)
+        free = not at_wall(truth, scene)
         compared.append(
             Compared(
-                scene=each,
+                kind=kind,
                 extent=truth.extent,
                 free=free,
-                rollout=Measured.of_flow(gns.simulate(each.scene, model=simulator), truth),
+                rollout=Measured.of_flow(gns.simulate(scene, model=simulator), truth),
                 mpm={
                     number: Measured.of_flow(
-                        simulate(coarse(each.scene, number), precision="f32", threads=1, record=AT_REST), truth
+                        simulate(coarse(scene, number), precision="f32", threads=1, record=AT_REST), truth
                     )
                     for number in cells
                 },
-                band=band(path, each.scene, truth.front) if free and truth.side == 1 else None,
-                warned=card.warning(path, each.scene) is not None,
+                band=band(path, scene, truth.front) if free and truth.side == 1 else None,
+                warned=card.warning(path, scene) is not None,
             )
         )
     torch.set_num_threads(threads)
-    resting = [each for each, flow in zip(scenes, references, strict=True) if flow.summary["rest_time"] is not None]
-    longer = [dataclasses.replace(each.scene, duration=TIMES * each.scene.duration) for each in resting[:long]]
+    resting = [scene for (_, scene), flow in pairs if flow.summary["rest_time"] is not None]
+    longer = [dataclasses.replace(each, duration=TIMES * each.duration) for each in resting[:long]]
     creeps = [
         creep(gns.simulate(each, model=simulator)) for each in tqdm(longer, desc=f"{path.stem}, rest", unit="scene")
     ]
@@ -173,7 +174,7 @@ def measure(path: Path, scenes: Sequence[HeldOut], keep: Path, *, cells: Sequenc
 def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
     """See `Compared.band`."""
     try:
-        prediction = uncertainty.predict(scene, model=path, level=LEVEL)
+        prediction = gns.predict(scene, model=path, level=LEVEL)
     except InputError:
         return None
     return prediction.front - front, prediction.half_width
@@ -250,7 +251,7 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
         deposits. Both over the deposit's extent: mean of the amounts and, in brackets, the worst.
     """)
     for each in found:
-        kinds = [*dict.fromkeys(one.scene.kind for one in each.compared), ALL]
+        kinds = [*dict.fromkeys(one.kind for one in each.compared), ALL]
         result.table([kind_row(each, kind) for kind in kinds])
     result.section("Error over seconds")
     result.text("""
@@ -268,7 +269,7 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
         )
     result.section("What it knows of itself, and rest")
     result.text(f"""
-        Bands of {LEVEL:.0%} (`gns.uncertainty`) on free fronts at larger x. Creep: speed of the faster end of a deposit
+        Bands of {LEVEL:.0%} (`gns.predict`) on free fronts at larger x. Creep: speed of the faster end of a deposit
         over the second half of a rollout {TIMES} times as long as its scene, of scenes that come to rest in the MPM.
     """)
     result.table([self_row(each) for each in found])
@@ -314,7 +315,7 @@ def draw(path: Path, found: Sequence[Model]) -> None:
 
 def draw_fronts(axis: Axes, model: Model) -> None:
     """A point for each scene."""
-    kinds = list(dict.fromkeys(each.scene.kind for each in model.compared))
+    kinds = list(dict.fromkeys(each.kind for each in model.compared))
     for index, kind in enumerate(kinds):
         values = 100.0 * np.array(model.fronts(kind))
         axis.plot(np.full(len(values), index), values, "o", color=ORANGE, markersize=4)

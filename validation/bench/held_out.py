@@ -28,19 +28,11 @@ AT_WALL = 0.01
 """A front within this fraction of the box's length of the wall ahead leans on it, which then bounds everyone's."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class HeldOut:
-    """A scene that no training data have."""
-
-    kind: str
-    scene: Scene
-
-
-def held_out(dimension: int, number: int) -> list[HeldOut]:
-    """So many scenes, the first of every kind, then the second of every kind, and so on."""
+def held_out(dimension: int, number: int) -> list[tuple[str, Scene]]:
+    """So many scenes that no training data have, with their kinds: the first of every kind, then the second, ..."""
     module, definition = FAMILIES[dimension]
     kinds = [each.__name__.replace("_", " ") for each in module.KINDS]
-    found: dict[str, list[HeldOut]] = {kind: [] for kind in kinds}
+    found: dict[str, list[tuple[str, Scene]]] = {kind: [] for kind in kinds}
     rounds, streams = math.ceil(number / len(found)), set[int]()
     for index in count():
         if all(len(each) == rounds for each in found.values()):
@@ -48,8 +40,7 @@ def held_out(dimension: int, number: int) -> list[HeldOut]:
         kind, stream = kinds[index % len(kinds)], definition.stream(index)
         if stream not in streams and len(found[kind]) < rounds:
             streams.add(stream)
-            scene = definition.draw(np.random.default_rng([SEED, stream]), index)
-            found[kind].append(HeldOut(kind=kind, scene=scene))
+            found[kind].append((kind, definition.draw(np.random.default_rng([SEED, stream]), index)))
     return [each for group in zip(*found.values(), strict=True) for each in group][:number]
 
 

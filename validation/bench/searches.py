@@ -213,7 +213,15 @@ def search(by: By, models: Models, limit: float) -> Searched:
     evaluate(problem.initial)
     once = evaluate(problem.initial)
     most = max(1, int(limit / once.seconds))
-    records = evaluations(by, models, evaluate, most)
+    match by:
+        case By.PAPER:
+            records = descend(evaluate, problem, PAPER[problem.name], most)
+        case By.OPTUNA:
+            records = explore(evaluate, problem, most)
+        case By.DIFFERENCES:
+            records = gauss_newton(evaluate, problem, most)
+        case _:
+            records = quasi_newton(evaluate, problem, most)
     answer = min(records, key=lambda each: each.loss).parameters
     each_runs = {By.SURROGATE: 0, By.PAPER: 0, By.DIFFERENCES: 1 + 2 * len(problem.numbers)}.get(by, 1)
     return Searched(
@@ -224,19 +232,6 @@ def search(by: By, models: Models, limit: float) -> Searched:
         error=float(np.sqrt(np.mean((answer - models.truth) ** 2))),
         loss=models.checked(answer),
     )
-
-
-def evaluations(by: By, models: Models, evaluate: Evaluate, most: int) -> list[Evaluation]:
-    """Every evaluation of a search, in order; at most so many."""
-    problem = models.problem
-    match by:
-        case By.PAPER:
-            return descend(evaluate, problem, PAPER[problem.name], most)
-        case By.OPTUNA:
-            return explore(evaluate, problem, most)
-        case By.DIFFERENCES:
-            return gauss_newton(evaluate, problem, most)
-    return quasi_newton(evaluate, problem, most)
 
 
 def quasi_newton(evaluate: Evaluate, problem: Problem, most: int) -> list[Evaluation]:

@@ -14,23 +14,8 @@ if TYPE_CHECKING:
 
 INK, BLUE, LIGHT_BLUE, ORANGE, GREEN, GREY = "#222222", "#1b6ca8", "#9ecae1", "#d9730d", "#3a8c55", "#8a8a8a"
 RED = "#b0305c"
-STYLE: Any = {
-    "figure.constrained_layout.use": True,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 10,
-    "axes.labelsize": 9,
-    "axes.prop_cycle": f"cycler('color', {[BLUE, ORANGE, GREEN, INK, LIGHT_BLUE, GREY]!r})",
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.6,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-}
+CYCLE = {"axes.prop_cycle": f"cycler('color', {[BLUE, ORANGE, GREEN, INK, LIGHT_BLUE, GREY]!r})"}
+STYLE = Path(__file__).with_suffix(".mplstyle")
 DPI = 140
 
 
@@ -48,7 +33,7 @@ def figure(
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    with plt.rc_context(STYLE):
+    with plt.style.context([STYLE, CYCLE]):
         drawn, axes = plt.subplots(rows, columns, figsize=(size[0] * columns, size[1] * rows), squeeze=False)
         try:
             yield axes

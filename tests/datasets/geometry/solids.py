@@ -5,8 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.geometry.surface import Surface, surface_of
-from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Mass, Scene, Solid
+from tests import scenes
 
 
 def scene_of(
@@ -14,13 +14,7 @@ def scene_of(
 ) -> Scene:
     """A scene with `solids` and a small body under the top of the box, at its far end."""
     body = tuple(0.99 * length for length in size), tuple(0.01 * length for length in size)
-    return Scene(
-        domain=Domain(size=size, cell=cell),
-        material=Material(friction_deg=30.0),
-        masses=(Mass(lower=body[0], size=body[1]),),
-        solids=solids,
-        baffles=baffles,
-    )
+    return scenes.scene_of(Mass(lower=body[0], size=body[1]), size=size, cell=cell, solids=solids, baffles=baffles)
 
 
 def surface(scene: Scene) -> Surface:

@@ -1,6 +1,7 @@
 """Bodies of every kind: exact volume, particles inside, one line for what is no body."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,13 +9,13 @@ import shapely
 
 from datasets.errors import InputError
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
-from datasets.material import Material
 from datasets.particles import (
     initial_particles,
     mass_volumes,
     particle_count,
 )
-from datasets.scene import Domain, Mass, Scene, Solid
+from datasets.scene import Mass, Scene, Solid
+from tests import scenes
 from tests.datasets.geometry.solids import as_rows, sphere
 
 SLOPE = Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.1), (2.0, 0.1)))
@@ -27,10 +28,9 @@ VALLEY = Solid(
 TRIANGLE = ((0.5, 0.1), (1.0, 0.1), (0.5, 0.6))
 
 
-def scene_of(*masses: Mass, solids: tuple[Solid, ...] = (), dimension: int = 2, **changes: object) -> Scene:
+def scene_of(*masses: Mass, solids: tuple[Solid, ...] = (), dimension: int = 2, **changes: Any) -> Scene:
     """Masses in a box of 2 x 1 x 1 m on cells of 5 cm."""
-    settings = {"domain": Domain(size=(2.0, 1.0, 1.0)[:dimension], cell=0.05)} | changes
-    return Scene(material=Material(friction_deg=30.0), masses=masses, solids=solids, **settings)  # type: ignore[arg-type]
+    return scenes.scene_of(*masses, solids=solids, size=(2.0, 1.0, 1.0)[:dimension], **{"cell": 0.05} | changes)
 
 
 def ball(centre: tuple[float, float, float], radius: float) -> Mass:
@@ -45,9 +45,7 @@ def polygon(*vertices: tuple[float, float]) -> Mass:
 
 
 def test_a_polygon_has_its_area_and_holds_its_particles() -> None:
-    scene = scene_of(
-        Mass(kind="polygon", vertices=TRIANGLE, velocity=(1.0, 0.0)), domain=Domain(size=(2.0, 1.0), cell=0.02)
-    )
+    scene = scene_of(Mass(kind="polygon", vertices=TRIANGLE, velocity=(1.0, 0.0)), cell=0.02)
     particles = initial_particles(scene)
     assert particles.volume.sum() == pytest.approx(0.125, rel=1e-12)
     assert particle_count(scene) == len(particles.positions) == pytest.approx(0.125 / 1e-4, rel=0.02)
@@ -150,6 +148,5 @@ def test_bodies_on_and_above_solids(gap: float) -> None:
     scene = scene_of(flat, along, on_box, solids=(SLOPE, box))
     np.testing.assert_allclose(heights_above_ground(scene), gap, atol=0.0125)
     assert remembers_gaps(scene) == (gap > 0.05)
-    cell = Domain(size=(2.0, 1.0, 1.0), cell=0.05)
-    deep = scene_of(Mass(lower=(0.4, 0.3 + gap, 0.0), size=(0.2, 0.1, 0.2)), solids=(VALLEY,), dimension=3, domain=cell)
+    deep = scene_of(Mass(lower=(0.4, 0.3 + gap, 0.0), size=(0.2, 0.1, 0.2)), solids=(VALLEY,), dimension=3)
     np.testing.assert_allclose(heights_above_ground(deep), gap, atol=1e-6)

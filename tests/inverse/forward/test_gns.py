@@ -33,7 +33,7 @@ def problem() -> Problem:
 def forward_of(problem: Problem) -> GnsForward:
     torch.manual_seed(0)
     settings = ModelSettings(body_length=0.1, width=16, layers=2, rounds=1, grid_channels=8)
-    scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
+    scales = Normalisation(displacement_scale=0.003, acceleration_scale=0.01, friction_mean=0.6, friction_std=0.2)
     observation = build(ObservationSettings(kind="front"), problem.scene)
     return GnsForward(Simulator(settings, scales), problem, observation)
 

@@ -7,23 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
+from tests.scenes import scene_of
 from validation.bench.__main__ import main
 from validation.bench.gns import Compared, Model, draw, mpm_seconds, page
-from validation.bench.held_out import HeldOut, Measured, at_wall, deposit_of
+from validation.bench.held_out import Measured, at_wall, deposit_of
 from validation.report import plots
 
-BLOCK = Scene(
-    domain=Domain(size=(1.0, 0.4), cell=0.02),
-    material=Material(friction_deg=30.0),
-    masses=(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)),),
-    duration=1.0,
-    frame_dt=0.1,
-)
+BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
 
 
 def stretched(scene: Scene, by: float) -> Trajectory:
@@ -57,7 +51,7 @@ def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Mod
 
     mpm = {cells: measured(cells**2 / 400.0, 0.4 / cells) for cells in resolutions}
     first = Compared(
-        scene=HeldOut(kind="column", scene=BLOCK),
+        kind="column",
         extent=0.4,
         free=True,
         rollout=measured(0.5, -0.04),

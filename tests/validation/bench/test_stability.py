@@ -11,11 +11,11 @@ import pytest
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.safety import Safety
+from tests import scenes
 from tests.flows import flow_of
 from validation.bench.__main__ import main
 from validation.bench.stability import invariants
@@ -29,16 +29,10 @@ BAFFLE = Baffle(lower=(0.5, 0.0), size=(0.1, 0.2))
 CUBE = Mass(lower=(0.0, 0.0, 0.0), size=(0.1, 0.1, 0.1))
 
 
-def scene_of(*masses: Mass, **changes: Any) -> Scene:
-    """Masses in a box, watched for five frames of 0.1 s."""
-    settings = {
-        "domain": Domain(size=(0.8, 0.4), cell=0.02),
-        "material": Material(friction_deg=30.0),
-        "duration": 0.4,
-        "frame_dt": 0.1,
-        "jitter": 0.0,
-    }
-    return Scene(masses=masses or (BED,), **(settings | changes))
+def scene_of(mass: Mass = BED, **changes: Any) -> Scene:
+    """A mass in a box, watched for five frames of 0.1 s."""
+    settings = {"size": (0.8, 0.4), "duration": 0.4, "frame_dt": 0.1, "jitter": 0.0}
+    return scenes.scene_of(mass, **settings | changes)
 
 
 def at_rest(scene: Scene | None = None) -> Trajectory:
@@ -99,7 +93,7 @@ SCENES = (
     scene_of(),
     scene_of(baffles=(BAFFLE,)),
     scene_of(gravity=0.0),
-    scene_of(CUBE, domain=Domain(size=(0.4, 0.2, 0.2), cell=0.02)),
+    scene_of(CUBE, size=(0.4, 0.2, 0.2)),
     scene_of(slope_deg=60.0, floor_friction=2.0),
 )
 

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
+from datasets.library import write_scene
 from datasets.particles import particle_count
+from datasets.scene import Mass
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
+from tests.scenes import scene_of
 from validation.bench.experiments import compute, crossing, page
 from validation.experiments.experiment import (
     Angle,
@@ -78,22 +81,6 @@ choice = "nothing"
 reason = "a test"
 """
 
-SCENE = """
-duration = 0.1
-frame_dt = 0.01
-
-[domain]
-size = [1.0, 0.2]
-cell = 0.02
-
-[material]
-friction_deg = 30.0
-
-[[masses]]
-lower = [0.0, 0.0]
-size = [0.2, 0.1]
-"""
-
 PARTICLES = 2001
 
 
@@ -119,7 +106,8 @@ def shelf(tmp_path: Path) -> Path:
     folder = tmp_path / "shelf" / "wedge"
     folder.mkdir(parents=True)
     (folder / "experiment.toml").write_text(EXPERIMENT)
-    (folder / "wedge.toml").write_text(SCENE)
+    wedge = Mass(lower=(0.0, 0.0), size=(0.2, 0.1))
+    write_scene(scene_of(wedge, size=(1.0, 0.2), duration=0.1, frame_dt=0.01), folder / "wedge.toml")
     return tmp_path / "shelf"
 
 

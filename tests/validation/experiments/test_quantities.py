@@ -5,20 +5,14 @@ import pytest
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Mass
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
-from validation.experiments.experiment import Measured, Quantity, Status
-from validation.experiments.quantities import edge, quantity
+from tests.scenes import scene_of
+from validation.experiments.experiment import Measured, Quantity, Status, edge, quantity
 
-BLOCK = Scene(
-    domain=Domain(size=(1.0, 0.2), cell=0.01),
-    material=Material(friction_deg=30.0),
-    masses=(Mass(lower=(0.0, 0.0), size=(0.4, 0.1)),),
-    jitter=0.0,
-)
+BLOCK = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.1)), size=(1.0, 0.2), cell=0.01, jitter=0.0)
 AT_START = initial_particles(BLOCK).positions
 
 

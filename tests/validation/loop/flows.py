@@ -13,7 +13,7 @@ from torch import Tensor
 
 from datasets.material import Material
 from datasets.particles import particle_count
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Observation, Values
 from inverse.parameters import Vector
@@ -23,6 +23,8 @@ from inverse.result import Result
 from inverse.settings import ObservationSettings, Surrogate, TargetSettings
 from inverse.target import Target, read_target
 from mpm import ALL, Recording
+from tests.flows import flow_of
+from tests.scenes import scene_of
 from validation.loop.solve import run
 from validation.loop.task import Task
 
@@ -45,15 +47,8 @@ def scatter_of(seed: int, angle: float) -> float:
 
 def at_rest(x: NDArray[np.float64], scene: Scene) -> Trajectory:
     """A flow of `scene` whose particles are at `x` [m], shape [N], all the time."""
-    positions = np.stack([np.stack([x, 0.1 * np.ones(len(x))], axis=1)] * 2).astype(np.float32)
-    return Trajectory(
-        positions=positions,
-        time=np.array([0.0, scene.duration]),
-        velocity0=np.zeros((len(x), 2), np.float32),
-        friction=np.full(len(x), scene.material.friction, np.float32),
-        scene=scene,
-        summary={"remarks": ["the sand still moves"]},
-    )
+    positions, time = [np.stack([x, 0.1 * np.ones(len(x))], axis=1)] * 2, np.array([0.0, scene.duration])
+    return flow_of(scene, positions, time=time, summary={"remarks": ["the sand still moves"]})
 
 
 @dataclass
@@ -232,11 +227,8 @@ def wedge(
     **measured: Any,
 ) -> Case:
     """The friction angle of a wedge, by `mpm` or one with `scatter` [m]; measured: of the observation."""
-    scene = Scene(
-        domain=Domain(size=(1.2, 0.4), cell=0.01),
-        material=Material(friction_deg=33.3),
-        masses=(Mass(lower=(0.0, 0.0), size=(0.3, 0.2)),),
-    )
+    body, sand = Mass(lower=(0.0, 0.0), size=(0.3, 0.2)), Material(friction_deg=33.3)
+    scene = scene_of(body, size=(1.2, 0.4), cell=0.01, material=sand)
     twin = TargetSettings(twin=True, seed=seed, truth={"friction_deg": truth})
     known = {"value", "csv"} & measured.keys()
     problem = Problem(
@@ -271,7 +263,7 @@ def layers(
 ) -> Case:
     """The velocities of layers."""
     masses = tuple(Mass(lower=(0.0, 0.2 * row), size=(0.5, 0.2), velocity=(9.0, 0.0)) for row in range(count))
-    scene = Scene(domain=Domain(size=(2.0, 4.0), cell=0.05), material=Material(friction_deg=30.0), masses=masses)
+    scene = scene_of(*masses, size=(2.0, 4.0), cell=0.05)
     names = [f"masses[{row}].velocity_x" for row in range(count)]
     truth = dict(zip(names, true_velocities(count).tolist(), strict=True))
     problem = Problem(

@@ -16,7 +16,6 @@ from datasets.scene import Scene, Solid
 from gns import card, checkpoint
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
-from inverse import pictures
 from inverse.forward.gns import GnsForward
 from inverse.found import Purpose, Verdict
 from inverse.parameters.parameter import Parameter
@@ -41,11 +40,6 @@ from validation.loop.search import first
 from validation.loop.surrogate import choose, learned
 from validation.loop.task import Task
 from validation.loop.verdict import judged, nearer
-
-
-@pytest.fixture(autouse=True)
-def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "RESOLUTION", 40)
 
 
 @pytest.mark.parametrize(("kind", "factor"), [("front", 1.0), ("front", 1.03), ("profile", 0.97)])
@@ -167,7 +161,7 @@ class Level:
 def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The file of a tiny model with a card."""
     settings = ModelSettings(body_length=0.2, width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
-    scales = Normalisation(displacement=0.003, acceleration=0.01, friction_mean=0.6, friction_std=0.2)
+    scales = Normalisation(displacement_scale=0.003, acceleration_scale=0.01, friction_mean=0.6, friction_std=0.2)
     checkpoint.save(tmp_path / "tiny.safetensors", Simulator(settings, scales), {})
     monkeypatch.setattr(card, "read", lambda path: Level())
     monkeypatch.setattr(

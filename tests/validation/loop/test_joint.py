@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from datasets.command_line import WorkFailed
-from datasets.scene import Domain, Mass, Scene
-from inverse import pictures
+from datasets.scene import Mass
 from inverse.found import Verdict
 from inverse.parameters.parameter import Parameter
 from inverse.problem import Problem
@@ -27,11 +26,6 @@ JOINT = (
     ObservationSettings(kind="passed", line=0.4, noise=0.01),
     ObservationSettings(kind="front", times=(0.5, 1.0), noise=0.005),
 )
-
-
-@pytest.fixture(autouse=True)
-def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "RESOLUTION", 40)
 
 
 def alone(problem: Problem, mpm: FakeMpm, out: Path) -> Result:
@@ -77,17 +71,13 @@ def test_contradictions_widen_the_half_width(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_ridge_of_answers_is_one_ambiguous_answer(tmp_path: Path) -> None:
     names = ["masses[0].friction_deg", "masses[1].friction_deg"]
-    scene = Scene(
-        domain=Domain(size=(1.2, 0.4), cell=0.01),
-        material=wedge(tmp_path).problem.scene.material,
-        masses=(Mass(lower=(0.0, 0.0), size=(0.3, 0.1)), Mass(lower=(0.0, 0.1), size=(0.3, 0.1))),
-    )
-    problem = Problem(
+    masses = tuple(Mass(lower=(0.0, 0.1 * row), size=(0.3, 0.1)) for row in range(2))
+    one = wedge(tmp_path, kind="profile").problem
+    problem = dataclasses.replace(
+        one,
         name="twins",
-        folder=tmp_path,
-        scene=scene,
+        scene=dataclasses.replace(one.scene, masses=masses),
         parameters=tuple(Parameter(name=name, initial=30.0, lower=12.0, upper=52.0) for name in names),
-        observations=(ObservationSettings(kind="profile"),),
         target=TargetSettings(twin=True, seed=7, truth=dict.fromkeys(names, 25.0)),
     )
     result = alone(problem, TwinAngles(scatter=0.001), tmp_path)

@@ -9,7 +9,6 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.files import write_json
-from inverse import pictures
 from inverse.adaptation import PROBLEM, identity
 from inverse.problem import Problem
 from inverse.settings import Surrogate
@@ -18,11 +17,6 @@ from tests.validation.loop.flows import FakeMpm, wedge
 from validation.loop.series import solve_series
 
 TRUTHS = {"first": 17.0, "second": 29.0, "third": 44.0}
-
-
-@pytest.fixture(autouse=True)
-def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "RESOLUTION", 40)
 
 
 @pytest.fixture

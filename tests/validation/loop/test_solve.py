@@ -10,7 +10,6 @@ import pytest
 from datasets.command_line import WorkFailed
 from datasets.lock import locked
 from datasets.trajectory import Trajectory
-from inverse import pictures
 from inverse.found import Purpose, Verdict
 from tests.validation.loop.flows import WIDTH, Coarse, Folded, layers, length, wedge
 from validation.loop.__main__ import print_outcome
@@ -21,11 +20,6 @@ RESULT_KEYS = {
     *("error_pct", "observation", "loss", "mpm_runs", "iterations", "sampling", "surrogate", "seconds"),
     *("remarks", "peak_memory_mib"),
 }
-
-
-@pytest.fixture(autouse=True)
-def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "RESOLUTION", 40)
 
 
 @pytest.mark.parametrize(("kind", "truth"), [("front", 13.0), ("front", 42.0), ("profile", 24.0)])

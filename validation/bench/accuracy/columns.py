@@ -21,7 +21,7 @@ from datasets.material import Material
 from datasets.measures import Positions, runout
 from datasets.scene import Domain, Mass, Scene
 from mpm import AT_REST
-from validation.experiments.quantities import radius
+from validation.experiments.experiment import radius
 from validation.report.page import Page, Row, percent, signed
 from validation.runs import Run, RunStore
 

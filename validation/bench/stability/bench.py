@@ -54,13 +54,11 @@ class Check(Record):
 
     def finding(self, flow: Trajectory) -> Finding:
         """What it is in `flow`."""
-        usual = QUANTITIES[self.quantity]
-        return Finding(
-            check=usual.name,
-            value=usual.measure(flow),
-            unit=usual.unit,
-            minimum=usual.minimum if self.minimum is None else self.minimum,
-            maximum=usual.maximum if self.maximum is None else self.maximum,
+        found = QUANTITIES[self.quantity](flow)
+        return dataclasses.replace(
+            found,
+            minimum=found.minimum if self.minimum is None else self.minimum,
+            maximum=found.maximum if self.maximum is None else self.maximum,
         )
 
 

@@ -5,7 +5,6 @@ A function here is named in `rows.toml`, which may give another range than the u
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,24 +12,14 @@ from numpy.typing import NDArray
 from datasets.measures import front, toe
 from datasets.trajectory import Trajectory
 from validation.bench.stability import exact_solutions as exact
-from validation.bench.stability.invariants import particle_masses, wall_impulse
+from validation.bench.stability.invariants import Finding, particle_masses, wall_impulse
 
 DAMPING_OF_SAND = 0.005
 """Damping ratio of dry sand at strains below 1e-5, resonant column: 0.5 to 1 % (Hardin & Drnevich 1972)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Quantity:
-    """A number of a flow, and the range in which it usually has to lie."""
-
-    name: str
-    measure: Callable[[Trajectory], float]
-    unit: str
-    minimum: float
-    maximum: float
-
-
-QUANTITIES: dict[str, Quantity] = {}
+QUANTITIES: dict[str, Callable[[Trajectory], Finding]] = {}
+"""What each finds in a flow, with the range in which it usually has to lie."""
 
 
 def quantity(
@@ -39,8 +28,10 @@ def quantity(
     """Enter a function into QUANTITIES, under its own name; `name` is what a page calls it."""
 
     def enter(measure: Callable[[Trajectory], float]) -> Callable[[Trajectory], float]:
-        found = Quantity(name=name, measure=measure, unit=unit, minimum=minimum, maximum=maximum)
-        QUANTITIES[measure.__name__] = found
+        def finding(flow: Trajectory) -> Finding:
+            return Finding(check=name, value=measure(flow), unit=unit, minimum=minimum, maximum=maximum)
+
+        QUANTITIES[measure.__name__] = finding
         return measure
 
     return enter

@@ -1,11 +1,13 @@
-"""Slopes whose factor of safety is known, and the one that `mpm.safety_factor` finds over it."""
+"""Slopes whose factor of safety is known (`slopes.toml`), and the one that `mpm.safety_factor` finds over it."""
 
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from datasets.material import Material
+from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Domain, Mass, Scene
 from mpm.safety import Safety, safety_factor
 from validation.report.page import percent
@@ -15,11 +17,10 @@ WEIGHT = DENSITY * 9.81 * HEIGHT
 """rho g H [Pa]."""
 CELLS = (10, 20, 40)
 """Over the height."""
-ONE_TO_TWO = math.degrees(math.atan(0.5))
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownSlope:
+class KnownSlope(Record):
     """A slope above a rough floor at its toe, of a material that bears tension up to the apex of its cone."""
 
     name: str
@@ -52,38 +53,8 @@ class KnownSlope:
         )
 
 
-TAYLOR = KnownSlope(
-    name="60°, φ = 0, c = 0.191 rho g H",
-    factor=1.0,
-    source="Taylor 1937",
-    steepness_deg=60.0,
-    friction_deg=0.0,
-    cohesion=0.191,
-)
-CUT = KnownSlope(
-    name="vertical, φ = 0, c = rho g H / 3.777",
-    factor=1.0,
-    source="Pastor et al. 2009, bounds 3.7765 and 3.7776",
-    steepness_deg=89.99,
-    friction_deg=0.0,
-    cohesion=1.0 / 3.777,
-)
-BISHOP = KnownSlope(
-    name="1 to 2, φ = ψ = 20°, c = 0.05 rho g H",
-    factor=1.380,
-    source="Bishop and Morgenstern 1960",
-    steepness_deg=ONE_TO_TWO,
-    friction_deg=20.0,
-    cohesion=0.05,
-)
-SAND = KnownSlope(
-    name="1 to 2, φ = ψ = 32°, c = 0",
-    factor=2.0 * math.tan(math.radians(32.0)),
-    source="tan φ / tan β, exact",
-    steepness_deg=ONE_TO_TWO,
-    friction_deg=32.0,
-)
-KNOWN = (TAYLOR, CUT, BISHOP, SAND)
+KNOWN = tuple(from_mapping(KnownSlope, each) for each in read_toml(Path(__file__).with_suffix(".toml"))["slopes"])
+TAYLOR, _, BISHOP, SAND = KNOWN
 WITHOUT_DILATION = tuple(
     dataclasses.replace(
         each, name=each.name.replace("φ = ψ", "ψ = 0, φ"), source=f"{each.source} for ψ = φ", dilates=False

@@ -13,10 +13,9 @@ from datasets.errors import InputError
 from datasets.training.samples import Flow
 from gns import card, checkpoint
 from gns.samples import flows_of
-from gns.score import LEVELS, Score, calibrated, evaluate, score, table, validation_score
+from gns.score import Score, calibrated, evaluate, score, table, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
-from gns.uncertainty import predict
 from tests.gns.conftest import NORMALISATION, spreading
 
 
@@ -46,9 +45,11 @@ def test_new_flows_are_within_as_often_as_the_level_says(heavy: bool, count: int
     shares = []
     for _ in range(300):
         found, errors = calibrated(scores_of(drawn(count))).front, np.abs(drawn(200))
-        shares.append([np.mean(errors <= found[f"{level:g}"]) for level in LEVELS])
+        shares.append([np.mean(errors <= found[f"{level:g}"]) for level in card.LEVELS])
     # Split conformal prediction: level to level + 1 / (n + 1).
-    assert np.mean(shares, axis=0) == pytest.approx(np.add(LEVELS, 0.5 / (count + 1)), abs=0.02 + 0.5 / (count + 1))
+    assert np.mean(shares, axis=0) == pytest.approx(
+        np.add(card.LEVELS, 0.5 / (count + 1)), abs=0.02 + 0.5 / (count + 1)
+    )
 
 
 @pytest.fixture
@@ -69,7 +70,7 @@ def call(model: Path, *arguments: str | Path) -> int:
 def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = dataclasses.replace(spreading(30.0).scene, duration=0.1)
     with pytest.raises(InputError, match=r"model\.json: calibration: expected a calibration"):
-        predict(scene, model=model)
+        gns.predict(scene, model=model)
     assert call(model, dataset) == 0
     said, known = capsys.readouterr().out, card.read(model)
     assert known is not None
@@ -79,16 +80,16 @@ def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: 
     assert known.scores in said
     assert f"{dataset.name}, test" in known.scores
 
-    found = predict(scene, model=model, level=0.8)
+    found = gns.predict(scene, model=model, level=0.8)
     rollout = gns.simulate(scene, model=model)
     rear, front = measures.ends(rollout.positions[-1], rollout.volumes)
     assert (found.front, found.extent) == pytest.approx((front, front - rear))
     assert found.half_width == pytest.approx(calibration.front["0.8"] * (front - rear))
     assert found.profile_error == pytest.approx(calibration.profile["0.8"] * (front - rear))
     assert found.warning is None
-    assert "slope_deg 20" in (predict(dataclasses.replace(scene, slope_deg=20.0), model=model).warning or "")
+    assert "slope_deg 20" in (gns.predict(dataclasses.replace(scene, slope_deg=20.0), model=model).warning or "")
     with pytest.raises(InputError, match=r"level: expected one of 0\.5, 0\.8, 0\.95, got 0\.9"):
-        predict(scene, model=model, level=0.9)
+        gns.predict(scene, model=model, level=0.9)
 
 
 def test_what_cannot_be_calibrated_is_an_input_error(

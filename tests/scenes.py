@@ -1,0 +1,61 @@
+"""Small scenes for all tests: masses in a box."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from datasets.material import Material
+from datasets.scene import Baffle, Domain, Mass, Scene
+
+SAND = Material(friction_deg=30.0)
+COLUMN = Mass(lower=(0.0, 0.0), size=(0.2, 0.2))
+
+
+def scene_of(
+    *masses: Mass, size: tuple[float, ...] = (1.0, 1.0), cell: float = 0.02, material: Material = SAND, **changes: Any
+) -> Scene:
+    """Masses in a box of `size` [m] on cells of `cell` [m]."""
+    return Scene(domain=Domain(size=size, cell=cell), material=material, masses=masses or (COLUMN,), **changes)
+
+
+def with_masses(scene: Scene, *masses: Mass, **changes: Any) -> Scene:
+    """The scene of these masses, and with other changes."""
+    return replace(scene, masses=masses, **changes)
+
+
+def box(*masses: Mass, **changes: Any) -> Scene:
+    """Masses in a box of 1 m on cells of 2 cm, for 0.1 s in frames of 5 ms unless changed."""
+    return scene_of(*masses, **{"duration": 0.1, "frame_dt": 0.005} | changes)
+
+
+def room(*masses: Mass, **changes: Any) -> Scene:
+    """The same in 3D, a box of 0.8 m on cells of 4 cm, for 0.05 s."""
+    return box(*masses, **{"duration": 0.05, "size": (0.8, 0.8, 0.8), "cell": 0.04} | changes)
+
+
+def scaled(scene: Scene, length: float, *, gravity: float = 9.81, density: float = 1800.0) -> Scene:
+    """A similar scene: lengths times `length`, under another gravity [m/s^2] and of another density [kg/m^3]."""
+    time, sand = math.sqrt(length * scene.gravity / gravity), scene.material
+    stress = density * gravity / (sand.density * scene.gravity) * length
+
+    def long(values: tuple[float, ...], factor: float = length) -> tuple[float, ...]:
+        return tuple(factor * value for value in values)
+
+    def shape(each: Mass | Baffle) -> dict[str, Any]:
+        return {"lower": long(each.lower), "size": long(each.size)}
+
+    constants = {name: getattr(sand, name) for name in ("young", "cohesion", "tension_cutoff")}
+    return replace(
+        scene,
+        domain=Domain(size=long(scene.domain.size), cell=length * scene.domain.cell),
+        material=replace(sand, density=density, **{name: each and stress * each for name, each in constants.items()}),
+        masses=tuple(
+            replace(each, **shape(each), velocity=each.velocity and long(each.velocity, length / time))
+            for each in scene.masses
+        ),
+        baffles=tuple(replace(each, **shape(each)) for each in scene.baffles),
+        solids=tuple(replace(each, points=tuple(map(long, each.points or ()))) for each in scene.solids),
+        duration=time * scene.duration,
+        frame_dt=time * scene.frame_dt,
+        gravity=gravity,
+    )
