@@ -1,13 +1,172 @@
-"""python -m datasets.exchange DATASET --to geoelements, or --from geoelements: datasets in the layout of that code."""
+"""python -m datasets.exchange DATASET --to geoelements, or --from geoelements: datasets in the layout of that code.
+
+One trajectory is in memory at a time. Their files know no scene: all trajectories of theirs get the one that the user
+gives, which says box, obstacles and material.
+"""
 
 import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from cyclopts import Parameter
+from tqdm import tqdm
 
 from datasets.command_line import run
+from datasets.definitions.definition import Entry, Split
 from datasets.errors import InputError
+from datasets.exchange import geoelements
+from datasets.exchange.geoelements import Sand
+from datasets.files import read_json, write_json
+from datasets.library import read_scene
+from datasets.measures import front, runout, toe
+from datasets.records import Record, from_mapping
+from datasets.scene import Scene
+from datasets.training.statistics import MotionStatistics, metadata, motion_statistics
+from datasets.trajectory import Trajectory, open_trajectory, trajectory_files
+
+STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
+"""Keys of `metadata.json` that theirs shares with ours."""
+CLOSE = 1.0e-6
+"""Relative difference of two boxes that is rounding."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignMetadata(Record):
+    """What Talus uses of their `metadata.json`."""
+
+    bounds: tuple[tuple[float, float], ...]
+    """Lower and upper end of the box per axis [m]."""
+    dt: float
+    """Time between frames [s]."""
+
+
+def export(dataset: Path, out: Path) -> None:
+    """Write the dataset in `dataset` to the folder `out` in their layout.
+
+    Raises InputError for trajectories that do not share box, frames and spacing, and where `out` holds anything.
+    """
+    files = {split: trajectory_files(dataset / split.value) for split in Split}
+    described = described_as_theirs(dataset, files)
+    check_empty(out)
+    for split, paths in files.items():
+        if paths:
+            bar = tqdm(paths, desc=split.value, unit="trajectory", dynamic_ncols=True)
+            geoelements.write(out / f"{split.value}.npz", ((each.stem, Trajectory.load(each)) for each in bar))
+    write_json(out / "metadata.json", described)
+
+
+def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> dict[str, Any]:
+    """The contents of their `metadata.json`, from scenes and shapes alone. Raises InputError as `export`."""
+    content = read_metadata(dataset / "metadata.json")
+    for key in STATISTICS:
+        if key not in content:
+            raise InputError("expected a value, the key is missing", where=str(dataset / "metadata.json"), key=key)
+    shared = None
+    paths = [path for split in Split for path in files[split]]
+    for path in paths:
+        flow = open_trajectory(path)
+        scene = flow.scene
+        if scene.solids or scene.open_sides or any(baffle.turned_deg for baffle in scene.baffles):
+            expected = "expected a closed box without solids but baffles along its axes, their format knows no others"
+            raise InputError(expected, where=str(path), key="scene")
+        this = (scene.domain.size, scene.frame_dt, len(flow.positions), scene.particle_spacing)
+        if shared is not None and this != shared:
+            expected = f"expected the box, time between frames, number of frames and spacing {shared} of {paths[0]}"
+            raise InputError(f"{expected}, got {this}", where=str(path))
+        shared = this
+    if shared is None:
+        raise InputError("expected trajectories in train, valid or test, there are none", where=str(dataset))
+    size, frame_dt, frames, spacing = shared
+    # Of their network: five velocities, two walls an axis, an embedding of the type, and the material.
+    velocities, walls, embedding, material = 5 * len(size), 2 * len(size), 16, 1
+    return {
+        "bounds": [[0.0, length] for length in size],
+        "dim": len(size),
+        "dt": frame_dt,
+        "dx": spacing,
+        **{key: content[key] for key in STATISTICS},
+        "sequence_length": frames,
+        "material_feature_len": material,
+        "nnode_in": velocities + walls + embedding + material,
+        "nedge_in": len(size) + 1,
+        "nmessage_passing_steps": 10,
+    }
+
+
+def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
+    """Write the dataset in `source`, in their layout, to the folder `out`.
+
+    scene: of all trajectories; up: the axis, `y` or `z`, that points up. Raises InputError as `export`.
+    """
+    content = read_metadata(source / "metadata.json")
+    check_empty(out)
+    entries: list[Entry] = []
+    statistics = MotionStatistics.from_samples(*np.empty((2, 0, scene.dimension)))
+    for split in Split:
+        path = source / f"{split.value}.npz"
+        if not path.exists():
+            continue
+        # They may describe a larger box for rollouts than for training.
+        purpose = content.get("rollout" if split is Split.TEST else "train", content)
+        try:
+            known = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
+            foreign = from_mapping(ForeignMetadata, known)
+        except InputError as error:
+            raise error.at(str(source / "metadata.json")) from None
+        flows = tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True)
+        for index, (name, sand) in enumerate(flows):
+            try:
+                flow = trajectory_of(sand, scene, foreign, up)
+            except InputError as error:
+                raise InputError(error.message, where=str(path), key=name) from None
+            flow.save(out / split.value / f"{index:05d}.npz")
+            entries.append(Entry(split=split, name=f"{index:05d}", scene=flow.scene))
+            if split is entries[0].split:
+                statistics += motion_statistics(flow.positions, flow.frame_dt)
+    if not entries:
+        raise InputError("expected trajectories in train, valid or test.npz", where=str(source))
+    content = metadata("geoelements", entries, seed=None, statistics=statistics)
+    write_json(out / "metadata.json", {**content, "exchange": {"from": "geoelements", "source": str(source), "up": up}})
+
+
+def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
+    """The trajectory of their sand, in `scene`. Raises InputError where the scene's box is another one."""
+    (positions, friction), bounds = sand, np.array(foreign.bounds)
+    if up == "z":
+        if positions.shape[2] != 3:
+            raise InputError("expected a set in 3D for --up z")
+        positions, bounds = positions[..., [0, 2, 1]], bounds[[0, 2, 1]]
+    size = bounds[:, 1] - bounds[:, 0]
+    if len(size) != scene.dimension or not np.allclose(size, scene.domain.size, rtol=CLOSE):
+        raise InputError(f"expected a scene in the box of the set, {size.tolist()} m, got {list(scene.domain.size)} m")
+    positions = np.ascontiguousarray(positions - bounds[:, 0], dtype=np.float32)
+    if friction is None:
+        friction = np.full(positions.shape[1], scene.material.friction)
+    return Trajectory(
+        positions=positions,
+        time=np.arange(len(positions), dtype=np.float64) * foreign.dt,
+        velocity0=((positions[1] - positions[0]) / foreign.dt).astype(np.float32),
+        friction=friction.astype(np.float32),
+        scene=replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt),
+        summary={"runout": runout(positions[-1]), "front": front(positions[-1]), "toe": list(toe(positions[-1]))},
+    )
+
+
+def read_metadata(path: Path) -> dict[str, Any]:
+    """Read a `metadata.json`. Raises InputError, also where there is none."""
+    data = read_json(path)
+    if data is None:
+        raise InputError("expected a JSON file, there is none", where=str(path))
+    return data
+
+
+def check_empty(out: Path) -> None:
+    """Raise InputError where `out` is no folder or holds anything: nothing is overwritten."""
+    if out.exists() and (not out.is_dir() or any(each.name[0] != "." for each in out.iterdir())):
+        raise InputError("expected an empty folder", where=str(out))
 
 
 def command(
@@ -41,9 +200,6 @@ def command(
     up
         With --from: the axis that points up, y or z.
     """
-    from datasets.exchange.conversion import export, import_dataset
-    from datasets.library import read_scene
-
     if (to is None) == (from_ is None):
         raise InputError("expected one of --to and --from")
     if (scene is None) != (from_ is None) or (to is not None and up != "y"):

@@ -10,9 +10,7 @@ import rasterio
 from shapely.geometry import shape
 
 from datasets.command_line import run
-from datasets.maps.__main__ import command, write
-from datasets.maps.files import Georeference, outline
-from datasets.maps.plan import maps_of
+from datasets.maps import Georeference, command, maps_of, outline, write
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.trajectory import Trajectory

@@ -1,0 +1,314 @@
+"""python -m datasets.maps TRAJECTORY --out DIR: a flow in 3D seen from above, as rasters, outlines and pictures.
+
+The maps are thickness of the deposit, largest depth and velocity, cell by cell, in the coordinates of the terrain's
+raster where the scene has one. The volume V_p of a particle is shared linearly between the cells around it, by the
+weights w of `datasets.field` at their middles; with A_c the area of a cell,
+
+    h_c = 1 / A_c  sum_p w_c(x_p) V_p,    v_c = | sum_p w_c(x_p) V_p v_p | / sum_p w_c(x_p) V_p
+
+So sum_c h_c A_c = sum_p V_p exactly. A layer whose particles lie a spacing apart is even where a cell is a whole number
+of spacings long. Thickness is measured along y, which is vertical on a terrain and normal to the floor of a box that is
+tilted (`slope_deg`), and of the volume at its initial density: what loosening adds is not counted. The velocity v_c is
+the mean over the depth.
+"""
+
+import json
+import math
+import sys
+import warnings
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import MultiPolygon, Polygon
+from shapely.geometry import mapping
+from shapely.geometry.polygon import orient
+from tqdm import tqdm
+
+from datasets.command_line import run
+from datasets.errors import InputError, WorkFailed
+from datasets.exchange.vtk import Meshes
+from datasets.field import Grid
+from datasets.files import make_folder, replacing, write_json, write_text
+from datasets.geometry.placement import tops_beneath
+from datasets.geometry.surface import surface_of
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory, read_trajectory
+
+Floats = NDArray[np.float64]
+
+KINDS = {
+    "thickness": ("thickness of the deposit", "m", "YlOrBr"),
+    "depth": ("largest depth of the flow", "m", "YlGnBu"),
+    "velocity": ("largest velocity of the flow", "m/s", "plasma"),
+}
+"""Attributes of `PlanMaps`, and the names of their files: what they show, its unit, colours of matplotlib."""
+OUTSIDE = 1.0e-6
+"""Share of the box by which rounding may put a particle beyond a wall."""
+CLOSE = 1.0e-6
+"""How far beyond its edge a map falls to 0 [cells]."""
+WIDTH, HIGHEST = 9.0, 9.0
+"""Of a picture [inches]."""
+CONTOURS = 12
+"""About as many contour lines of the ground."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanMaps:
+    """What a flow came to, over the cells of a map: X along x and Z along z."""
+
+    grid: Grid
+    """Of the middles of the cells along x and z [m]."""
+    thickness: Floats
+    """Of the deposit in the last frame [m], shape [X, Z]."""
+    start: Floats | None
+    """The same at the start; None where that was not kept."""
+    depth: Floats
+    """Largest thickness in any frame that was kept [m]."""
+    velocity: Floats | None
+    """Largest velocity [m/s] in any frame where there was more than the threshold; None where none is known."""
+    ground: Floats
+    """Elevation of what is highest of all that is solid, in the middle of a cell [m]; 0 is the floor of the box."""
+    threshold: float
+    """Thickness [m] above which a cell counts as covered."""
+    volume: float
+    """Of the particles in the last frame [m^3]."""
+    left: float
+    """Volume of those that are no longer in the box then."""
+
+    @property
+    def cell(self) -> float:
+        """Edge of a cell [m]."""
+        return self.grid.spacing[0]
+
+
+def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = None, progress: bool = False) -> PlanMaps:
+    """The maps of `trajectory` over square cells of this edge [m]; the last may go beyond the box.
+
+    threshold: [m], above which a cell counts as covered; a particle's spacing at the start where absent, for thinner
+    layers the simulation does not resolve. Raises InputError for one that is not positive, for a flow in 2D, and for
+    cells that are finer than the particles, or longer than a side of the box.
+    """
+    if threshold is not None and not threshold > 0.0:
+        raise InputError(f"expected a thickness above 0 m, got {threshold:g}", key="--threshold")
+    scene, meshes, volumes = trajectory.scene, Meshes(trajectory), trajectory.volumes
+    if threshold is None:
+        threshold = float(np.mean(volumes) ** (1.0 / scene.dimension))
+    if scene.dimension == 2:
+        raise InputError("expected a trajectory in 3D, a flow in 2D has no plan")
+    sides, least = scene.domain.size[::2], scene.particle_spacing
+    if not least * (1.0 - 1.0e-9) <= cell <= min(sides):
+        expected = f"from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
+        raise InputError(f"expected a length {expected}, got {cell:g} m", key="--cell")
+    grid = Grid((0.5 * cell,) * 2, (cell,) * 2, tuple(math.ceil(side / cell - 1.0e-6) for side in sides))
+    depth, fastest, start = np.zeros(grid.nodes), None, None
+    for frame in tqdm(range(len(trajectory.time)), desc="maps", unit="frame", disable=not progress):
+        positions, velocity = trajectory.positions[frame], meshes.velocity(frame)
+        share = positions / np.array(scene.domain.size)
+        inside = ((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1)
+        spread = grid.weights(positions[inside][:, ::2].astype(np.float64)).T
+        volume = (spread @ volumes[inside]).reshape(grid.nodes)
+        thickness = volume / cell**2
+        depth = np.maximum(depth, thickness)
+        if frame == 0 and trajectory.time[0] == 0.0:
+            start = thickness
+        if velocity is not None:
+            momentum = np.linalg.norm(spread @ (volumes[inside, None] * velocity[inside]), axis=1).reshape(grid.nodes)
+            speed = np.divide(momentum, volume, out=np.zeros_like(volume), where=thickness > threshold)
+            fastest = speed if fastest is None else np.maximum(fastest, speed)
+    return PlanMaps(
+        grid=grid,
+        thickness=thickness,
+        start=start,
+        depth=depth,
+        velocity=fastest,
+        ground=ground(scene, grid),
+        threshold=threshold,
+        volume=float(volumes[inside].sum()),
+        left=float(volumes[~inside].sum()),
+    )
+
+
+def ground(scene: Scene, grid: Grid) -> Floats:
+    """Elevation of the highest solid at the place of each cell [m], the floor's, 0, where there is none; as the maps.
+
+    Of cells that go beyond the box that at the nearest place in it.
+    """
+    surface = surface_of(scene)
+    if surface is None:
+        return np.zeros(grid.nodes)
+    plan = np.minimum(grid.positions, scene.domain.size[::2])
+    return tops_beneath(surface, np.insert(plan, 1, np.inf, axis=1), 0.0).reshape(grid.nodes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Georeference:
+    """Where a box lies: x runs to the east, z to the north."""
+
+    east: float = 0.0
+    """Easting of x = 0 [m]."""
+    north: float = 0.0
+    """Northing of z = 0 [m]."""
+    crs: str | None = None
+    """Coordinate reference system, as an authority's code or in WKT; None of local coordinates."""
+
+    @staticmethod
+    def of_scene(scene: Scene) -> "Georeference":
+        """Where the first raster of its terrain that knows says; else local coordinates, those of the box itself."""
+        known = ((solid.corner, solid.crs) for solid in scene.solids if solid.corner is not None)
+        (east, north), crs = next(known, ((0.0, 0.0), None))
+        return Georeference(east=east, north=north, crs=crs)
+
+
+def write_raster(path: Path, values: Floats, cell: float, georeference: Georeference, name: str, unit: str) -> None:
+    """Write a map, shape [X, Z], over square cells [m], the first at x = z = 0, as a GeoTIFF.
+
+    Rows run from the north (large z) to the south, columns to the east (x). Raises WorkFailed.
+    """
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    rows = np.ascontiguousarray(values.T[::-1], np.float32)
+    height, width = rows.shape
+    profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}
+    # To the east along a row, to the south from row to row.
+    transform = rasterio.Affine(cell, 0.0, georeference.east, 0.0, -cell, georeference.north + height * cell)
+    try:
+        with warnings.catch_warnings(), replacing(path) as part:
+            # A box in its own coordinates has no reference system, which is no mistake.
+            warnings.simplefilter("ignore")
+            place: dict[str, Any] = {"width": width, "height": height, "transform": transform, "crs": georeference.crs}
+            with rasterio.open(part, "w", **profile, **place) as raster:
+                raster.write(rows, 1)
+                raster.set_band_description(1, name)
+                raster.set_band_unit(1, unit)
+    except RasterioError as error:
+        raise WorkFailed(f"{path.name} could not be written: {error}") from None
+
+
+def outline(values: Floats, cell: float, georeference: Georeference, threshold: float) -> MultiPolygon:
+    """Where a map, shape [X, Z], exceeds `threshold`: polygons with holes, in the map's coordinates.
+
+    The line runs where the map, linear between the middles of its cells and even in the outer half of the last, equals
+    the threshold, and along the edge of the map. Outer rings run anticlockwise, holes clockwise.
+    """
+    from contourpy import FillType, contour_generator
+
+    padded = np.pad(np.pad(values, 1, mode="edge"), 1)
+    x, z = (
+        cell * np.concatenate([[-CLOSE, 0.0], np.arange(count) + 0.5, [count, count + CLOSE]]) for count in values.shape
+    )
+    places = georeference.east + x, georeference.north + z
+    filled = contour_generator(*places, padded.T, fill_type=FillType.OuterOffset).filled(threshold, np.inf)
+    parts = [np.split(points, offsets[1:-1]) for points, offsets in zip(*filled, strict=True)]
+    return MultiPolygon([orient(Polygon(outer, holes)) for outer, *holes in parts])
+
+
+def write_outlines(path: Path, outlines: dict[str, MultiPolygon], threshold: float, georeference: Georeference) -> None:
+    """Write named outlines as GeoJSON: a MultiPolygon each, with `name`, `threshold_m` and `area_m2`.
+
+    Coordinates are those of the rasters, their system is named as GDAL does (`crs`); local ones name none.
+    """
+    from rasterio.crs import CRS
+
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"name": name, "threshold_m": threshold, "area_m2": polygons.area},
+            "geometry": mapping(polygons),
+        }
+        for name, polygons in outlines.items()
+    ]
+    collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    if georeference.crs is not None:
+        known = CRS.from_user_input(georeference.crs).to_authority()
+        name = georeference.crs if known is None else f"urn:ogc:def:crs:{known[0]}::{known[1]}"
+        collection["crs"] = {"type": "name", "properties": {"name": name}}
+    write_text(path, json.dumps(collection) + "\n")
+
+
+def draw_maps(path: Path, maps: PlanMaps, georeference: Georeference) -> None:
+    """All maps where they are covered, one above the other; over the ground, with the outline of the deposit."""
+    from matplotlib.figure import Figure
+
+    kinds = {name: kind for name, kind in KINDS.items() if getattr(maps, name) is not None}
+    x, z = maps.grid.axes[0] + georeference.east, maps.grid.axes[1] + georeference.north
+    height = min(HIGHEST, 1.3 + 0.8 * WIDTH * len(z) / len(x))
+    figure = Figure(figsize=(WIDTH, height * len(kinds)), layout="constrained")
+    panels = figure.subplots(len(kinds), squeeze=False, subplot_kw={"aspect": "equal"})[:, 0]
+    for panel, (name, (title, unit, colours)) in zip(panels, kinds.items(), strict=True):
+        covered = (maps.thickness if name == "thickness" else maps.depth) > maps.threshold
+        if np.ptp(maps.ground) > 0.0:
+            panel.contour(x, z, maps.ground.T, levels=CONTOURS, colors="grey", linewidths=0.6)
+        shown = np.ma.masked_where(~covered, getattr(maps, name)).T
+        image = panel.pcolormesh(x, z, shown, cmap=colours, vmin=0.0, shading="nearest")
+        figure.colorbar(image, label=f"{title} [{unit}]")
+        if maps.thickness.min() < maps.threshold < maps.thickness.max():
+            panel.contour(x, z, maps.thickness.T, levels=[maps.threshold], colors="black", linewidths=1.0)
+        panel.set(xlabel="x, easting [m]", ylabel="z, northing [m]")
+        panel.ticklabel_format(useOffset=False, style="plain")
+    with replacing(path) as part:
+        figure.savefig(part, dpi=120)
+
+
+def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, location: Georeference) -> dict[str, Any]:
+    """Write the maps of a trajectory into `folder`, and maps.json, what they come to, which is returned.
+
+    Raises WorkFailed.
+    """
+    shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
+    outlines = {
+        name: outline(values, maps.cell, location, maps.threshold)
+        for name, values in shown.items()
+        if values is not None
+    }
+    found = {name: getattr(maps, name) for name in KINDS}
+    for name, values in found.items():
+        if values is not None:
+            write_raster(folder / f"{name}.tif", values, maps.cell, location, *KINDS[name][:2])
+    draw_maps(folder / "maps.png", maps, location)
+    write_outlines(folder / "outline.geojson", outlines, maps.threshold, location)
+    # Single particles that rolled on are islands of their own.
+    largest = max(outlines["deposit"].geoms, key=lambda polygon: polygon.area, default=None)
+    said = {
+        "time": float(trajectory.time[-1]),
+        "cell": maps.cell,
+        "threshold": maps.threshold,
+        "volume": maps.volume,
+        "left": maps.left,
+        **{f"area_{name}": polygons.area for name, polygons in outlines.items()},
+        "extent": None if largest is None else largest.bounds[2] - location.east,
+        **asdict(location),
+        **{f"{name}_max": None if values is None else float(f"{values.max():.6g}") for name, values in found.items()},
+    }
+    write_json(folder / "maps.json", said)
+    return said
+
+
+def command(trajectory: Path, /, *, out: Path, cell: float | None = None, threshold: float | None = None) -> None:
+    """Write what a flow left, seen from above: thickness, largest depth and velocity, outlines.
+
+    Parameters
+    ----------
+    trajectory
+        A trajectory (NPZ) in 3D, or the folder of a run that holds one.
+    out
+        Folder for the results.
+    cell
+        Edge of a cell of the maps [m]; that of the scene's grid unless given.
+    threshold
+        Thickness [m] above which the ground counts as covered; the spacing of the particles unless given.
+    """
+    flow = read_trajectory(trajectory)
+    make_folder(out)
+    maps = maps_of(flow, flow.scene.domain.cell if cell is None else cell, threshold=threshold, progress=True)
+    said = write(flow, maps, out, Georeference.of_scene(flow.scene))
+    extent = "" if said["extent"] is None else f", extent x = {said['extent']:.4g} m"
+    deposit = f"volume {maps.volume:.4g}, largest thickness {said['thickness_max']:.3g} m{extent}"
+    print(f"t = {said['time']:g} s: {deposit}, written to {out}")
+
+
+if __name__ == "__main__":
+    sys.exit(run(command, "python -m datasets.maps"))
