@@ -4,7 +4,7 @@ A `family` has kinds of scenes in rounds: every second round has variants of the
 in a parameter alone: that is what an inversion asks for.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -140,6 +140,13 @@ def drawn(attempt: Callable[[], Scene], name: str) -> Scene:
 def log_uniform(stream: Stream, low: float, high: float) -> float:
     """A number uniform in its logarithm."""
     return float(np.exp(stream.uniform(np.log(low), np.log(high))))
+
+
+def usually(stream: Stream, usual: Mapping[float, float], low: float, high: float) -> float:
+    """A number between two, but that of the first of `usual` whose key, a share of all draws, is above the chance."""
+    chance = stream.random()
+    given = next((value for share, value in usual.items() if chance < share), None)
+    return float(stream.uniform(low, high)) if given is None else given
 
 
 def jitter_seed(stream: Stream) -> int:

@@ -11,7 +11,7 @@
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
@@ -70,9 +70,8 @@ class DefinitionFile(Record):
 def definition_from_file(path: Path) -> Definition:
     """The definition in the TOML file at `path`, named as the file is. Raises InputError."""
     if not NAME.fullmatch(path.stem):
-        raise InputError(
-            "expected a file name of letters, digits, - and _, which names the trajectories", where=str(path)
-        )
+        expected = "expected a file name of letters, digits, - and _, which names the trajectories"
+        raise InputError(expected, where=str(path))
     try:
         content = from_mapping(DefinitionFile, read_toml(path))
 
@@ -126,14 +125,11 @@ def drawn(value: Any, stream: np.random.Generator, variables: Draws, key: Key) -
         items = []
         for number, each in enumerate(value):
             where = (*key, number)
-            repeats = (
-                drawn(each.get("count", 1), stream, variables, (*where, "count")) if isinstance(each, Mapping) else 1
-            )
+            given = each.get("count", 1) if isinstance(each, Mapping) else 1
+            repeats = drawn(given, stream, variables, (*where, "count"))
             if not isinstance(repeats, int) or not 0 <= repeats <= MOST_COPIES:
-                raise InputError(
-                    f"expected a whole number of at least 0, up to {MOST_COPIES}, got {repeats!r}",
-                    key=dotted((*where, "count")),
-                )
+                expected = f"expected a whole number of at least 0, up to {MOST_COPIES}"
+                raise InputError(f"{expected}, got {repeats!r}", key=dotted((*where, "count")))
             items += [drawn(each, stream, variables, where) for _ in range(repeats)]
         return items
     return value
@@ -169,15 +165,11 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
     if "step" in value:
         require(type(value["step"]) in (int, float) and value["step"] > 0.0, "a positive step")
         require((high - low) / value["step"] <= LARGEST, "a step that is no smaller beside the range")
-        return rounded(
-            low + value["step"] * int(stream.integers(int((high - low) / value["step"] + 1e-9), endpoint=True))
-        )
-    draws: dict[str, Callable[[], float]] = {
-        "uniform": lambda: stream.uniform(low, high),
-        "log_uniform": lambda: np.exp(stream.uniform(*np.log(given))),
-        "normal": lambda: stream.normal(low, high),
-    }
-    return float(draws[kind]())
+        steps = int((high - low) / value["step"] + 1e-9)
+        return rounded(low + value["step"] * int(stream.integers(steps, endpoint=True)))
+    if kind == "log_uniform":
+        return float(np.exp(stream.uniform(*np.log(given))))
+    return float(stream.normal(low, high) if kind == "normal" else stream.uniform(low, high))
 
 
 def rounded(value: float) -> float:

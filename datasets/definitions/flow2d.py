@@ -8,11 +8,13 @@ sand than the scene's turn with it in variants, so that single ones leave `FRICT
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Iterable
+from itertools import repeat
 
 import numpy as np
+from numpy.typing import NDArray
 
-from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform
+from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform, usually
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
@@ -37,14 +39,13 @@ LAYERS = (2, 10)
 def variant(stream: Stream, scene: Scene) -> Scene:
     """The scene, particles included, with another friction angle, velocity, cohesion or place of a baffle."""
     change = stream.random()
-    moving = any(mass.velocity for mass in scene.masses)
     if scene.baffles and change < 0.5:
         first = scene.baffles[0]
         nearest = max(mass.lower[0] + mass.size[0] for mass in scene.masses) + 0.01
         x = max(first.lower[0] - float(stream.uniform(0.01, 0.04)), nearest)
         moved = dataclasses.replace(first, lower=(x, *first.lower[1:]))
         return dataclasses.replace(scene, baffles=(moved, *scene.baffles[1:]))
-    if moving and change < 0.5:
+    if change < 0.5 and any(mass.velocity for mass in scene.masses):
         masses = tuple(
             dataclasses.replace(mass, velocity=(v[0] + float(stream.normal(0.0, 0.3)), *v[1:]))
             for mass in scene.masses
@@ -53,25 +54,23 @@ def variant(stream: Stream, scene: Scene) -> Scene:
         return dataclasses.replace(scene, masses=masses)
     if change > 0.85 and scene.material.cohesion > 0.0:
         factor = float(np.exp(stream.choice([-1.0, 1.0]) * stream.uniform(0.3, 1.0)))
-        return stronger(scene, lambda sand: strength(sand, sand.friction_deg, factor * sand.cohesion))
+        return stronger(scene, factor=factor)
     turn = float(stream.uniform(2.0, 5.0)) * (1.0 if scene.material.friction_deg < 30.0 else -1.0)
-    return stronger(scene, lambda sand: strength(sand, sand.friction_deg + turn, sand.cohesion))
+    return stronger(scene, turn=turn)
 
 
-def stronger(scene: Scene, change: Callable[[Material], Material]) -> Scene:
-    """The scene with every material of it changed."""
+def stronger(scene: Scene, *, turn: float = 0.0, factor: float = 1.0) -> Scene:
+    """The scene with every material of it turned by an angle of friction [deg] and its cohesion times a factor."""
+
+    def changed(sand: Material) -> Material:
+        cohesion = factor * sand.cohesion
+        strong = dataclasses.replace(sand, cohesion=cohesion, tension_cutoff=CUTOFF_SHARE * cohesion)
+        return dataclasses.replace(strong, friction_deg=sand.friction_deg + turn)
+
     masses = tuple(
-        mass if mass.material is None else dataclasses.replace(mass, material=change(mass.material))
-        for mass in scene.masses
+        dataclasses.replace(mass, material=changed(mass.material)) if mass.material else mass for mass in scene.masses
     )
-    return dataclasses.replace(scene, masses=masses, material=change(scene.material))
-
-
-def strength(sand: Material, friction_deg: float, cohesion: float) -> Material:
-    """The sand with another strength."""
-    return dataclasses.replace(
-        sand, friction_deg=friction_deg, cohesion=cohesion, tension_cutoff=CUTOFF_SHARE * cohesion
-    )
+    return dataclasses.replace(scene, masses=masses, material=changed(scene.material))
 
 
 def column(stream: Stream) -> Scene:
@@ -98,25 +97,13 @@ def layers(stream: Stream) -> Scene:
     edges = height * np.concatenate(([0.0], np.cumsum(stream.dirichlet(np.full(count, 3.0)))))
     motion = stream.integers(3)
     first, last = stream.uniform(-2.0, 2.0, 2).tolist()
-    velocities = (np.zeros(count), np.linspace(first, last, count), stream.uniform(-2.0, 2.0, count))[motion]
+    velocities = ([None] * count, np.linspace(first, last, count), stream.uniform(-2.0, 2.0, count))[motion]
     differ = stream.random() < 0.6
     shared = sand(stream)
     width = box_length(stream)
     left = start(stream, length, width)
-    return scene(
-        stream,
-        masses=tuple(
-            Mass(
-                lower=(left, float(low)),
-                size=(length, float(high - low)),
-                velocity=(float(velocity), 0.0) if motion else None,
-                material=sand(stream) if differ else None,
-            )
-            for low, high, velocity in zip(edges[:-1], edges[1:], velocities, strict=True)
-        ),
-        material=shared,
-        width=width,
-    )
+    masses = stacked(left, length, edges, velocities, [sand(stream) if differ else None for _ in range(count)])
+    return scene(stream, masses=masses, material=shared, width=width)
 
 
 def thrown(stream: Stream) -> Scene:
@@ -127,8 +114,7 @@ def thrown(stream: Stream) -> Scene:
     masses = []
     left = float(stream.uniform(0.0, 0.3))
     for share in shares:
-        aspect = log_uniform(stream, 0.4, 2.5)
-        size = (float(np.sqrt(share / aspect)), float(np.sqrt(share * aspect)))
+        size = pile(stream, (0.4, 2.5), share)
         bottom = float(stream.uniform(0.0, 0.3)) * float(stream.random() < 0.6)
         velocity = (float(stream.uniform(-0.4, 1.0)) * SPEED, float(stream.uniform(-1.0, 0.7)))
         masses.append(Mass(lower=(left, bottom), size=size, velocity=velocity))
@@ -141,12 +127,8 @@ def slope(stream: Stream) -> Scene:
     length, height = pile(stream, (0.3, 3.0))
     width = box_length(stream, longer=True)
     left = float(stream.uniform(0.0, 0.25)) * float(stream.random() < 0.7)
-    moving = stream.random() < 0.3
-    mass = Mass(
-        lower=(left, 0.0),
-        size=(length, height),
-        velocity=(float(stream.uniform(0.0, 1.5)), 0.0) if moving else None,
-    )
+    velocity = (float(stream.uniform(0.0, 1.5)), 0.0) if stream.random() < 0.3 else None
+    mass = Mass(lower=(left, 0.0), size=(length, height), velocity=velocity)
     degrees = float(stream.uniform(3.0, 32.0)) * float(stream.choice([1.0, 1.0, 1.0, -1.0]))
     return scene(stream, masses=(mass,), width=width, slope_deg=degrees)
 
@@ -163,10 +145,8 @@ def terrain(stream: Stream) -> Scene:
     inner = np.sort(stream.uniform(plateau, foot, int(stream.integers(0, 3))))
     rise = float(stream.uniform(-0.02, 0.15))
     points = [(0.0, base + fall), (plateau, base + fall)]
-    points += [
-        (float(x), base + fall * (foot - float(x)) / (foot - plateau) + float(stream.uniform(-rough, rough)))
-        for x in inner
-    ]
+    for x in inner.tolist():
+        points += [(x, base + fall * (foot - x) / (foot - plateau) + float(stream.uniform(-rough, rough)))]
     points += [(foot, base), (max(width, foot + 0.1), base + rise * float(stream.random() < 0.4))]
     friction = floor(stream)
     ground = Solid(kind="terrain", points=tuple(points), friction=friction)
@@ -193,12 +173,8 @@ def baffles(stream: Stream) -> Scene:
             break
         obstacles.append(Baffle(lower=(x, 0.0), size=size))
         x += size[0]
-    moving = stream.random() < 0.4
-    mass = Mass(
-        lower=(left, 0.0),
-        size=(length, height),
-        velocity=(float(stream.uniform(0.0, 2.0)), 0.0) if moving else None,
-    )
+    velocity = (float(stream.uniform(0.0, 2.0)), 0.0) if stream.random() < 0.4 else None
+    mass = Mass(lower=(left, 0.0), size=(length, height), velocity=velocity)
     return scene(stream, masses=(mass,), width=width, baffles=tuple(obstacles))
 
 
@@ -218,18 +194,34 @@ def released(stream: Stream, piles: list[tuple[float, float]]) -> Scene:
     return scene(stream, masses=tuple(masses), width=width)
 
 
-def pile(stream: Stream, aspects: tuple[float, float] = ASPECT) -> tuple[float, float]:
-    """Length and height [m] of a column of the area, of a random aspect."""
+def stacked(
+    left: float,
+    length: float,
+    edges: NDArray[np.float64],
+    velocities: Iterable[float | None],
+    sands: Iterable[Material | None] = repeat(None),
+) -> tuple[Mass, ...]:
+    """Layers between heights [m], each with a velocity along x [m/s], at rest without one, and perhaps its own sand."""
+    return tuple(
+        Mass(
+            lower=(left, float(low)),
+            size=(length, float(high - low)),
+            velocity=None if velocity is None else (float(velocity), 0.0),
+            material=material,
+        )
+        for low, high, velocity, material in zip(edges[:-1], edges[1:], velocities, sands, strict=False)
+    )
+
+
+def pile(stream: Stream, aspects: tuple[float, float] = ASPECT, area: float = AREA) -> tuple[float, float]:
+    """Length and height [m] of a column of an area [m^2], of a random aspect."""
     aspect = log_uniform(stream, *aspects)
-    return float(np.sqrt(AREA / aspect)), float(np.sqrt(AREA * aspect))
+    return float(np.sqrt(area / aspect)), float(np.sqrt(area * aspect))
 
 
 def start(stream: Stream, length: float, width: float) -> float:
     """Where a pile begins [m]: half of them lean on the left side, one in six on the right, the others are free."""
-    chance = stream.random()
-    if chance < 0.5:
-        return 0.0
-    return width - length if chance < 0.667 else float(stream.uniform(0.05, width - length - 0.05))
+    return usually(stream, {0.5: 0.0, 0.667: width - length}, 0.05, width - length - 0.05)
 
 
 def box_length(stream: Stream, *, longer: bool = False) -> float:
@@ -253,7 +245,7 @@ def sand(stream: Stream) -> Material:
 
 def floor(stream: Stream, usual: float = 0.385) -> float:
     """Coulomb coefficient of the ground [-]; in three of ten that of the paper's scenes."""
-    return usual if stream.random() < 0.3 else float(stream.uniform(0.1, 1.0))
+    return usually(stream, {0.3: usual}, 0.1, 1.0)
 
 
 def scene(
@@ -269,10 +261,8 @@ def scene(
 ) -> Scene:
     """The scene of these masses, with random friction of its box and, in half of the scenes, damping."""
     material = material or sand(stream)
-    chance = stream.random()
-    damping = 0.0 if chance < 0.5 else 0.12 if chance < 0.7 else float(stream.uniform(0.02, 0.25))
-    walls = stream.random()
-    wall_friction = 0.0 if walls < 0.3 else 0.385 if walls < 0.6 else float(stream.uniform(0.0, 0.8))
+    damping = usually(stream, {0.5: 0.0, 0.7: 0.12}, 0.02, 0.25)
+    wall_friction = usually(stream, {0.3: 0.0, 0.6: 0.385}, 0.0, 0.8)
     tallest = max(mass.lower[1] + mass.size[1] if mass.size else 0.8 for mass in masses)
     return Scene(
         domain=Domain(size=(width, 1.0 if tallest < 0.9 else 1.4), cell=CELL),
@@ -292,10 +282,4 @@ def scene(
     )
 
 
-FLOW2D = family(
-    "flow2d",
-    kinds=KINDS,
-    variant=variant,
-    size=800,
-    storage=Storage(cell=CELL, kept=1),
-)
+FLOW2D = family("flow2d", kinds=KINDS, variant=variant, size=800, storage=Storage(cell=CELL, kept=1))

@@ -1,8 +1,8 @@
 """obstacle3d: the training set of the shipped 3D surrogate, ten kinds of flows of fine truth.
 
 Every scene releases `VOLUME` of material, as in `flow2d`: a surrogate scales a scene to that size (`gns.state`). The
-MPM computes it on cells of `CELL`, 19 across the body; what is stored are `KEPT` of the particles of each cell of
-`KEPT_CELL`, from which a surrogate takes one of about four.
+MPM computes it on cells of `CELL`, 19 across the body; what is stored (`STORAGE`) is one particle of each larger cell,
+of which a surrogate takes one of about four.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from datasets.definitions import flow2d
-from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform
+from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform, usually
 from datasets.definitions.held_out import boxes
 from datasets.errors import InputError
 from datasets.material import Material
@@ -23,7 +23,6 @@ VOLUME = 0.032
 """Released in every scene [m^3]: a body of length 0.32 m."""
 CELL = 1 / 60
 """Of the MPM's grid [m]; all boxes are whole numbers of it."""
-KEPT_CELL, KEPT = 0.02, 1
 YOUNG = 0.9e6
 """160 rho g l [Pa]."""
 FRAME_DT = 0.02
@@ -73,7 +72,7 @@ def sheet(stream: Stream) -> Scene:
     width = float(stream.choice(WIDTHS[:3]))
     aspect = log_uniform(stream, 0.3, 4.0)
     length, height = math.sqrt(VOLUME / width / aspect), math.sqrt(VOLUME / width * aspect)
-    left = 0.0 if stream.random() < 0.6 else float(stream.uniform(0.05, 0.3))
+    left = usually(stream, {0.6: 0.0}, 0.05, 0.3)
     return scene(stream, Mass(lower=(left, 0.0, 0.0), size=(length, height, width)), width=width)
 
 
@@ -90,11 +89,8 @@ def tower(stream: Stream) -> Scene:
 
 def slab(stream: Stream) -> Scene:
     """A low and wide block thrown down a channel, nearly always at one to `MOST_BAFFLES` baffles."""
-    return thrown(
-        stream,
-        cuboid(stream, (0.3, 0.9), (1.3, 4.5)),
-        int(stream.integers(1, MOST_BAFFLES + 1)) * int(stream.random() < 0.85),
-    )
+    size = cuboid(stream, (0.3, 0.9), (1.3, 4.5))
+    return thrown(stream, size, int(stream.integers(1, MOST_BAFFLES + 1)) * int(stream.random() < 0.85))
 
 
 def row(stream: Stream) -> Scene:
@@ -159,23 +155,14 @@ def terrain(stream: Stream) -> Scene:
         ground = ground + bump * np.exp(-((x - at[0]) ** 2 + (z - at[1]) ** 2) / (2.0 * (0.5 * radius) ** 2))
     ground = ground - ground.min() + 0.05
     friction = flow2d.floor(stream, 0.43)
-    solid = Solid(
-        kind="terrain",
-        origin=(-GRID, -GRID),
-        spacing=(GRID, GRID),
-        heights=tuple(tuple(float(value) for value in line) for line in ground),
-        friction=friction,
-    )
+    heights = tuple(map(tuple, ground.tolist()))
+    solid = Solid(kind="terrain", origin=(-GRID, -GRID), spacing=(GRID, GRID), heights=heights, friction=friction)
     along = float(stream.uniform(0.3, 0.6))
     across = min(float(stream.uniform(0.35, 0.8)), width - 0.04)
     left, side = float(stream.uniform(0.02, 0.15)), aside(stream, across, width)
     ends = ((left, side), (left + along, side), (left + along, side + across), (left, side + across))
-    mass = Mass(
-        kind="layer",
-        thickness=VOLUME / (along * across),
-        outline=ends,
-        velocity=throw(stream, 0.5) if stream.random() < 0.3 else None,
-    )
+    velocity = throw(stream, 0.5) if stream.random() < 0.3 else None
+    mass = Mass(kind="layer", thickness=VOLUME / (along * across), outline=ends, velocity=velocity)
     count = int(stream.integers(1, 4)) * int(stream.random() < 0.35)
     box = Mass(lower=(left, 0.0, side), size=(along, 0.1, across))
     level = float(ground[round(min(foot, length - 0.1) / GRID)].min())
@@ -213,11 +200,8 @@ def thrown(stream: Stream, size: Extent, count: int) -> Scene:
     """A block of that size [m] thrown at `count` baffles, half of them from the floor."""
     width = roomy(stream, size[2])
     bottom = float(stream.uniform(0.02, 0.2)) * float(stream.random() < 0.5)
-    mass = Mass(
-        lower=(float(stream.uniform(0.0, 0.2)), bottom, aside(stream, size[2], width)),
-        size=size,
-        velocity=throw(stream),
-    )
+    lower = (float(stream.uniform(0.0, 0.2)), bottom, aside(stream, size[2], width))
+    mass = Mass(lower=lower, size=size, velocity=throw(stream))
     return scene(stream, mass, width=width, baffles=obstacles(stream, mass, width, count))
 
 
@@ -240,8 +224,7 @@ def aside(stream: Stream, extent: float, width: float) -> float:
     spare = width - extent
     if spare < 0.0:
         raise InputError("expected a mass within the channel")
-    chance = stream.random()
-    return 0.5 * spare if chance < 0.4 else 0.0 if chance < 0.6 else float(stream.uniform(0.0, spare))
+    return usually(stream, {0.4: 0.5 * spare, 0.6: 0.0}, 0.0, spare)
 
 
 def throw(stream: Stream, part: float = 1.0) -> tuple[float, float, float]:
@@ -297,11 +280,9 @@ def scene(
     floor_friction: float | None = None,
 ) -> Scene:
     """The scene of a mass, with random friction of its box and, in two of five scenes, damping."""
-    chance = stream.random()
-    damping = 0.0 if chance < 0.6 else 0.12 if chance < 0.75 else float(stream.uniform(0.02, 0.25))
-    walls = stream.random()
-    wall_friction = 0.0 if walls < 0.3 else 0.43 if walls < 0.6 else float(stream.uniform(0.0, 0.8))
-    on_baffles = 0.43 if stream.random() < 0.3 else float(stream.uniform(0.0, 0.8))
+    damping = usually(stream, {0.6: 0.0, 0.75: 0.12}, 0.02, 0.25)
+    wall_friction = usually(stream, {0.3: 0.0, 0.6: 0.43}, 0.0, 0.8)
+    on_baffles = usually(stream, {0.3: 0.43}, 0.0, 0.8)
     front = max([mass.lower[0] + mass.size[0] if mass.size else 0.0, *(boxes(baffles, 3)[:, 1, 0] + 0.1)])
     length = length or float(stream.choice([each for each in LENGTHS if each > front] or LENGTHS[-1:]))
     top = height or max(mass.lower[1] + mass.size[1] + 0.16, 0.48)
@@ -323,10 +304,5 @@ def scene(
     )
 
 
-OBSTACLE3D = family(
-    "obstacle3d",
-    kinds=KINDS,
-    variant=variant,
-    size=400,
-    storage=Storage(cell=KEPT_CELL, kept=KEPT),
-)
+STORAGE = Storage(cell=0.02, kept=1)
+OBSTACLE3D = family("obstacle3d", kinds=KINDS, variant=variant, size=400, storage=STORAGE)

@@ -32,8 +32,7 @@ CELLS_3D = (1 / 48, 1 / 60)
 
 def column(stream: Stream) -> Scene:
     """A column that is let go at the left wall."""
-    length, height = size(stream)
-    return scene(stream, (Mass(lower=(0.0, 0.0), size=(length, height)),))
+    return scene(stream, (Mass(lower=(0.0, 0.0), size=size(stream)),))
 
 
 def layers(stream: Stream) -> Scene:
@@ -44,27 +43,20 @@ def layers(stream: Stream) -> Scene:
     first, last = stream.uniform(0.0, SPEED, 2).tolist()
     even = np.linspace(first, last, count)
     velocities = even if stream.random() < 0.5 else stream.uniform(0.0, SPEED, count)
-    return scene(
-        stream,
-        tuple(
-            Mass(lower=(0.0, float(low)), size=(length, float(high - low)), velocity=(float(velocity), 0.0))
-            for low, high, velocity in zip(edges[:-1], edges[1:], velocities, strict=True)
-        ),
-    )
+    return scene(stream, flow2d.stacked(0.0, length, edges, velocities.tolist()))
 
 
 def block(stream: Stream) -> Scene:
     """A block that is thrown from somewhere in the left half of the box, as in the paper's training set."""
-    length, height = size(stream)
+    extent = size(stream)
     lower = (float(stream.uniform(0.0, 0.4)), float(stream.uniform(0.0, 0.3)) * float(stream.random() < 0.5))
     velocity = (float(stream.uniform(-1.0, SPEED)), float(stream.uniform(-1.0, 1.0)))
-    return scene(stream, (Mass(lower=lower, size=(length, height), velocity=velocity),))
+    return scene(stream, (Mass(lower=lower, size=extent, velocity=velocity),))
 
 
 def size(stream: Stream) -> tuple[float, float]:
     """Length and height [m] of a mass."""
-    area, aspect = log_uniform(stream, *AREAS), log_uniform(stream, *ASPECTS)
-    return float(np.sqrt(area / aspect)), float(np.sqrt(area * aspect))
+    return flow2d.pile(stream, ASPECTS, log_uniform(stream, *AREAS))
 
 
 def scene(stream: Stream, masses: tuple[Mass, ...]) -> Scene:
@@ -111,17 +103,7 @@ def as_paper(kind: Kind) -> Kind:
     return draw
 
 
-COLUMNS2D = family(
-    "columns2d",
-    kinds=(column, layers, column, layers, block),
-    variant=flow2d.variant,
-    size=600,
-    storage=Storage(cell=CELL, kept=1),
-)
-BAFFLES3D = family(
-    "baffles3d",
-    kinds=tuple(map(as_paper, (obstacle3d.slab, obstacle3d.tower, obstacle3d.slab, obstacle3d.row))),
-    variant=obstacle3d.variant,
-    size=600,
-    storage=Storage(cell=obstacle3d.KEPT_CELL, kept=obstacle3d.KEPT),
-)
+KINDS = (column, layers, column, layers, block)
+COLUMNS2D = family("columns2d", kinds=KINDS, variant=flow2d.variant, size=600, storage=Storage(cell=CELL, kept=1))
+KINDS_3D = tuple(map(as_paper, (obstacle3d.slab, obstacle3d.tower, obstacle3d.slab, obstacle3d.row)))
+BAFFLES3D = family("baffles3d", kinds=KINDS_3D, variant=obstacle3d.variant, size=600, storage=obstacle3d.STORAGE)
