@@ -141,7 +141,10 @@ def read_arrays(path: Path, *names: str, optional: tuple[str, ...] = (), what: s
         return [*names, *(name for name in optional if name in there)] or list(there)
 
     if path.suffix == HDF5:
-        with open_hdf5(path, what) as file:
+        import h5py
+
+        file_size(path, what)
+        with reading(path, what), h5py.File(path, "r", locking=False) as file:
             return {name: _whole(file, name, what) for name in chosen(file)}
     whole = f"a whole NPZ of plain arrays ({what})"
     with open_npz(path, whole) as archive:
@@ -226,16 +229,6 @@ def read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]
     if np.lib.format.read_magic(stream) == (1, 0):
         return np.lib.format.read_array_header_1_0(stream)
     return np.lib.format.read_array_header_2_0(stream)
-
-
-@contextmanager
-def open_hdf5(path: Path, what: str) -> Iterator["h5py.File"]:
-    """Open an HDF5 file. Raises InputError, which names it."""
-    import h5py
-
-    file_size(path, what)
-    with reading(path, what), h5py.File(path, "r", locking=False) as file:
-        yield file
 
 
 def plain_array(file: "h5py.File", key: str) -> "h5py.Dataset":

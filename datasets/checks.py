@@ -26,6 +26,7 @@ SOFTEST = 10.0
 
 def complete(scene: Scene) -> None:
     """Check a new scene, and give its masses the boxes around them. Raises InputError."""
+    # First of all, because shapes are filled with particles before the rest is checked.
     check_sizes(scene)
     if any(mass.kind != "box" for mass in scene.masses):
         # The libraries of solid geometry load only where there is more than boxes.
@@ -41,10 +42,7 @@ Scene.complete = staticmethod(complete)
 
 
 def check_sizes(scene: Scene) -> None:
-    """Raise InputError where the box, the times or the number of anything are beyond what can be counted.
-
-    First of all, because shapes are filled with particles before the rest is checked.
-    """
+    """Raise InputError where the box, the times or the number of anything are beyond what can be counted."""
     domain = scene.domain
     require(len(domain.size) in (2, 3), "domain.size", "2 or 3 lengths in m", list(domain.size))
     require(0.0 < domain.cell <= FARTHEST, "domain.cell", f"a positive length in m, up to {FARTHEST:g}", domain.cell)
@@ -78,14 +76,10 @@ def check(scene: Scene) -> None:
     domain, dimension = scene.domain, scene.dimension
     for key in ("floor_friction", "wall_friction", "baffle_friction"):
         check_friction(getattr(scene, key), key)
-    bounds: dict[str, tuple[str, float]] = {
-        "gravity": ("an acceleration of at least 0 m/s^2", 0.0),
-        "relaxation_time": ("a time of at least 0 s", 0.0),
-        "seed": ("an integer of at least 0", 0),
-    }
-    for key, (expected, lowest) in bounds.items():
-        value = getattr(scene, key)
-        require(value is None or lowest <= value <= FARTHEST or (key == "seed" and value >= 0), key, expected, value)
+    require(0.0 <= scene.gravity <= FARTHEST, "gravity", "an acceleration of at least 0 m/s^2", scene.gravity)
+    time = scene.relaxation_time
+    require(time is None or 0.0 <= time <= FARTHEST, "relaxation_time", "a time of at least 0 s", time)
+    require(scene.seed >= 0, "seed", "an integer of at least 0", scene.seed)
     require(-90.0 < scene.slope_deg < 90.0, "slope_deg", "an angle in (-90, 90) degrees", scene.slope_deg)
     require(0.0 <= scene.damping < 1.0, "damping", "a fraction in [0, 1)", scene.damping)
     require(0.0 < scene.step_fraction <= 1.0, "step_fraction", "a fraction in (0, 1]", scene.step_fraction)
@@ -99,10 +93,8 @@ def check(scene: Scene) -> None:
                     raise InputError("expected a value, the key is missing", key=f"{key}.{name}")
                 check_vector(getattr(box, name), f"{key}.{name}", dimension)
             require(min(box.size) > 0.0, f"{key}.size", "positive lengths in m", list(box.size))
-            inside = all(
-                low >= -TOLERANCE and low + size <= limit + TOLERANCE
-                for low, size, limit in zip(box.lower, box.size, domain.size, strict=True)
-            )
+            extents = zip(box.lower, box.size, domain.size, strict=True)
+            inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
             expected = f"a box inside the domain {list(domain.size)}"
             require(inside, key, expected, f"{list(box.lower)} + {list(box.size)}")
     if scene.channel is not None:
@@ -240,27 +232,19 @@ def check_fields(scene: Scene) -> None:
 
 def warn_if_unlikely(scene: Scene) -> None:
     """One UserWarning for each number that looks like another unit's: an angle in radians, MPa, grains in mm."""
-    for key, material in {
-        "material": scene.material,
-        **{f"masses[{index}].material": mass.material for index, mass in enumerate(scene.masses) if mass.material},
-    }.items():
+    own = {f"masses[{index}].material": mass.material for index, mass in enumerate(scene.masses) if mass.material}
+    for key, material in {"material": scene.material, **own}.items():
+        lines = []
         if 0.0 < material.friction_deg < SMALL_ANGLE:
             radians = math.degrees(material.friction_deg)
-            warnings.warn(
-                f"{key}.friction_deg = {material.friction_deg:g} degrees is less than any sand's"
-                + (f"; in radians it would be {radians:.3g} degrees" if radians < 60.0 else ""),
-                stacklevel=3,
-            )
+            hint = f"; in radians it would be {radians:.3g} degrees" if radians < 60.0 else ""
+            lines.append(f"friction_deg = {material.friction_deg:g} degrees is less than any sand's{hint}")
         if (grain := material.grain_diameter or 0.0) > scene.domain.cell:
-            warnings.warn(
-                f"{key}.grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m",
-                stacklevel=3,
-            )
+            lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
         heights = [mass.size[1] for mass in scene.masses if scene.material_of(mass) == material]
-        pressure = material.density * scene.gravity * max(heights, default=0.0)
-        if material.young < SOFTEST * pressure:
-            warnings.warn(
-                f"{key}.young = {material.young:g} Pa is less than {SOFTEST:g} rho g h = {SOFTEST * pressure:.3g} Pa: "
-                "the body sinks under its own weight by more than a twentieth of its height",
-                stacklevel=3,
-            )
+        least = SOFTEST * (material.density * scene.gravity * max(heights, default=0.0))
+        if material.young < least:
+            soft = f"young = {material.young:g} Pa is less than {SOFTEST:g} rho g h = {least:.3g} Pa"
+            lines.append(f"{soft}: the body sinks under its own weight by more than a twentieth of its height")
+        for line in lines:
+            warnings.warn(f"{key}.{line}", stacklevel=3)

@@ -11,11 +11,7 @@ from datasets.errors import InputError
 from datasets.errors import WorkFailed as WorkFailed
 from datasets.processes import Terminated, terminable
 
-DISK_ERRORS = {
-    getattr(errno, name)
-    for name in ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "EIO", "ESTALE")
-    if hasattr(errno, name)
-}
+DISK_ERRORS = {"ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "EIO", "ESTALE"}
 """What a disk says that is full, read-only or broken: no mistake of the program's."""
 
 
@@ -32,15 +28,12 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
     app = App(name=name, help=command.__doc__, version_flags=[], suppress_keyboard_interrupt=False)
     app.default(command)
     python_format = warnings.formatwarning
-    warnings.formatwarning = one_line
+    # What a warning says, without the place in the program that says it.
+    warnings.formatwarning = lambda message, *_, **__: f"talus: {message}\n"
     try:
         with terminable():
-            status = app(
-                sys.argv[1:] if arguments is None else list(arguments),
-                exit_on_error=False,
-                print_error=False,
-                result_action="return_value",
-            )
+            given = sys.argv[1:] if arguments is None else list(arguments)
+            status = app(given, exit_on_error=False, print_error=False, result_action="return_value")
     except (CycloptsError, InputError) as error:
         print(f"talus: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -63,13 +56,6 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
     return status if isinstance(status, int) else 0
 
 
-def one_line(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
-) -> str:
-    """A warning as commands print it: what it says, without the place in the program that says it."""
-    return f"talus: {message}\n"
-
-
 def disk_failed(error: BaseException) -> bool:
     """Whether an error says that the disk is full, read-only or broken, so that no other file can be written either."""
-    return isinstance(error, OSError) and error.errno in DISK_ERRORS
+    return isinstance(error, OSError) and errno.errorcode.get(error.errno or 0) in DISK_ERRORS

@@ -101,8 +101,7 @@ def make_folder(path: Path) -> None:
 
 def write_json(path: Path, value: Any) -> None:
     """Write `value` as indented JSON; NaN and infinities become null, which every JSON reader takes."""
-    with replacing(path) as part:
-        part.write_text(json.dumps(finite(value), indent=2) + "\n")
+    write_text(path, json.dumps(finite(value), indent=2) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -87,11 +87,10 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
     if not 0.0 <= window <= 2.0 * end:
         raise InputError(f"expected a window of 0 to {2.0 * end:g} s, got {window:g} s")
     # A frame at the start ends no interval, and frames after the deposit has come to rest repeat that moment.
-    first = 1 if time[0] == 0.0 else 0
-    last = int(np.searchsorted(time, end * (1.0 - ROUNDING)))
-    ends = np.minimum(time[first : last + 1], end)
+    kept = slice(1 if time[0] == 0.0 else 0, int(np.searchsorted(time, end * (1.0 - ROUNDING))) + 1)
+    ends = np.minimum(time[kept], end)
     edges = np.concatenate([[0.0], ends])
-    impulse = np.stack([series[first : last + 1] for series in recorded.values()], axis=1)
+    impulse = np.stack([series[kept] for series in recorded.values()], axis=1)
     impulse = np.concatenate([np.zeros_like(impulse[:1]), impulse])
     if window > 0.0:
         impulse = smoothed(impulse, edges, window)
@@ -143,9 +142,8 @@ def draw(path: Path, forces: Forces) -> None:
         for axis, series in zip(AXES, forces.force[:, index].T, strict=False):
             panel.stairs(series, forces.edges, baseline=None, label=f"$F_{axis}$")
         value, time = peaks[index]
-        panel.stairs(
-            np.linalg.norm(forces.force[:, index], axis=1), forces.edges, color="black", baseline=None, label="$|F|$"
-        )
+        magnitude = np.linalg.norm(forces.force[:, index], axis=1)
+        panel.stairs(magnitude, forces.edges, color="black", baseline=None, label="$|F|$")
         panel.plot(time, value, "ko", markersize=4)
         panel.set_title(f"{forces.names[index]}: peak {spoken(value)} at {time:.4g} s", loc="left", fontsize=10)
         panel.yaxis.set_major_formatter(spoken)

@@ -37,7 +37,10 @@ def locked(folder: Path) -> Iterator[Path]:
     try:
         lock.acquire(timeout=0)
     except Timeout:
-        raise WorkFailed(f"{folder}: {_holder(folder)}; wait for it, or choose another folder") from None
+        holder = "another process writes here"
+        with suppress(OSError, ValueError):
+            holder = (folder / HOLDER).read_text(encoding="utf-8")
+        raise WorkFailed(f"{folder}: {holder}; wait for it, or choose another folder") from None
     except OSError as error:
         if error.errno not in NO_LOCKS:
             raise
@@ -56,10 +59,3 @@ def locked(folder: Path) -> Iterator[Path]:
         if lock.is_locked and isinstance(lock, UnixFileLock):
             (folder / LOCK).unlink(missing_ok=True)
         lock.release()
-
-
-def _holder(folder: Path) -> str:
-    """Who holds `folder`."""
-    with suppress(OSError, ValueError):
-        return (folder / HOLDER).read_text(encoding="utf-8")
-    return "another process writes here"

@@ -65,10 +65,8 @@ class Particles:
     @property
     def cohesion(self) -> NDArray[np.float32]:
         """Cohesion of each particle [Pa], shape [N]."""
-        top, growth = (
-            np.array([getattr(material, key) for material in self.materials])[self.material]
-            for key in ("cohesion", "strength_gradient")
-        )
+        keys = ("cohesion", "strength_gradient")
+        top, growth = (np.array([getattr(each, key) for each in self.materials])[self.material] for key in keys)
         return np.asarray(top + growth * self.depth, np.float32)
 
 
@@ -136,8 +134,7 @@ def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
 
     Spacings of a mass differ by a factor of two at most where every side is at least a cell.
     """
-    share = scene.particle_spacing
-    return [max(1, round(length / share)) for length in mass.size]
+    return [max(1, round(length / scene.particle_spacing)) for length in mass.size]
 
 
 def mass_counts(scene: Scene) -> list[int]:
@@ -213,18 +210,15 @@ def unresolved(scene: Scene, cells: float) -> str:
     A mass that continues in another one of its material across its thin side is no thinner than the two together, and
     a mass of a single particle is meant to be one.
     """
-    cell = scene.domain.cell
-    thin = [
-        index
-        for index, (mass, count) in enumerate(zip(scene.masses, mass_counts(scene), strict=True))
-        if count > 1
-        and thinnest(scene, mass) < cells * cell - TOLERANCE
-        and not (mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size))))
-    ]
+    cell, thin = scene.domain.cell, dict[str, float]()
+    for index, (mass, count) in enumerate(zip(scene.masses, mass_counts(scene), strict=True)):
+        across = thinnest(scene, mass) if count > 1 else math.inf
+        goes_on = mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size)))
+        if across < cells * cell - TOLERANCE and not goes_on:
+            thin[f"masses[{index}]"] = across
     if not thin:
         return ""
-    names = ", ".join(f"masses[{index}]" for index in thin[:3]) + (", ..." if len(thin) > 3 else "")
-    thickness = min(thinnest(scene, scene.masses[index]) for index in thin)
+    names, thickness = ", ".join([*thin][:3]) + (", ..." if len(thin) > 3 else ""), min(thin.values())
     finest, coarsest = (thickness / each for each in reversed(RESOLVED))
     return (
         f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid hardly resolves it; "

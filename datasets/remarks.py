@@ -32,16 +32,8 @@ def remarks(
 ) -> list[str]:
     """Lines on a flow of `particles`, none where all is well.
 
-    Parameters
-    ----------
-    deposit
-        Positions at the end [m], shape [N, D].
-    kinetic
-        Kinetic energy of every frame [J, in 2D per metre of width], shape [T].
-    end_time
-        Until when the flow was computed [s].
-    outflow
-        Mass that has left through each open side [kg, in 2D per metre of width].
+    deposit: positions at the end [m], shape [N, D]; kinetic: energy of every frame [J], shape [T]; end_time: until when
+    the flow was computed [s]; outflow: mass that left through each open side [kg]. In 2D both are per metre of width.
     """
     lines = []
     mass, start = float(np.sum(particles.density * particles.volume)), particles.positions
@@ -56,18 +48,12 @@ def remarks(
         axis, upper = divmod(number, 2)
         if side in (*scene.open_sides, "y-"):
             continue
-        near = [_near(each[:, axis], scene.domain.size[axis] if upper else 0.0, scene) for each in (start, deposit)]
+        wall, close = scene.domain.size[axis] if upper else 0.0, NEAR * scene.domain.cell
+        near = [float(np.mean(np.abs(each[:, axis] - wall) < close)) for each in (start, deposit)]
         if not near[0] and near[1] > SHARE:
             share = f"{near[1]:.2g} of the particles"
             lines.append(f"the side {side} of the box holds {share}, which would have spread further")
-    lines += [
-        f"{left / mass:.2g} of the mass left the box through its open side {side}"
-        for side, left in outflow.items()
-        if left > 0.0
-    ]
+    for side, left in outflow.items():
+        if left > 0.0:
+            lines.append(f"{left / mass:.2g} of the mass left the box through its open side {side}")
     return lines + [line for line in [unresolved(scene, FEWEST_CELLS)] if line]
-
-
-def _near(coordinates: NDArray[np.floating], wall: float, scene: Scene) -> float:
-    """Share of the particles within `NEAR` cells of a wall [-]."""
-    return float(np.mean(np.abs(coordinates - wall) < NEAR * scene.domain.cell))

@@ -26,8 +26,6 @@ DOMAIN_SIDES = ("x-", "x+", "y-", "y+", "z-", "z+")
 """The sides of the box; y- is the floor."""
 RELAXATION = 0.5
 """Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness, step (docs/stability.md)."""
-
-
 ROUGH = "rough"
 """Friction of a surface as rough as the grains: nothing slides on it, the material shears above it."""
 NO_SLIP = 1.0e9

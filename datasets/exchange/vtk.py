@@ -59,12 +59,9 @@ class Meshes:
     @cached_property
     def start(self) -> NDArray[np.float64]:
         """Positions at the start [m], shape [N, D]; the first frame's where the start was not kept and is not known."""
-        trajectory = self.trajectory
-        if trajectory.time[0] > 0.0:
-            known: NDArray[np.float64] = initial_particles(trajectory.scene).positions
-            if known.shape == trajectory.positions[0].shape:
-                return known
-        return np.asarray(trajectory.positions[0], np.float64)
+        first = np.asarray(self.trajectory.positions[0], np.float64)
+        known = first if self.trajectory.time[0] == 0.0 else initial_particles(self.trajectory.scene).positions
+        return known if known.shape == first.shape else first
 
     @cached_property
     def material(self) -> NDArray[np.int32]:
@@ -90,27 +87,26 @@ class Meshes:
         else there are none.
         """
         trajectory = self.trajectory
-        velocity: NDArray[np.float32] | None = trajectory.velocity0 if trajectory.time[0] == 0.0 else None
         if trajectory.velocities is not None:
-            velocity = trajectory.velocities[frame]
-        elif frame > 0:
-            after, before = min(frame + 1, len(trajectory.time) - 1), frame - 1
-            elapsed = trajectory.time[after] - trajectory.time[before]
-            velocity = ((trajectory.positions[after] - trajectory.positions[before]) / elapsed).astype(np.float32)
-        return velocity
+            return np.asarray(trajectory.velocities[frame])
+        if frame == 0:
+            return trajectory.velocity0 if trajectory.time[0] == 0.0 else None
+        after, before = min(frame + 1, len(trajectory.time) - 1), frame - 1
+        elapsed = trajectory.time[after] - trajectory.time[before]
+        return np.asarray((trajectory.positions[after] - trajectory.positions[before]) / elapsed, np.float32)
 
     def fields(self, frame: int) -> dict[str, NDArray[Any]]:
         """All that is known of the particles at `frame`, shape [N] or [N, D] each."""
         trajectory = self.trajectory
         recorded = {key: getattr(trajectory, key) for key in ("stress", "pressure", "plastic_strain")}
-        velocity = self.velocity(frame)
-        return {
-            **({} if velocity is None else {"velocity": velocity}),
+        known = {
+            "velocity": self.velocity(frame),
             "displacement": trajectory.positions[frame] - self.start.astype(np.float32),
-            **{key: values[frame] for key, values in recorded.items() if values is not None},
+            **{key: None if values is None else values[frame] for key, values in recorded.items()},
             "material": self.material,
             "friction_deg": np.degrees(np.arctan(trajectory.friction)).astype(np.float32),
         }
+        return {key: values for key, values in known.items() if values is not None}
 
     def changes(self, part: str) -> bool:
         """Whether a part is another one in every frame."""
@@ -165,11 +161,10 @@ def edges(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyDat
     """The edges of a box; in 2D of a rectangle."""
     import pyvista
 
-    flat = (0,) * (3 - len(size))
-    cells = pyvista.ImageData(
-        dimensions=(*(2 for _ in size), *(1 for _ in flat)), spacing=(*size, *(1 for _ in flat)), origin=(*lower, *flat)
-    )
-    found: pyvista.PolyData = cells.extract_all_edges()
+    given, flat = len(size), 3 - len(size)
+    dimensions, spacing, origin = (2,) * given + (1,) * flat, (*size, *(1,) * flat), (*lower, *(0,) * flat)
+    box: Any = pyvista.ImageData(dimensions=dimensions, spacing=spacing, origin=origin)
+    found: pyvista.PolyData = box.extract_all_edges()
     return found
 
 
@@ -179,13 +174,7 @@ def frames_of(trajectory: Trajectory, every: int) -> list[int]:
     return sorted({*range(0, last, every), last})
 
 
-def write_vtk(
-    trajectory: Trajectory,
-    folder: str | Path,
-    *,
-    every: int = 1,
-    progress: bool = False,
-) -> None:
+def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, progress: bool = False) -> None:
     """Write `folder/trajectory.pvd` and the files that it refers to: every `every`-th frame, and the last.
 
     Velocities that were not recorded are finite differences of the frames. An older series in the folder stays whole

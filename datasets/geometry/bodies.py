@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry.ground import TOUCHING, elevation, interpolated, plan_axes
 from datasets.geometry.planar import check_simple
-from datasets.geometry.shapes import FARTHEST, check_grid, check_mass, require
+from datasets.geometry.shapes import FARTHEST, check_grid, check_shape, require
 from datasets.memory import require as require_memory
 from datasets.scene import Domain, Mass, Scene, Solid
 
@@ -79,13 +79,11 @@ def filling(scene: Scene, mass: Mass, key: str = "masses") -> Filling:
 @lru_cache(maxsize=64)
 def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
     """The particles of `mass` on a lattice of about `share` [m]. Raises InputError."""
-    check_mass(mass, key, domain.dimension)
-    if mass.kind == "polygon":
-        found = polygon(mass, share, key)
-    elif mass.kind == "mesh":
-        found = mesh(mass, share, key)
-    else:
+    check_shape(mass, key, domain.dimension)
+    if mass.kind == "layer":
         found = layer(mass, domain, ground, share, key)
+    else:
+        found = (polygon if mass.kind == "polygon" else mesh)(mass, share, key)
     if not len(found.lattice):
         raise InputError(f"expected a body that a lattice of {share:g} m puts particles into, it has none", key=key)
     return found

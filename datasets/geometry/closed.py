@@ -1,6 +1,5 @@
 """Closed surfaces in two and in three dimensions: rings of segments, triangles; their normals."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,12 +26,6 @@ class Body:
 def ring(count: int) -> Integers:
     """Segments from each of `count` vertices to the next, the last to the first, shape [count, 2]."""
     return np.stack([np.arange(count), np.roll(np.arange(count), -1)], axis=1)
-
-
-def turned(corners: Floats, centre: Floats, angle_deg: float) -> Floats:
-    """Points of a plane turned about `centre` by an angle from the first axis to the second, shape [N, 2]."""
-    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
-    return np.asarray((corners - centre) @ np.array([[c, s], [-s, c]]) + centre)
 
 
 def unit(vectors: Floats) -> Floats:

@@ -15,8 +15,7 @@ box, and a thickness lies beside the terrain.
 
 import io
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,12 +55,10 @@ def with_files(data: Entry, folder: Path) -> Entry:
     new = dict(data)
     for group in ("solids", "masses"):
         if isinstance(data.get(group), list):
-            new[group] = [
-                reader.complete(entry, f"{group}[{index}]")
-                if isinstance(entry, dict) and isinstance(entry.get("kind", ""), str)
-                else entry
-                for index, entry in enumerate(data[group])
-            ]
+            new[group] = list(data[group])
+            for index, entry in enumerate(new[group]):
+                if isinstance(entry, dict) and isinstance(entry.get("kind", ""), str):
+                    new[group][index] = reader.complete(entry, f"{group}[{index}]")
     return new
 
 
@@ -86,15 +83,25 @@ class Reader:
         if isinstance(entry.get(name), str):
             path = self.folder / entry.pop(name)
             scale, at = placement(entry, key)
-            with naming(path, f"{key}.{name}"):
+            try:
                 if kind == "mesh":
-                    found = placed_mesh(path, scale, at)
+                    from datasets.geometry.spatial import outward
+
+                    vertices, triangles = read_mesh(path)
+                    vertices = scale * vertices + np.array(at or [0.0, 0.0, 0.0], np.float64)
+                    found = {"vertices": vertices.tolist(), "triangles": outward(vertices, triangles, "").tolist()}
                 elif len(self.size) == 3:
                     found = self.field(path, at, "heights" if kind == "terrain" else name)
                 elif kind == "terrain":
-                    found = ground_line(path, at)
+                    columns = read_columns(path, ("x", "y"), ("friction",))
+                    points = np.stack([columns["x"], columns["y"]], axis=1) + np.array(at or (0.0, 0.0))
+                    found = {"points": points.tolist()}
+                    if "friction" in columns:
+                        found["friction"] = columns["friction"].tolist()
                 else:
                     raise InputError("expected a number; a raster only of a layer in 3D")
+            except InputError as error:
+                raise InputError(error.message, where=error.where or str(path), key=f"{key}.{name}") from None
             refuse(entry, tuple(found), key, "no such key beside a file that has it")
             entry |= found
         refuse(entry, ("scale", "at"), key)
@@ -132,15 +139,6 @@ class Reader:
         return found
 
 
-@contextmanager
-def naming(path: Path, key: str) -> Iterator[None]:
-    """An InputError of the block with the file and its key."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(error.message, where=error.where or str(path), key=key) from None
-
-
 def refuse(entry: Entry, names: tuple[str, ...], key: str, expected: str = "no such key without a file") -> None:
     """Raise InputError where an entry has one of the keys."""
     for name in names:
@@ -162,14 +160,6 @@ def placement(entry: Entry, key: str) -> tuple[float, list[float] | None]:
 def is_length(value: Any) -> bool:
     """Whether a value of a TOML is a finite number."""
     return type(value) in (int, float) and usual(value)
-
-
-def ground_line(path: Path, at: list[float] | None) -> Entry:
-    """A terrain in 2D: columns x, y and perhaps friction of a CSV."""
-    columns = read_columns(path, ("x", "y"), ("friction",))
-    points = np.stack([columns["x"], columns["y"]], axis=1) + np.array(at or (0.0, 0.0))
-    friction = {"friction": columns["friction"].tolist()} if "friction" in columns else {}
-    return {"points": points.tolist(), **friction}
 
 
 class Raster(NamedTuple):
@@ -228,15 +218,6 @@ def read_raster(path: Path) -> Raster:
         corner=(float(transform.c), float(transform.f + rows * transform.e)),
         crs=crs.to_string() if crs else None,
     )
-
-
-def placed_mesh(path: Path, scale: float, at: list[float] | None) -> Entry:
-    """Vertices and triangles of a closed mesh, at its scale and place. Raises InputError."""
-    from datasets.geometry.spatial import outward
-
-    vertices, triangles = read_mesh(path)
-    vertices = scale * vertices + np.array(at or [0.0, 0.0, 0.0], np.float64)
-    return {"vertices": vertices.tolist(), "triangles": outward(vertices, triangles, "").tolist()}
 
 
 def read_mesh(path: Path) -> tuple[Floats, Integers]:

@@ -64,7 +64,10 @@ def highest(
 
 
 def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], Floats, Floats]:
-    """x, in 3D and z, elevations [m] and friction of a terrain, both [X(, Z)], to some cells beyond the box."""
+    """x, in 3D and z, elevations [m] and friction of a terrain, both [X(, Z)], to some cells beyond the box.
+
+    Raises InputError unless it covers the box but for a cell.
+    """
     if domain.dimension == 2:
         x, heights = np.array(solid.points, np.float64).T
         given, name, slack = [x], "points", [domain.cell]
@@ -77,18 +80,13 @@ def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], F
     axes: list[Floats] = []
     for number, (axis, at) in enumerate(zip(plan_axes(domain.dimension), given, strict=True)):
         length = domain.size[axis]
-        check_covers(at, "xyz"[axis], length, slack[number], f"{key}.{name}")
+        if at[0] > slack[number] + TOUCHING or at[-1] < length - slack[number] - TOUCHING:
+            expected = f"expected ground over the whole box, {'xyz'[axis]} from 0 to {length:g} or within a cell of it"
+            raise InputError(f"{expected}, got {at[0]:g} to {at[-1]:g}", key=f"{key}.{name}")
         at, h, place = extended(at, np.moveaxis(heights, number, 0), length, BEYOND * domain.cell)
         axes.append(at)
         heights, friction = np.moveaxis(h, 0, number), np.take(friction, place, axis=number)
     return axes, heights, friction
-
-
-def check_covers(at: Floats, name: str, length: float, slack: float, key: str) -> None:
-    """Raise InputError unless coordinates [m] go from 0 to `length`, or to within `slack` of both."""
-    if at[0] > slack + TOUCHING or at[-1] < length - slack - TOUCHING:
-        expected = f"expected ground over the whole box, {name} from 0 to {length:g} or within a cell of it"
-        raise InputError(f"{expected}, got {at[0]:g} to {at[-1]:g}", key=key)
 
 
 def extended(at: Floats, values: Floats, length: float, beyond: float) -> tuple[Floats, Floats, Integers]:
@@ -127,12 +125,8 @@ def grid_triangles(values: Floats) -> Integers:
     """
     number = np.arange(values.size).reshape(values.shape)
     a, b, c, d = (each.ravel() for each in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
-    first = first_diagonal(values).ravel()[:, None, None]
-    halves = np.where(
-        first,
-        np.stack([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)], axis=1),
-        np.stack([np.stack([a, d, b], axis=1), np.stack([b, d, c], axis=1)], axis=1),
-    )
+    first = first_diagonal(values).ravel()[:, None]
+    halves = np.where(first, np.stack([a, c, b, a, d, c], axis=1), np.stack([a, d, b, b, d, c], axis=1))
     return halves.reshape(-1, 3)
 
 

@@ -47,9 +47,8 @@ def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest
     """
     points = np.atleast_2d(np.asarray(points, np.float64))
     search, portion = Search(surface), PAIRS // 50
-    parts = [
-        search.nearest(points[first : first + portion], within) for first in range(0, max(1, len(points)), portion)
-    ]
+    firsts = range(0, max(1, len(points)), portion)
+    parts = [search.nearest(points[first : first + portion], within) for first in firsts]
     names = [field.name for field in fields(Nearest)]
     return Nearest(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
@@ -145,18 +144,16 @@ def normals_at(surface: Surface, face: Integers, weights: Floats) -> Floats:
 
 def feet(corners: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     """Nearest places of faces [N, D, D] for points [N, D]: places [m], distances [m] and barycentric coordinates."""
-    weights = segment_weights(corners, points) if corners.shape[-1] == 2 else triangle_weights(corners, points)
+    if corners.shape[-1] == 2:
+        along = corners[:, 1] - corners[:, 0]
+        share = ((points - corners[:, 0]) * along).sum(-1) / (along * along).sum(-1)
+        share = np.clip(share, 0.0, 1.0)
+        weights = np.stack([1.0 - share, share], axis=-1)
+    else:
+        weights = triangle_weights(corners, points)
     foot = np.einsum("nk,nkd->nd", weights, corners)
     # An inexact weight must not make a corner or an edge nearer than it is: the foot is what is measured.
     return foot, np.linalg.norm(points - foot, axis=-1), weights
-
-
-def segment_weights(corners: Floats, points: Floats) -> Floats:
-    """Barycentric coordinates [N, 2] of the nearest places of segments [N, 2, D]."""
-    along = corners[:, 1] - corners[:, 0]
-    share = ((points - corners[:, 0]) * along).sum(-1) / (along * along).sum(-1)
-    share = np.clip(share, 0.0, 1.0)
-    return np.stack([1.0 - share, share], axis=-1)
 
 
 def triangle_weights(corners: Floats, points: Floats) -> Floats:

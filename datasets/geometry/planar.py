@@ -87,8 +87,7 @@ def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
 def cut(body: Body, axis: int, limit: float, out: float) -> tuple[Floats, Floats]:
     """Points [V, 2] and friction [V] of the part of the ring within a side of the box."""
     points = body.vertices.copy()
-    near = np.abs(points[:, axis] - limit) <= TOUCHING
-    points[near, axis] = limit
+    points[np.abs(points[:, axis] - limit) <= TOUCHING, axis] = limit
     if (out * (points[:, axis] - limit) <= 0.0).all():
         return points, body.friction
     low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
@@ -100,8 +99,7 @@ def cut(body: Body, axis: int, limit: float, out: float) -> tuple[Floats, Floats
     if len(parts) > 1:
         raise InputError("expected a solid of which one piece lies in the box", key=body.key)
     kept = np.array(orient(parts[0]).exterior.coords)[:-1]
-    snapped = np.abs(kept[:, axis] - limit) <= TOUCHING
-    kept[snapped, axis] = limit
+    kept[np.abs(kept[:, axis] - limit) <= TOUCHING, axis] = limit
     return kept, friction_at(body, kept)
 
 
@@ -113,16 +111,15 @@ def union(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDA
     grown = [Polygon(body.vertices).buffer(gap, join_style="mitre", mitre_limit=50.0) for body in bodies]
     closed = shapely.union_all(grown).buffer(-gap, join_style="mitre", mitre_limit=50.0)
     loops = []
-    for part in getattr(closed, "geoms", [closed]):
-        part = orient(part)
-        loops += [merged(np.array(loop.coords)[:-1], 10.0 * gap) for loop in (part.exterior, *part.interiors)]
+    for part in map(orient, getattr(closed, "geoms", [closed])):
+        loops += [np.array(loop.coords)[:-1] for loop in (part.exterior, *part.interiors)]
+    # Without points that are closer than rounding to the one before.
+    loops = [loop[np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1) > 10.0 * gap] for loop in loops]
     known = np.concatenate([body.vertices for body in bodies])
     loops = [split(loop, known, 10.0 * gap) for loop in loops if len(loop) >= 3]
     firsts = np.cumsum([0, *map(len, loops)])
-    vertices, faces = (
-        np.concatenate(loops),
-        np.concatenate([first + ring(len(loop)) for first, loop in zip(firsts, loops, strict=False)]),
-    )
+    vertices = np.concatenate(loops)
+    faces = np.concatenate([first + ring(len(loop)) for first, loop in zip(firsts, loops, strict=False)])
     middle = shapely.points(vertices[faces].mean(axis=1))
     distance = np.stack([shapely.distance(middle, shapely.linearrings(body.vertices)) for body in bodies])
     # Faces that coincide go to the first of their solids.
@@ -144,12 +141,6 @@ def friction_at(body: Body, positions: Floats) -> Floats:
     return np.asarray((1.0 - share) * friction[edge, 0] + share * friction[edge, 1])
 
 
-def merged(loop: Floats, closest: float) -> Floats:
-    """A loop without points that are closer than `closest` to the one before, shape [V, 2]."""
-    kept = np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1) > closest
-    return np.asarray(loop[kept])
-
-
 def split(loop: Floats, known: Floats, tolerance: float) -> Floats:
     """A loop with the `known` corners that lie on its edges as points of its own: friction may change there."""
     start, along = loop, np.roll(loop, -1, axis=0) - loop
@@ -158,10 +149,7 @@ def split(loop: Floats, known: Floats, tolerance: float) -> Floats:
     corner, edge = edges.query(shapely.points(known), predicate="dwithin", distance=tolerance)
     position = ((known[corner] - start[edge]) * along[edge]).sum(-1) / length[edge]
     inner = (position > tolerance) & (position < length[edge] - tolerance)
-    edge, position = (
-        np.concatenate([np.arange(len(loop)), edge[inner]]),
-        np.concatenate([0.0 * length, position[inner]]),
-    )
+    edge, position = np.append(np.arange(len(loop)), edge[inner]), np.append(0.0 * length, position[inner])
     order = np.lexsort((position, edge))
     edge, position = edge[order], position[order]
     new = (np.diff(edge, prepend=-1) > 0) | (np.diff(position, prepend=-1.0) > tolerance)

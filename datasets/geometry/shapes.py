@@ -55,6 +55,8 @@ def check_shape(shape: Solid | Mass, key: str, dimension: int) -> None:
         ok = all(0 <= corner < count for corner in triangle) and len(set(triangle)) == 3
         expected = f"three different vertices of the {count}, counted from 0"
         require(ok, f"{key}.triangles[{index}]", expected, list(triangle))
+    if isinstance(shape, Mass) and shape.outline is not None:
+        check_rows(shape.outline, f"{key}.outline", dimension - 1, least=dimension)
 
 
 def check_vector(vector: Sequence[float], key: str, dimension: int) -> None:
@@ -68,15 +70,6 @@ def check_rows(rows: Rows, key: str, width: int, *, least: int = 1) -> None:
     require(len(rows) >= least, key, f"at least {least} rows of {width} numbers", len(rows))
     for index, row in enumerate(rows):
         check_vector(row, f"{key}[{index}]", width)
-
-
-def check_ground_line(points: Rows, key: str) -> None:
-    """Raise InputError unless the points of a ground line go from small to large x, at least two of them."""
-    check_rows(points, key, 2, least=2)
-    for index, (first, second) in enumerate(itertools.pairwise(points), 1):
-        require(first != second, f"{key}[{index}]", "different points", f"{list(first)} twice")
-        rises = second[0] >= first[0]
-        require(rises, f"{key}[{index}]", "x not to fall from point to point", f"{second[0]:g} after {first[0]:g}")
 
 
 def check_grid(shape: Solid | Mass, values: Rows, key: str, name: str) -> None:
@@ -99,7 +92,11 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
         check_vector(solid.size or (), f"{key}.size", dimension)
         require(min(solid.size or ()) > 0.0, f"{key}.size", "positive lengths in m", list(solid.size or ()))
     if solid.points is not None:
-        check_ground_line(solid.points, f"{key}.points")
+        check_rows(solid.points, f"{key}.points", 2, least=2)
+    for index, (first, second) in enumerate(itertools.pairwise(solid.points or ()), 1):
+        place, rises = f"{key}.points[{index}]", second[0] >= first[0]
+        require(first != second, place, "different points", f"{list(first)} twice")
+        require(rises, place, "x not to fall from point to point", f"{second[0]:g} after {first[0]:g}")
     if solid.heights is not None:
         check_grid(solid, solid.heights, key, "heights")
     if solid.corner is not None:
@@ -122,10 +119,3 @@ def check_friction(solid: Solid, key: str) -> None:
     require(counts == expected, key, one_each, f"{len(counts)} rows" if any(counts) else len(counts))
     for value in itertools.chain.from_iterable(row if isinstance(row, tuple) else (row,) for row in friction):
         require(0.0 <= value <= FARTHEST, key, "coefficients of at least 0", value)
-
-
-def check_mass(mass: Mass, key: str, dimension: int) -> None:
-    """Raise InputError for a mass that is no box and whose keys give no shape in `dimension` dimensions."""
-    check_shape(mass, key, dimension)
-    if mass.outline is not None:
-        check_rows(mass.outline, f"{key}.outline", dimension - 1, least=dimension)

@@ -7,6 +7,7 @@ comes from angle-weighted pseudonormals (Baerentzen & Aanaes 2005, https://doi.o
 
 import dataclasses
 import itertools
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,7 +16,7 @@ import shapely
 from numpy.typing import NDArray
 
 from datasets.geometry import planar, spatial
-from datasets.geometry.closed import Body, Floats, Integers, pseudonormals, ring, turned
+from datasets.geometry.closed import Body, Floats, Integers, pseudonormals, ring
 from datasets.geometry.ground import CLOSING
 from datasets.scene import ROUGH, Domain, Scene, Solid, coefficient
 
@@ -30,12 +31,9 @@ FACES = {
     2: ring(4),
     3: np.array(
         [
-            *([0, 1, 3], [0, 3, 2]),  # x = 0
-            *([4, 6, 7], [4, 7, 5]),  # x = 1
-            *([0, 4, 5], [0, 5, 1]),  # y = 0
-            *([2, 3, 7], [2, 7, 6]),  # y = 1
-            *([0, 2, 6], [0, 6, 4]),  # z = 0
-            *([1, 5, 7], [1, 7, 3]),  # z = 1
+            *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]),  # x = 0, x = 1
+            *([0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]),  # y = 0, y = 1
+            *([0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),  # z = 0, z = 1
         ]
     ),
 }
@@ -154,15 +152,16 @@ def closed_body(solid: Solid, key: str, box: Domain) -> Body:
         low, size = np.array(solid.lower), np.array(solid.size)
         vertices, faces = low + CORNERS[dimension] * size, FACES[dimension]
         if solid.turned_deg != 0.0:
-            plane = slice(0, None, dimension - 1)
-            vertices[:, plane] = turned(vertices[:, plane], (low + 0.5 * size)[plane], solid.turned_deg)
-    elif dimension == 2:
-        vertices = np.array(solid.vertices, dtype=np.float64)
-        planar.check_simple(vertices, f"{key}.vertices")
-        faces = ring(len(vertices))
+            plane, angle = slice(0, None, dimension - 1), math.radians(solid.turned_deg)
+            c, s, centre = math.cos(angle), math.sin(angle), (low + 0.5 * size)[plane]
+            vertices[:, plane] = (vertices[:, plane] - centre) @ np.array([[c, s], [-s, c]]) + centre
     else:
         vertices = np.array(solid.vertices, dtype=np.float64)
-        faces = spatial.outward(vertices, np.array(solid.triangles, np.int64), f"{key}.triangles")
+        if dimension == 2:
+            planar.check_simple(vertices, f"{key}.vertices")
+            faces = ring(len(vertices))
+        else:
+            faces = spatial.outward(vertices, np.array(solid.triangles, np.int64), f"{key}.triangles")
     friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(vertices)).copy()
     if dimension == 2 and not shapely.is_ccw(shapely.linearrings(vertices)):
         vertices, friction = vertices[::-1].copy(), friction[::-1].copy()

@@ -74,8 +74,7 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
     """The contents of `metadata.json` for a dataset of `entries`, which share the time between frames.
 
     The box and the length are those of the largest; what differs between scenes is [smallest, largest].
-    name: of its definition; seed: where it was drawn; statistics: of the split of the first entry, that of the
-    training.
+    name: of its definition; seed: where it was drawn; statistics: of the split of the first entry, the training's.
     """
     scenes = [entry.scene for entry in entries]
     scene = scenes[0]
@@ -112,10 +111,7 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
         "step_fraction": shared("step_fraction"),
         "material": {key: extremes([each[key] for each in materials]) for key in materials[0] if key != "friction_deg"},
         "friction_deg": [min(angles), max(angles)],
-        "floor_friction": shared("floor_friction"),
-        "wall_friction": shared("wall_friction"),
-        "baffle_friction": shared("baffle_friction"),
-        "damping": shared("damping"),
+        **{key: shared(key) for key in ("floor_friction", "wall_friction", "baffle_friction", "damping")},
         "version": __version__,
     }
 
