@@ -17,13 +17,11 @@ import shapely
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.geometry.ground import TOUCHING, elevation, interpolated, plan_axes
-from datasets.geometry.planar import check_simple
+from datasets.geometry.closed import check_simple, manifold, outward, sliced
+from datasets.geometry.ground import TOUCHING, Floats, elevation, interpolated, plan_axes
 from datasets.geometry.shapes import FARTHEST, check_grid, check_shape, require
 from datasets.memory import require as require_memory
 from datasets.scene import Domain, Mass, Scene, Solid
-
-Floats = NDArray[np.float64]
 
 LATTICE = 40
 """Bytes that a coordinate of a lattice takes while it is made."""
@@ -113,7 +111,6 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     from scipy import ndimage
 
     from datasets.geometry.nearest import inside
-    from datasets.geometry.spatial import manifold, outward, sliced
     from datasets.geometry.surface import surface_around
 
     vertices = np.array(mass.vertices)

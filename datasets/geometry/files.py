@@ -20,16 +20,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.files import file_size, read_columns, reading
-from datasets.geometry.ground import BEYOND
+from datasets.geometry.closed import outward
+from datasets.geometry.ground import BEYOND, Floats, Integers
 from datasets.geometry.shapes import require, usual
 from datasets.memory import require as require_memory
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Entry = dict[str, Any]
 
 FILES = {"terrain": "file", "layer": "thickness", "mesh": "file"}
@@ -85,8 +83,6 @@ class Reader:
             scale, at = placement(entry, key)
             try:
                 if kind == "mesh":
-                    from datasets.geometry.spatial import outward
-
                     vertices, triangles = read_mesh(path)
                     vertices = scale * vertices + np.array(at or [0.0, 0.0, 0.0], np.float64)
                     found = {"vertices": vertices.tolist(), "triangles": outward(vertices, triangles, "").tolist()}

@@ -18,7 +18,6 @@ TOUCHING = 1.0e-9
 """Distance [m] up to which lengths that a user wrote in decimals are the same."""
 CLOSING = 1.0e-6
 """Half of the widest gap, in cells, that touching solids leave between them by rounding."""
-OUTSIDE = "expected a solid that reaches into the domain, this one lies outside of it"
 
 
 def plan_axes(dimension: int) -> list[int]:

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import Surface
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 PAIRS = 1_000_000
 """Pairs of a point and a face that are looked at together."""

@@ -8,14 +8,12 @@ import shapely
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.geometry import spatial
 from datasets.geometry.bodies import Plan, filling, lattice_of
-from datasets.geometry.ground import CLOSING, TOUCHING, plan_axes
+from datasets.geometry.closed import manifold
+from datasets.geometry.ground import CLOSING, TOUCHING, Floats, plan_axes
 from datasets.geometry.nearest import inside
 from datasets.geometry.surface import Surface, closed_body, solids_of, surface_in, surface_of
 from datasets.scene import TOLERANCE, Baffle, Domain, Mass, Scene, Solid
-
-Floats = NDArray[np.float64]
 
 SAMPLES = 32
 """Most places along an axis at which the height of a body above ground is looked for."""
@@ -98,8 +96,8 @@ def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> boo
     a, b = closed_body(first, key, domain), closed_body(second, key, domain)
     if domain.dimension == 2:
         return bool(shapely.Polygon(a.vertices).buffer(-margin).intersects(shapely.Polygon(b.vertices)))
-    solid = spatial.manifold(a.vertices, a.faces)
-    return bool((solid ^ spatial.manifold(b.vertices, b.faces)).volume() > margin * solid.surface_area())
+    solid = manifold(a.vertices, a.faces)
+    return bool((solid ^ manifold(b.vertices, b.faces)).volume() > margin * solid.surface_area())
 
 
 def remembers_gaps(scene: Scene) -> bool:

@@ -15,9 +15,18 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from datasets.geometry import planar, spatial
-from datasets.geometry.closed import Body, Floats, Integers, pseudonormals, ring
-from datasets.geometry.ground import CLOSING
+from datasets.geometry.closed import (
+    Body,
+    check_simple,
+    continued,
+    ground_body,
+    outward,
+    pseudonormals,
+    ring,
+    union_of_rings,
+    union_of_surfaces,
+)
+from datasets.geometry.ground import CLOSING, Floats, Integers
 from datasets.scene import ROUGH, Domain, Scene, Solid, coefficient
 
 KEPT = 3.0
@@ -118,8 +127,8 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
         vertices, faces, friction = body.vertices, body.faces, body.friction[body.faces]
         owner = np.zeros(len(faces), np.int32)
     else:
-        dimension = bodies[0].vertices.shape[1]
-        vertices, faces, friction, owner = (planar if dimension == 2 else spatial).union(bodies, gap)
+        union = union_of_rings if bodies[0].vertices.shape[1] == 2 else union_of_surfaces
+        vertices, faces, friction, owner = union(bodies, gap)
     normals, corner_normals, edge_normals = pseudonormals(vertices, faces)
     found = Surface(
         corners=vertices[faces],
@@ -139,7 +148,7 @@ def body_of(solid: Solid, key: str, box: Domain) -> Body:
     # The floor last.
     for axis, side in itertools.product(() if solid.kind == "terrain" else (0, 2, 1), (0, 1)):
         if axis < box.dimension:
-            body = (planar if box.dimension == 2 else spatial).continued(body, axis, side, box)
+            body = continued(body, axis, side, box)
     return body
 
 
@@ -147,7 +156,7 @@ def closed_body(solid: Solid, key: str, box: Domain) -> Body:
     """The surface of `solid` itself; of a terrain of all that is below it, some cells beyond the box."""
     dimension = box.dimension
     if solid.kind == "terrain":
-        return planar.ground_body(solid, key, box) if dimension == 2 else spatial.ground_body(solid, key, box)
+        return ground_body(solid, key, box)
     if solid.kind == "box":
         low, size = np.array(solid.lower), np.array(solid.size)
         vertices, faces = low + CORNERS[dimension] * size, FACES[dimension]
@@ -158,10 +167,10 @@ def closed_body(solid: Solid, key: str, box: Domain) -> Body:
     else:
         vertices = np.array(solid.vertices, dtype=np.float64)
         if dimension == 2:
-            planar.check_simple(vertices, f"{key}.vertices")
+            check_simple(vertices, f"{key}.vertices")
             faces = ring(len(vertices))
         else:
-            faces = spatial.outward(vertices, np.array(solid.triangles, np.int64), f"{key}.triangles")
+            faces = outward(vertices, np.array(solid.triangles, np.int64), f"{key}.triangles")
     friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(vertices)).copy()
     if dimension == 2 and not shapely.is_ccw(shapely.linearrings(vertices)):
         vertices, friction = vertices[::-1].copy(), friction[::-1].copy()
