@@ -9,7 +9,7 @@ from datasets.errors import InputError
 from datasets.field import FRICTION, VELOCITIES
 from datasets.geometry.shapes import FARTHEST, check_rows, check_solid, check_vector, require, usual
 from datasets.material import ANGLES
-from datasets.scene import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, Scene
+from datasets.scene import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, Scene, keyed
 
 MOST_CELLS = 2**31 - 1
 """Of the box: what 32 bits count."""
@@ -32,8 +32,8 @@ def complete(scene: Scene) -> None:
         # The libraries of solid geometry load only where there is more than boxes.
         from datasets.geometry.bodies import with_boxes
 
-        for index, solid in enumerate(scene.solids):
-            check_solid(solid, f"solids[{index}]", scene.dimension)
+        for key, solid in keyed(scene, "solids").items():
+            check_solid(solid, key, scene.dimension)
         object.__setattr__(scene, "masses", with_boxes(scene))
     check(scene)
 
@@ -85,18 +85,16 @@ def check(scene: Scene) -> None:
     require(0.0 < scene.step_fraction <= 1.0, "step_fraction", "a fraction in (0, 1]", scene.step_fraction)
     require(0.0 <= scene.jitter <= 1.0, "jitter", "a fraction in [0, 1]", scene.jitter)
     require(len(scene.masses) > 0, "masses", "at least one mass", "none")
-    for kind in ("masses", "baffles"):
-        for index, box in enumerate(getattr(scene, kind)):
-            key = f"{kind}[{index}]"
-            for name in ("lower", "size"):
-                if getattr(box, name) == ():
-                    raise InputError("expected a value, the key is missing", key=f"{key}.{name}")
-                check_vector(getattr(box, name), f"{key}.{name}", dimension)
-            require(min(box.size) > 0.0, f"{key}.size", "positive lengths in m", list(box.size))
-            extents = zip(box.lower, box.size, domain.size, strict=True)
-            inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
-            expected = f"a box inside the domain {list(domain.size)}"
-            require(inside, key, expected, f"{list(box.lower)} + {list(box.size)}")
+    for key, box in keyed(scene, "masses", "baffles").items():
+        for name in ("lower", "size"):
+            if getattr(box, name) == ():
+                raise InputError("expected a value, the key is missing", key=f"{key}.{name}")
+            check_vector(getattr(box, name), f"{key}.{name}", dimension)
+        require(min(box.size) > 0.0, f"{key}.size", "positive lengths in m", list(box.size))
+        extents = zip(box.lower, box.size, domain.size, strict=True)
+        inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
+        got = f"{list(box.lower)} + {list(box.size)}"
+        require(inside, key, f"a box inside the domain {list(domain.size)}", got)
     if scene.channel is not None:
         require(dimension == 2, "channel", "none in 3D, where the box or solids are the walls", "one")
         require(0.0 < scene.channel.width <= FARTHEST, "channel.width", "a positive length in m", scene.channel.width)
@@ -106,13 +104,13 @@ def check(scene: Scene) -> None:
     for index, side in enumerate(scene.open_sides):
         require(side in sides, f"open_sides[{index}]", f"one of {', '.join(sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))
-    for index, baffle in enumerate(scene.baffles):
+    for key, baffle in keyed(scene, "baffles").items():
         if baffle.friction is not None:
-            check_friction(baffle.friction, f"baffles[{index}].friction")
-    for index, solid in enumerate(scene.solids):
-        check_solid(solid, f"solids[{index}]", dimension)
-    for index, mass in enumerate(scene.masses):
-        check_start(scene, mass, f"masses[{index}]")
+            check_friction(baffle.friction, f"{key}.friction")
+    for key, solid in keyed(scene, "solids").items():
+        check_solid(solid, key, dimension)
+    for key, mass in keyed(scene, "masses").items():
+        check_start(scene, mass, key)
     # Other shapes than boxes say so when they are filled.
     sizes = [[length / scene.particle_spacing for length in mass.size] for mass in scene.masses if mass.kind == "box"]
     count = sum(math.prod(max(1, round(length)) for length in size) for size in sizes)
@@ -174,8 +172,8 @@ def check_time(scene: Scene, time: float | str, key: str) -> None:
 def check_stages(scene: Scene) -> None:
     """Raise InputError for stages that are out of order, are for no mass or place, or make no material."""
     materials = {scene.material_of(mass) for mass in scene.masses}
-    for index, stage in enumerate(scene.stages):
-        key, dimension = f"stages[{index}]", scene.dimension
+    for index, (key, stage) in enumerate(keyed(scene, "stages").items()):
+        dimension = scene.dimension
         check_time(scene, stage.time, f"{key}.time")
         before = scene.stages[index - 1].time if index else 0.0
         later = isinstance(stage.time, str) or (not isinstance(before, str) and stage.time > before)
@@ -201,8 +199,7 @@ def check_stages(scene: Scene) -> None:
 def check_fields(scene: Scene) -> None:
     """Raise InputError for fields that the particles of `scene` cannot have."""
     dimension, kinds = scene.dimension, (FRICTION, *VELOCITIES[: scene.dimension])
-    for index, field in enumerate(scene.fields):
-        key = f"fields[{index}]"
+    for index, (key, field) in enumerate(keyed(scene, "fields").items()):
         require(field.quantity in kinds, f"{key}.quantity", f"one of {', '.join(kinds)}", repr(field.quantity))
         for name in ("origin", "spacing", "nodes"):
             count = len(getattr(field, name))
@@ -232,7 +229,7 @@ def check_fields(scene: Scene) -> None:
 
 def warn_if_unlikely(scene: Scene) -> None:
     """One UserWarning for each number that looks like another unit's: an angle in radians, MPa, grains in mm."""
-    own = {f"masses[{index}].material": mass.material for index, mass in enumerate(scene.masses) if mass.material}
+    own = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
     for key, material in {"material": scene.material, **own}.items():
         lines = []
         if 0.0 < material.friction_deg < SMALL_ANGLE:

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from shapely import MultiPolygon, Polygon
 from shapely.geometry import mapping
 from shapely.geometry.polygon import orient
@@ -30,14 +29,12 @@ from tqdm import tqdm
 from datasets.command_line import run
 from datasets.errors import InputError, WorkFailed
 from datasets.exchange.vtk import Meshes
-from datasets.field import Grid
+from datasets.field import Floats, Grid
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.geometry.placement import tops_beneath
 from datasets.geometry.surface import surface_of
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, read_trajectory
-
-Floats = NDArray[np.float64]
 
 KINDS = {
     "thickness": ("thickness of the deposit", "m", "YlOrBr"),
@@ -91,11 +88,11 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     layers the simulation does not resolve. Raises InputError for one that is not positive, for a flow in 2D, and for
     cells that are finer than the particles, or longer than a side of the box.
     """
-    if threshold is not None and not threshold > 0.0:
-        raise InputError(f"expected a thickness above 0 m, got {threshold:g}", key="--threshold")
     scene, meshes, volumes = trajectory.scene, Meshes(trajectory), trajectory.volumes
     if threshold is None:
         threshold = float(np.mean(volumes) ** (1.0 / scene.dimension))
+    if not threshold > 0.0:
+        raise InputError(f"expected a thickness above 0 m, got {threshold:g}", key="--threshold")
     if scene.dimension == 2:
         raise InputError("expected a trajectory in 3D, a flow in 2D has no plan")
     sides, least = scene.domain.size[::2], scene.particle_spacing

@@ -245,20 +245,16 @@ class Material(Record):
         if self.residual_cohesion is not None:
             # The sensitivity, peak over residual, is that of the top.
             share = self.residual_cohesion / self.cohesion if self.cohesion > 0.0 else 0.0
-
-        def or_peak(value: float | None, peak: float) -> float:
-            return peak if value is None else value
-
-        given = self.residual_friction_deg
+        given, cohesion, cutoff = self.residual_friction_deg, self.residual_cohesion, self.residual_tension_cutoff
         return dataclasses.replace(
             self,
             angle="triaxial",
             friction_deg=self.phi_deg if given is None else self.phi_deg_of(given),
             friction_limit_deg=None,
             dilation_deg=0.0,
-            cohesion=or_peak(self.residual_cohesion, self.cohesion),
+            cohesion=self.cohesion if cohesion is None else cohesion,
             strength_gradient=share * self.strength_gradient,
-            tension_cutoff=or_peak(self.residual_tension_cutoff, self.cutoff_at(0.0)),
+            tension_cutoff=self.cutoff_at(0.0) if cutoff is None else cutoff,
             softening_length=None,
             residual_friction_deg=None,
             residual_cohesion=None,

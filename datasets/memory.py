@@ -44,10 +44,8 @@ def require(size: float, what: str, instead: str, *, key: str = "") -> None:
     """Raise InputError where `size` [bytes] is more than is free: the number, what it is for, what to change."""
     room = USABLE * free()
     if not size <= room:
-        raise InputError(
-            f"expected {what} in the {spoken(room)} of memory that are free, got {spoken(size)}: {instead}",
-            key=key,
-        )
+        expected = f"expected {what} in the {spoken(room)} of memory that are free"
+        raise InputError(f"{expected}, got {spoken(size)}: {instead}", key=key)
 
 
 def spoken(size: float) -> str:

@@ -12,7 +12,7 @@ from datasets.field import FRICTION
 from datasets.geometry.bodies import filling, lattice_of
 from datasets.material import Material
 from datasets.memory import require
-from datasets.scene import TOLERANCE, Mass, Scene
+from datasets.scene import TOLERANCE, Mass, Scene, keyed
 
 PARTICLE = 60
 """Bytes that a particle takes while it is made, over the square of the dimensions."""
@@ -111,22 +111,19 @@ def initial_particles(scene: Scene) -> Particles:
         volume=initial_volumes(scene),
         depth=np.concatenate(depths),
     )
-    return with_fields(scene, particles) if scene.fields else particles
-
-
-def with_fields(scene: Scene, particles: Particles) -> Particles:
-    """`particles` with what the fields of `scene` give them at their positions."""
-    velocities, friction_deg = particles.velocities.copy(), particles.friction_deg
+    if not scene.fields:
+        return particles
+    friction_deg, moving = particles.friction_deg, particles.velocities.copy()
     for field in scene.fields:
         here = field.mass is None or particles.mass == field.mass
         values = field.at(particles.positions)
         if field.quantity != FRICTION:
-            velocities[:, field.axis] = np.where(here, values, velocities[:, field.axis])
+            moving[:, field.axis] = np.where(here, values, moving[:, field.axis])
             continue
         if friction_deg is None:
             friction_deg = np.array([each.friction_deg for each in particles.materials])[particles.material]
         friction_deg = np.where(here, values, friction_deg)
-    return dataclasses.replace(particles, velocities=velocities, friction_deg=friction_deg)
+    return dataclasses.replace(particles, velocities=moving, friction_deg=friction_deg)
 
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
@@ -211,11 +208,11 @@ def unresolved(scene: Scene, cells: float) -> str:
     a mass of a single particle is meant to be one.
     """
     cell, thin = scene.domain.cell, dict[str, float]()
-    for index, (mass, count) in enumerate(zip(scene.masses, mass_counts(scene), strict=True)):
+    for (key, mass), count in zip(keyed(scene, "masses").items(), mass_counts(scene), strict=True):
         across = thinnest(scene, mass) if count > 1 else math.inf
         goes_on = mass.kind == "box" and continues(scene, mass, int(np.argmin(mass.size)))
         if across < cells * cell - TOLERANCE and not goes_on:
-            thin[f"masses[{index}]"] = across
+            thin[key] = across
     if not thin:
         return ""
     names, thickness = ", ".join([*thin][:3]) + (", ..." if len(thin) > 3 else ""), min(thin.values())

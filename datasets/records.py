@@ -74,8 +74,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
 def changed(record: Record) -> dict[str, Any]:
     """The keys of a record, and of those in it, that are not at their defaults, as `from_mapping` takes them."""
     kind: Any = type(record)
-    table: dict[str, Any] = _adapter(kind).dump_python(record, exclude_defaults=True, warnings=False)
-    return table
+    return dict(_adapter(kind).dump_python(record, exclude_defaults=True, warnings=False))
 
 
 def fraction(text: str) -> float:

@@ -363,6 +363,11 @@ class Scene(Record):
         return from_mapping(Scene, stated(data))
 
 
+def keyed(scene: Scene, *groups: str) -> dict[str, Any]:
+    """The members of groups such as `masses` by their keys in the scene, such as `masses[0]`."""
+    return {f"{group}[{index}]": each for group in groups for index, each in enumerate(getattr(scene, group))}
+
+
 def stated(value: Any) -> Any:
     """What a JSON states: without the keys that are null, which are as good as absent."""
     if isinstance(value, dict):

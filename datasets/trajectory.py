@@ -13,7 +13,7 @@ from datasets.arrays import HDF5, FrameWriter, open_frames, read_arrays, write_n
 from datasets.errors import InputError
 from datasets.files import FARTHEST, json_object
 from datasets.particles import particle_volumes
-from datasets.scene import Scene
+from datasets.scene import Scene, keyed
 
 Floats = NDArray[np.float32]
 
@@ -28,6 +28,8 @@ FIELDS = {
     "solid_impulse": np.float64,
 }
 """What a simulation may have recorded besides the positions, and as what it is stored."""
+STORED = {"time": np.float64, "velocity0": np.float32, "friction": np.float32, "mass": np.int32, **FIELDS}
+"""As what all but the positions is stored."""
 REQUIRED = ("positions", "time", "velocity0", "friction", "scene")
 
 
@@ -98,9 +100,8 @@ class Trajectory:
 
     def arrays(self) -> dict[str, NDArray[Any] | str]:
         """What a file holds besides the positions: the fields that there are; `scene` and `summary` as JSON."""
-        kinds = {"time": np.float64, "velocity0": np.float32, "friction": np.float32, "mass": np.int32, **FIELDS}
-        found = {key: getattr(self, key) for key in kinds}
-        stored = {key: array.astype(kinds[key], copy=False) for key, array in found.items() if array is not None}
+        found = {key: getattr(self, key) for key in STORED}
+        stored = {key: array.astype(STORED[key], copy=False) for key, array in found.items() if array is not None}
         return {**stored, "scene": self.scene.to_json(), "summary": json.dumps(self.summary)}
 
     def save(self, path: str | Path) -> None:
@@ -181,20 +182,15 @@ def _checked(arrays: Mapping[str, NDArray[Any]], path: Path, *, lazily: bool = F
         raise InputError(error.message, where=str(path), key="summary") from None
     return Trajectory(
         positions=positions if lazily and positions.dtype == np.float32 else np.asarray(positions, np.float32),
-        time=time.astype(np.float64, copy=False),
-        velocity0=arrays["velocity0"].astype(np.float32, copy=False),
-        friction=friction.astype(np.float32, copy=False),
         scene=scene,
         summary=summary,
-        mass=None if mass is None else mass.astype(np.int32, copy=False),
-        **{key: arrays[key].astype(kind, copy=False) for key, kind in FIELDS.items() if key in arrays},
+        **{key: arrays[key].astype(kind, copy=False) for key, kind in STORED.items() if key in arrays},
     )
 
 
 def solid_names(scene: Scene) -> tuple[str, ...]:
     """The names of what stands fixed in a scene's flow, in the order in which impulses are recorded."""
-    baffles = (f"baffles[{index}]" for index in range(len(scene.baffles)))
-    return (*baffles, *(solid.name or f"solids[{index}]" for index, solid in enumerate(scene.solids)))
+    return tuple(getattr(solid, "name", None) or key for key, solid in keyed(scene, "baffles", "solids").items())
 
 
 def read_trajectory(path: str | Path) -> Trajectory:

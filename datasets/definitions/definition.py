@@ -7,6 +7,7 @@ in a parameter alone: that is what an inversion asks for.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -149,6 +150,6 @@ def usually(stream: Stream, usual: Mapping[float, float], low: float, high: floa
     return float(stream.uniform(low, high)) if given is None else given
 
 
-def jitter_seed(stream: Stream) -> int:
-    """A seed for the initial jitter of one scene."""
-    return int(stream.integers(2**31))
+def flow(stream: Stream, **keys: Any) -> Scene:
+    """The scene of these keys with frames 0.02 s apart, long steps and, drawn last, a seed for its initial jitter."""
+    return Scene(frame_dt=0.02, step_fraction=0.9, seed=int(stream.integers(2**31)), **keys)

@@ -23,7 +23,7 @@ from datasets.definitions.definition import Definition, Split
 from datasets.errors import InputError, OutOfRange
 from datasets.library import scene_from
 from datasets.records import Record, dotted, from_mapping, read_toml
-from datasets.scene import TOLERANCE, Scene
+from datasets.scene import TOLERANCE, Scene, keyed
 
 Key = tuple[int | str, ...]
 Draws = dict[str, Any]
@@ -179,9 +179,7 @@ def rounded(value: float) -> float:
 
 def check_gaps(scene: Scene, gap: float) -> None:
     """Raise InputError where a baffle is nearer than `gap` [m] to another or to a mass, along every axis."""
-    boxes = [(f"masses[{number}]", mass) for number, mass in enumerate(scene.masses)]
-    boxes += [(f"baffles[{number}]", baffle) for number, baffle in enumerate(scene.baffles)]  # type: ignore[misc]
-    for (_, a), (name, b) in combinations(boxes, 2):
+    for (_, a), (name, b) in combinations(keyed(scene, "masses", "baffles").items(), 2):
         low, size, other, other_size = (np.array(each) for each in (a.lower, a.size, b.lower, b.size))
         distance = float(np.maximum(low - other - other_size, other - low - size).max())
         if name.startswith("baffles") and distance < gap - TOLERANCE:

@@ -14,7 +14,7 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform, usually
+from datasets.definitions.definition import Kind, Storage, Stream, family, flow, log_uniform, usually
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
@@ -24,7 +24,6 @@ AREA = 0.08
 CELL = 0.005
 """Of the MPM's grid [m]."""
 DENSITY, YOUNG, POISSON = 1800.0, 1.0e6, 0.3
-FRAME_DT = 0.02
 FRICTION_DEG = (12.0, 48.0)
 COHESION = (30.0, 3000.0)
 """Range of the cohesion [Pa] where there is any: 0.006 to 0.6 of the body's weight per length."""
@@ -108,10 +107,8 @@ def layers(stream: Stream) -> Scene:
 
 def thrown(stream: Stream) -> Scene:
     """One or two blocks that are thrown or dropped."""
-    count = int(stream.integers(1, 3))
-    shares = AREA * stream.dirichlet(np.full(count, 6.0))
-    width = box_length(stream)
-    masses = []
+    shares = AREA * stream.dirichlet(np.full(int(stream.integers(1, 3)), 6.0))
+    width, masses = box_length(stream), []
     left = float(stream.uniform(0.0, 0.3))
     for share in shares:
         size = pile(stream, (0.4, 2.5), share)
@@ -164,8 +161,7 @@ def baffles(stream: Stream) -> Scene:
     length, height = pile(stream, (0.4, 3.0))
     width = box_length(stream)
     left = float(stream.uniform(0.0, 0.2)) * float(stream.random() < 0.3)
-    x = left + length
-    obstacles = []
+    x, obstacles = left + length, []
     for _ in range(int(stream.integers(1, 4))):
         x += float(stream.uniform(0.04, 0.35))
         size = (float(stream.uniform(0.02, 0.12)), log_uniform(stream, 0.03, 0.3))
@@ -264,21 +260,19 @@ def scene(
     damping = usually(stream, {0.5: 0.0, 0.7: 0.12}, 0.02, 0.25)
     wall_friction = usually(stream, {0.3: 0.0, 0.6: 0.385}, 0.0, 0.8)
     tallest = max(mass.lower[1] + mass.size[1] if mass.size else 0.8 for mass in masses)
-    return Scene(
+    return flow(
+        stream,
         domain=Domain(size=(width, 1.0 if tallest < 0.9 else 1.4), cell=CELL),
         material=material,
         masses=masses,
         baffles=baffles,
         solids=solids,
         duration=1.2 if damping > 0.0 and slope_deg == 0.0 else 1.5,
-        frame_dt=FRAME_DT,
         slope_deg=slope_deg,
         floor_friction=floor(stream) if floor_friction is None else floor_friction,
         wall_friction=wall_friction,
         baffle_friction=float(stream.uniform(0.0, 0.8)) if baffles else 0.0,
         damping=damping,
-        step_fraction=0.9,
-        seed=jitter_seed(stream),
     )
 
 

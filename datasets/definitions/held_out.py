@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.geometry.ground import plan_axes
+from datasets.geometry.ground import Floats, plan_axes
 from datasets.library import SCENES, read_scene
 from datasets.particles import released_volume
 from datasets.scene import Baffle, Mass, Scene
@@ -32,7 +32,12 @@ ASPECT_MARGIN = 0.04
 def is_held_out(scene: Scene) -> bool:
     """Whether `scene` is a neighbour of a scene that ships, or a column of a held-out aspect at a wall."""
     scene = joined(scene)
-    return held_out_column(scene) or any(neighbours(scene, other) for other in shipped(scene.dimension))
+    mass = scene.masses[0]
+    if len(scene.masses) == 1 and scene.dimension == 2 and mass.kind == "box" and touches(scene).any():
+        aspect = mass.size[1] / mass.size[0]
+        if any(abs(aspect / other - 1.0) <= ASPECT_MARGIN for other in ASPECTS):
+            return True
+    return any(neighbours(scene, other) for other in shipped(scene.dimension))
 
 
 def joined(scene: Scene) -> Scene:
@@ -56,15 +61,6 @@ def shipped(dimension: int) -> tuple[Scene, ...]:
     return tuple(scene for scene in scenes if scene.dimension == dimension)
 
 
-def held_out_column(scene: Scene) -> bool:
-    """Whether a scene is a single box at a wall whose aspect is kept for tests."""
-    mass = scene.masses[0]
-    if len(scene.masses) > 1 or scene.dimension != 2 or mass.kind != "box" or not touches(scene).any():
-        return False
-    aspect = mass.size[1] / mass.size[0]
-    return any(abs(aspect / other - 1.0) <= ASPECT_MARGIN for other in ASPECTS)
-
-
 def neighbours(scene: Scene, other: Scene) -> bool:
     """Whether two scenes of one dimension are neighbours."""
     if (len(scene.masses), len(scene.baffles)) != (len(other.masses), len(other.baffles)):
@@ -73,7 +69,7 @@ def neighbours(scene: Scene, other: Scene) -> bool:
     return any(np.array_equal(touched, walls) and all(map(matched, mine, theirs)) for mine, touched in images(scene))
 
 
-def matched(mine: NDArray[np.float64], theirs: NDArray[np.float64]) -> bool:
+def matched(mine: Floats, theirs: Floats) -> bool:
     """Whether boxes [K, 2, D] can be paired with as many others such that all their corners are within `MARGIN`."""
     from scipy.optimize import linear_sum_assignment
 
@@ -81,7 +77,7 @@ def matched(mine: NDArray[np.float64], theirs: NDArray[np.float64]) -> bool:
     return bool(near[linear_sum_assignment(near, maximize=True)].all())
 
 
-def images(scene: Scene) -> Iterator[tuple[list[NDArray[np.float64]], NDArray[np.bool_]]]:
+def images(scene: Scene) -> Iterator[tuple[list[Floats], NDArray[np.bool_]]]:
     """A scene and its mirror images along x and, in 3D, z and both.
 
     Of each the boxes of its masses and of its baffles [-], shapes [K, 2, D], over the length of the body and from the
@@ -101,7 +97,7 @@ def images(scene: Scene) -> Iterator[tuple[list[NDArray[np.float64]], NDArray[np
         yield [(corners - corner) / unit for corners in groups], touched
 
 
-def boxes(group: tuple[Mass, ...] | tuple[Baffle, ...], dimension: int) -> NDArray[np.float64]:
+def boxes(group: tuple[Mass, ...] | tuple[Baffle, ...], dimension: int) -> Floats:
     """Lower and upper corner of each [m], of a turned baffle those of the box around it; shape [K, 2, D]."""
     lower, size = (np.array([getattr(each, key) for each in group]).reshape(-1, dimension) for key in ("lower", "size"))
     turn = np.radians([getattr(each, "turned_deg", 0.0) for each in group])

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from datasets.definitions import flow2d
-from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform, usually
+from datasets.definitions.definition import Kind, Storage, Stream, family, flow, log_uniform, usually
 from datasets.definitions.held_out import boxes
 from datasets.errors import InputError
 from datasets.material import Material
@@ -25,7 +25,6 @@ CELL = 1 / 60
 """Of the MPM's grid [m]; all boxes are whole numbers of it."""
 YOUNG = 0.9e6
 """160 rho g l [Pa]."""
-FRAME_DT = 0.02
 DURATION = 1.2
 """Of a scene that does not rest before [s]: 6.7 times sqrt(l / g)."""
 FRICTION_DEG = (15.0, 45.0)
@@ -157,12 +156,12 @@ def terrain(stream: Stream) -> Scene:
     friction = flow2d.floor(stream, 0.43)
     heights = tuple(map(tuple, ground.tolist()))
     solid = Solid(kind="terrain", origin=(-GRID, -GRID), spacing=(GRID, GRID), heights=heights, friction=friction)
-    along = float(stream.uniform(0.3, 0.6))
-    across = min(float(stream.uniform(0.35, 0.8)), width - 0.04)
+    along, across = float(stream.uniform(0.3, 0.6)), min(float(stream.uniform(0.35, 0.8)), width - 0.04)
     left, side = float(stream.uniform(0.02, 0.15)), aside(stream, across, width)
     ends = ((left, side), (left + along, side), (left + along, side + across), (left, side + across))
     velocity = throw(stream, 0.5) if stream.random() < 0.3 else None
-    mass = Mass(kind="layer", thickness=VOLUME / (along * across), outline=ends, velocity=velocity)
+    thickness = VOLUME / (along * across)
+    mass = Mass(kind="layer", thickness=thickness, outline=ends, velocity=velocity)
     count = int(stream.integers(1, 4)) * int(stream.random() < 0.35)
     box = Mass(lower=(left, 0.0, side), size=(along, 0.1, across))
     level = float(ground[round(min(foot, length - 0.1) / GRID)].min())
@@ -175,7 +174,7 @@ def terrain(stream: Stream) -> Scene:
         mass,
         width=width,
         length=length,
-        height=float(ground.max()) + VOLUME / (along * across) + 0.15,
+        height=float(ground.max()) + thickness + 0.15,
         solids=(solid,),
         floor_friction=friction,
         baffles=baffles,
@@ -286,21 +285,19 @@ def scene(
     front = max([mass.lower[0] + mass.size[0] if mass.size else 0.0, *(boxes(baffles, 3)[:, 1, 0] + 0.1)])
     length = length or float(stream.choice([each for each in LENGTHS if each > front] or LENGTHS[-1:]))
     top = height or max(mass.lower[1] + mass.size[1] + 0.16, 0.48)
-    return Scene(
+    return flow(
+        stream,
         domain=Domain(size=tuple(CELL * math.ceil(each / CELL - 1e-6) for each in (length, top, width)), cell=CELL),
         material=sand(stream),
         masses=(mass,),
         baffles=baffles,
         solids=solids,
         duration=DURATION,
-        frame_dt=FRAME_DT,
         slope_deg=slope_deg,
         floor_friction=flow2d.floor(stream, 0.43) if floor_friction is None else floor_friction,
         wall_friction=wall_friction,
         baffle_friction=on_baffles if baffles else 0.0,
         damping=damping,
-        step_fraction=0.9,
-        seed=jitter_seed(stream),
     )
 
 

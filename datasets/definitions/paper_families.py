@@ -11,7 +11,7 @@ from functools import wraps
 import numpy as np
 
 from datasets.definitions import flow2d, obstacle3d
-from datasets.definitions.definition import Kind, Storage, Stream, family, jitter_seed, log_uniform
+from datasets.definitions.definition import Kind, Storage, Stream, family, flow, log_uniform
 from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
 
@@ -23,7 +23,6 @@ SPEED = 2.0
 """Largest velocity of a layer [m/s]."""
 LAYERS = (2, 10)
 CELL = 0.005
-FRAME_DT = 0.02
 
 FRICTION_DEG_3D = (25.0, 42.0)
 CELLS_3D = (1 / 48, 1 / 60)
@@ -61,7 +60,8 @@ def size(stream: Stream) -> tuple[float, float]:
 
 def scene(stream: Stream, masses: tuple[Mass, ...]) -> Scene:
     """Masses of the paper's sand in the box of its 2D problems, longer where they are fast or large, for 1.2 s."""
-    return Scene(
+    return flow(
+        stream,
         domain=Domain(size=(float(stream.choice([1.0, 1.4])), 1.0), cell=CELL),
         material=Material(
             friction_deg=float(stream.uniform(*FRICTION_DEG)),
@@ -73,12 +73,9 @@ def scene(stream: Stream, masses: tuple[Mass, ...]) -> Scene:
         ),
         masses=masses,
         duration=1.2,
-        frame_dt=FRAME_DT,
         floor_friction=0.385,
         wall_friction=0.385,
         damping=0.12,
-        step_fraction=0.9,
-        seed=jitter_seed(stream),
     )
 
 

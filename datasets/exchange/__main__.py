@@ -111,8 +111,8 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
             continue
         # They may describe a larger box for rollouts than for training.
         purpose = content.get("rollout" if split is Split.TEST else "train", content)
+        known = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
         try:
-            known = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
             foreign = from_mapping(ForeignMetadata, known)
         except InputError as error:
             raise error.at(str(source / "metadata.json")) from None

@@ -108,10 +108,6 @@ class Meshes:
         }
         return {key: values for key, values in known.items() if values is not None}
 
-    def changes(self, part: str) -> bool:
-        """Whether a part is another one in every frame."""
-        return part == MOVING or (part == "solids" and self.trajectory.solid_impulse is not None)
-
     def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
         """The part `name` at `frame`: the particles with `fields`, a vertex each, the edges of the box, or the solids.
 
@@ -185,11 +181,13 @@ def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, pro
     series = ElementTree.Element("VTKFile", type="Collection", version="0.1", byte_order="LittleEndian")
     collection = ElementTree.SubElement(series, "Collection")
     meshes, since = Meshes(trajectory), 0
+    # Parts that are others in every frame.
+    changing = {MOVING, *(("solids",) if trajectory.solid_impulse is not None else ())}
     with tempfile.TemporaryDirectory(dir=folder, prefix=".vtk-") as name:
         beside = Path(name)
         for frame in tqdm(frames_of(trajectory, every), desc="vtk", unit="frame", disable=not progress):
             for number, part in enumerate(meshes.parts):
-                file = f"{part}-{frame:04d}.vtp" if meshes.changes(part) else f"{part}.vtp"
+                file = f"{part}-{frame:04d}.vtp" if part in changing else f"{part}.vtp"
                 if not (beside / file).exists():
                     _write(meshes.part(part, frame, since), beside / file)
                 time = repr(float(trajectory.time[frame]))

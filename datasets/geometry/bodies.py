@@ -17,11 +17,11 @@ import shapely
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.geometry.closed import check_simple, manifold, outward, sliced
+from datasets.geometry.closed import Body, check_simple, manifold, outward, sliced
 from datasets.geometry.ground import TOUCHING, Floats, elevation, interpolated, plan_axes
 from datasets.geometry.shapes import FARTHEST, check_grid, check_shape, require
 from datasets.memory import require as require_memory
-from datasets.scene import Domain, Mass, Scene, Solid
+from datasets.scene import Domain, Mass, Scene, Solid, keyed
 
 LATTICE = 40
 """Bytes that a coordinate of a lattice takes while it is made."""
@@ -58,9 +58,9 @@ class Filling:
 def with_boxes(scene: Scene) -> tuple[Mass, ...]:
     """The masses of `scene`, each with the box around it. Raises InputError for a shape that is none."""
     masses = []
-    for index, mass in enumerate(scene.masses):
+    for key, mass in keyed(scene, "masses").items():
         if mass.kind != "box":
-            found = filling(scene, mass, f"masses[{index}]")
+            found = filling(scene, mass, key)
             size = tuple((found.upper - found.lower).tolist())
             mass = dataclasses.replace(mass, lower=tuple(found.lower.tolist()), size=size)
         masses.append(mass)
@@ -111,7 +111,7 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     from scipy import ndimage
 
     from datasets.geometry.nearest import inside
-    from datasets.geometry.surface import surface_around
+    from datasets.geometry.surface import boundary
 
     vertices = np.array(mass.vertices)
     triangles = outward(vertices, np.array(mass.triangles, np.int64), f"{key}.triangles")
@@ -123,8 +123,9 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     buried = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False).ravel()[within]
 
     def outside(places: Floats) -> NDArray[np.bool_]:
+        body = Body(vertices=vertices, faces=triangles, friction=np.zeros(len(vertices)), key=key)
         found = np.zeros(len(places), bool)
-        found[~buried] = ~inside(surface_around(vertices, triangles), places[~buried])
+        found[~buried] = ~inside(boundary([body], 0.0), places[~buried])
         return found
 
     return Filling(

@@ -80,14 +80,11 @@ def pseudonormals(vertices: Floats, faces: Integers) -> tuple[Floats, Floats, Fl
 
 def check_simple(points: Floats, key: str) -> None:
     """Raise InputError unless `points` are the corners of a polygon that does not cross or touch itself."""
-    after = np.roll(points, -1, axis=0)
-    twice = np.flatnonzero((points == after).all(axis=1))
+    twice = np.flatnonzero((points == np.roll(points, -1, axis=0)).all(axis=1))
     if len(twice):
         where = (int(twice[0]) + 1) % len(points)
-        raise InputError(
-            f"expected different vertices, got {points[where].tolist()} twice (the last joins the first by itself)",
-            key=f"{key}[{where}]",
-        )
+        got = f"{points[where].tolist()} twice (the last joins the first by itself)"
+        raise InputError(f"expected different vertices, got {got}", key=f"{key}[{where}]")
     polygon = Polygon(points)
     if not polygon.is_valid:
         reason = shapely.is_valid_reason(polygon)
@@ -102,8 +99,7 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> Integers:
     if opened or shared:
         fault = f"{opened} open edges" if opened else f"{shared} edges of more than two triangles"
         raise InputError(f"expected a closed surface, got one with {fault}", key=key)
-    status = manifold(vertices, triangles).status()
-    if status != manifold3d.Error.NoError:
+    if manifold(vertices, triangles).status() != manifold3d.Error.NoError:
         raise InputError("expected a closed surface whose triangles all face the same way", key=key)
     a, b, c = np.moveaxis(vertices[triangles], 1, 0)
     volume = float(np.einsum("ni,ni->", a, np.cross(b, c)))

@@ -13,7 +13,7 @@ from datasets.geometry.closed import manifold
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, plan_axes
 from datasets.geometry.nearest import inside
 from datasets.geometry.surface import Surface, closed_body, solids_of, surface_in, surface_of
-from datasets.scene import TOLERANCE, Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import TOLERANCE, Baffle, Domain, Mass, Scene, Solid, keyed
 
 SAMPLES = 32
 """Most places along an axis at which the height of a body above ground is looked for."""
@@ -21,20 +21,18 @@ SAMPLES = 32
 
 def check_overlaps(scene: Scene) -> None:
     """Raise InputError for a solid that is none, a body that overlaps a solid, or masses that overlap each other."""
-    boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]
+    keys, boxes = zip(*keyed(scene, "masses", "baffles").items(), strict=True)
     shared = overlaps(boxes)
     shared[len(scene.masses) :, len(scene.masses) :] = False  # baffles may be built of more boxes than one
     upright = np.array([each.kind == "box" if isinstance(each, Mass) else each.turned_deg == 0.0 for each in boxes])
-    names = [f"masses[{index}]" for index in range(len(scene.masses))]
-    names += [f"baffles[{index}]" for index in range(len(scene.baffles))]
     for first, second in np.argwhere(shared & np.outer(upright, upright)):
-        raise InputError(f"expected a box clear of {names[first]}, got an overlap", key=names[second])
+        raise InputError(f"expected a box clear of {keys[first]}, got an overlap", key=keys[second])
     if not has_shapes(scene):
         return
     surface_of(scene)  # says what is wrong with the shapes
     for index, mass in enumerate(scene.masses):
         others: list[tuple[Mass | Solid, str]] = [*zip(*solids_of(scene), strict=True)]
-        others += [(other, names[number]) for number, other in enumerate(scene.masses[:index])]
+        others += [(other, keys[number]) for number, other in enumerate(scene.masses[:index])]
         for other, key in others:
             aligned = mass.kind == other.kind == "box" and (isinstance(other, Mass) or other.turned_deg == 0.0)
             if aligned and not key.startswith("solids"):

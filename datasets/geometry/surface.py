@@ -26,8 +26,8 @@ from datasets.geometry.closed import (
     union_of_rings,
     union_of_surfaces,
 )
-from datasets.geometry.ground import CLOSING, Floats, Integers
-from datasets.scene import ROUGH, Domain, Scene, Solid, coefficient
+from datasets.geometry.ground import CLOSING, Floats
+from datasets.scene import ROUGH, Domain, Scene, Solid, coefficient, keyed
 
 KEPT = 3.0
 """Cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)."""
@@ -99,8 +99,7 @@ def solids_of(scene: Scene) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
         )
         for each, friction in zip(scene.baffles, frictions, strict=True)
     ]
-    keys = [f"{kind}[{index}]" for kind in ("baffles", "solids") for index in range(len(getattr(scene, kind)))]
-    return (*baffles, *scene.solids), tuple(keys)
+    return (*baffles, *scene.solids), tuple(keyed(scene, "baffles", "solids"))
 
 
 @lru_cache(maxsize=32)
@@ -113,11 +112,6 @@ def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...])
     near = ((found.corners.max(axis=1) >= -margin) & (found.corners.min(axis=1) <= high + margin)).all(axis=1)
     found.friction[stuck] = np.inf
     return found.chosen(near)
-
-
-def surface_around(vertices: Floats, faces: Integers) -> Surface:
-    """The surface of a single body, wherever it lies."""
-    return boundary([Body(vertices=vertices, faces=faces, friction=np.zeros(len(vertices)), key="")], 0.0)
 
 
 def boundary(bodies: list[Body], gap: float) -> Surface:

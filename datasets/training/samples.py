@@ -13,7 +13,7 @@ from tqdm import tqdm
 from datasets.errors import InputError
 from datasets.geometry.ground import ground_raster
 from datasets.particles import mass_counts
-from datasets.scene import Scene, coefficient
+from datasets.scene import Scene, coefficient, keyed
 from datasets.trajectory import Floats, Trajectory, trajectory_files
 
 MOVING = 0.02
@@ -100,9 +100,9 @@ def check_known(scene: Scene, who: str, where: str = "") -> None:
         (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
         (len(densities) > 1, "masses", "masses of one density"),
     ]
-    for index, solid in enumerate(scene.solids):
-        refused.append((solid.kind != "terrain", f"solids[{index}].kind", "baffles and terrain alone"))
-        refused.append((solid.contact != "coulomb", f"solids[{index}].contact", "Coulomb friction alone"))
+    for place, solid in keyed(scene, "solids").items():
+        refused.append((solid.kind != "terrain", f"{place}.kind", "baffles and terrain alone"))
+        refused.append((solid.contact != "coulomb", f"{place}.contact", "Coulomb friction alone"))
     for bad, key, expected in refused:
         if bad:
             raise InputError(f"expected {expected}, {who} knows no other", where=where, key=key)
@@ -155,18 +155,16 @@ class Surroundings:
         )
         frictions = [scene.baffle_friction if each.friction is None else each.friction for each in scene.baffles]
         # Sand shears above what is rougher than itself.
-        floor, wall, *others = (
-            coefficient(each, 1.0) for each in (scene.floor_friction, scene.wall_friction, *frictions)
-        )
+        known = [coefficient(each, 1.0) for each in (scene.floor_friction, scene.wall_friction, *frictions)]
         return Surroundings(
             size=np.array(scene.domain.size, np.float32),
             gravity=np.array(scene.gravity_vector, np.float32),
-            floor_friction=floor,
-            wall_friction=wall,
+            floor_friction=known[0],
+            wall_friction=known[1],
             damping=scene.damping,
             baffles=np.concatenate((lower, lower + extent), axis=1),
             baffle_turn=np.radians([each.turned_deg for each in scene.baffles]).astype(np.float32),
-            baffle_friction=np.array(others, np.float32),
+            baffle_friction=np.array(known[2:], np.float32),
             ground=ground,
         )
 
