@@ -59,7 +59,7 @@ def export(dataset: Path, out: Path) -> None:
 
 
 def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) -> dict[str, Any]:
-    """The contents of their `metadata.json`, from scenes and shapes alone. Raises InputError as `export`."""
+    """The contents of their `metadata.json`, from scenes and shapes alone. Raises InputError."""
     content = read_metadata(dataset / "metadata.json")
     for key in STATISTICS:
         if key not in content:
@@ -99,7 +99,8 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
 def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
     """Write the dataset in `source`, in their layout, to the folder `out`.
 
-    scene: of all trajectories; up: the axis, `y` or `z`, that points up. Raises InputError as `export`.
+    scene: of all trajectories; up: the axis, `y` or `z`, that points up. Raises InputError for what is no such dataset,
+    and where `out` holds anything.
     """
     content = read_metadata(source / "metadata.json")
     check_empty(out)

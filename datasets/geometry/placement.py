@@ -114,7 +114,8 @@ def remembers_gaps(scene: Scene) -> bool:
 def heights_above_ground(scene: Scene) -> Floats:
     """Height [m] of the body that each mass belongs to, above what is beneath it; masses that touch are one body.
 
-    That of the body is the least of its masses', each above the floor or the highest box beneath it; shape [masses].
+    That of the body is the least of its masses', each above the floor or the highest box or solid beneath it, that of a
+    layer is 0; shape [masses].
     """
     count, shaped = len(scene.masses), has_shapes(scene)
     lower, upper = corners(scene.masses if shaped else (*scene.masses, *scene.baffles))
@@ -123,7 +124,14 @@ def heights_above_ground(scene: Scene) -> Floats:
     beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
     height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
     if shaped:
-        height = np.minimum(height, heights_above_solids(scene))
+        surface, slack = surface_of(scene), 10.0 * CLOSING * scene.domain.cell
+        for index, mass in enumerate(scene.masses):
+            above = 0.0
+            if mass.kind != "layer":
+                places = underside(scene, mass)
+                tops = np.zeros(len(places)) if surface is None else tops_beneath(surface, places, slack)
+                above = max(0.0, float((places[:, 1] - tops).min()))
+            height[index] = min(height[index], above)
     group = connected(lower[:count], upper[:count])
     lowest = np.full(count, np.inf)
     np.minimum.at(lowest, group, height)
@@ -138,18 +146,6 @@ def connected(lower: Floats, upper: Floats) -> NDArray[np.int32]:
     touch = (lower[:, None] <= upper + TOLERANCE).all(axis=-1)
     group: NDArray[np.int32] = connected_components(touch & touch.T)[1]
     return group
-
-
-def heights_above_solids(scene: Scene) -> Floats:
-    """Height [m] of the underside of each mass above the highest solid beneath it, or the floor; shape [masses]."""
-    surface, cell = surface_of(scene), scene.domain.cell
-    heights = np.zeros(len(scene.masses))
-    for index, mass in enumerate(scene.masses):
-        if mass.kind != "layer":
-            places = underside(scene, mass)
-            tops = np.zeros(len(places)) if surface is None else tops_beneath(surface, places, 10.0 * CLOSING * cell)
-            heights[index] = max(0.0, float((places[:, 1] - tops).min()))
-    return heights
 
 
 def underside(scene: Scene, mass: Mass) -> Floats:
