@@ -12,9 +12,8 @@ from datasets.field import FRICTION
 from datasets.geometry.shapes import require
 from datasets.scene import Scene
 from inverse.observations import KINDS, build
-from inverse.parameters import known_names, with_kinds
+from inverse.parameters import Parameter, known_names, with_kinds
 from inverse.parameters.field import UnknownField
-from inverse.parameters.parameter import Parameter
 from inverse.settings import LoopSettings, ObservationSettings, OptimiserSettings, TargetSettings, noise_of
 
 FEWEST_RUNS = 5

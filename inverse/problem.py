@@ -17,9 +17,8 @@ from datasets.particles import released_volume
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
 from inverse import checks
-from inverse.parameters import Kind, Vector, with_kinds, with_parameters
+from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_parameters
 from inverse.parameters.field import UnknownField
-from inverse.parameters.parameter import Parameter
 from inverse.settings import (
     LoopSettings,
     ObservationSettings,

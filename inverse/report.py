@@ -11,10 +11,17 @@ from tabulate import tabulate
 
 from datasets.files import write_text
 from inverse import pictures
-from inverse.fields import IDENTIFIED, FoundField
-from inverse.found import Answer, Combination, Purpose, Verdict, peak_memory_mib, unidentified
+from inverse.found import (
+    IDENTIFIED,
+    Answer,
+    Combination,
+    FoundField,
+    Purpose,
+    Verdict,
+    peak_memory_mib,
+    unidentified,
+)
 from inverse.noise import CONFIDENCE, rms
-from inverse.observations.joint import Joint, Part
 
 if TYPE_CHECKING:
     from inverse.result import Result
@@ -49,11 +56,11 @@ def write(found: "Result", folder: Path, command: str) -> None:
         pictures.draw_posterior(folder / "posterior.png", found)
         parts.append("![prior and posterior](posterior.png)")
     if found.further:
-        gains = [[each.name, f"{each.gain:.2f}"] for each in found.further]
+        gains = [{"measurement": each.name, "information [nat]": f"{each.gain:.2f}"} for each in found.further]
         parts += [
             "## What a further measurement would decide",
             "Expected information of each about the parameters, beyond what was observed; 0.69 halves one interval.",
-            table(["measurement", "information [nat]"], gains),
+            table(gains),
         ]
     parts += ["## How it was found", search_table(found)]
     parts += ["## Cost", cost(found)]
@@ -140,10 +147,8 @@ def numbers(found: "Result") -> str:
     texts = []
     for answer in found.answers:
         share = f" ({100.0 * answer.weight:.0f} % of the posterior)" if len(found.answers) > 1 else ""
-        texts.append(
-            ", ".join(f"`{n}` = {text}" for n, text in zip(found.problem.names, cells(found, answer), strict=True))
-        )
-        texts[-1] += share
+        named = zip(found.problem.names, cells(found, answer), strict=True)
+        texts.append(", ".join(f"`{name}` = {text}" for name, text in named) + share)
     meaning = "changes that the MPM distinguishes" if found.problem.target.minimise else "95 %"
     return f"{'; or '.join(texts)} ({meaning})."
 
@@ -173,11 +178,7 @@ def equifinality(found: "Result") -> str:
         return ""
     parts = []
     if names := unidentified(found.problem, found.answers[0]):
-        known = [
-            f"{mix(each)} to ± {100.0 * each.half_width:.2g} % of the range"
-            for each in found.combinations
-            if each.identifiable
-        ]
+        known = [mix(each) for each in found.combinations if each.identifiable]
         listed = ", ".join(f"`{name}`" for name in names)
         parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(known[:SUGGESTED]) or 'nothing'}")
     if found.further:
@@ -233,37 +234,37 @@ def question(found: "Result") -> str:
             row |= {"truth": text(truth[each.name]), "error": text(value - truth[each.name])}
             row["truth inside"] = "yes" if each.name in found.inside else "**no**"
         rows.append(row)
-    return observed + (f"\n\n{table(list(rows[0]), [list(row.values()) for row in rows])}" if rows else "")
+    return observed + (f"\n\n{table(rows)}" if rows else "")
 
 
 def every_answer(found: "Result") -> str:
     """A line for each."""
-    head = [*(f"`{name}`" for name in found.problem.names), "share of the posterior", "the MPM there"]
-    said = ["not asked" if each.fit is None else distance(found, each) for each in found.answers]
-    rows = [
-        [*cells(found, each), f"{100.0 * each.weight:.0f} %", word]
-        for each, word in zip(found.answers, said, strict=True)
-    ]
-    return table(head, rows)
+    rows = []
+    for each in found.answers:
+        row = {f"`{name}`": cell for name, cell in zip(found.problem.names, cells(found, each), strict=True)}
+        row["share of the posterior"] = f"{100.0 * each.weight:.0f} %"
+        row["the MPM there"] = "not asked" if each.fit is None else distance(found, each)
+        rows.append(row)
+    return table(rows)
 
 
 def comparison(found: "Result") -> str:
     """Each observation as it was measured and at the answer."""
     whole, target, shown = found.target.observation, found.target, found.predicted
-    alone = Part(name=whole.kind, observation=whole, numbers=slice(None))
     scale = whole.raw(np.ones(len(target.values)))
     design, same = found.problem.target.minimise, len(shown) == len(target.values)
-    rows = []
-    for part in whole.parts if isinstance(whole, Joint) else (alone,):
+    rows, runs = [], len(found.answers[0].checks)
+    which = f"{found.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
+    for part in whole.parts:
         own, text, root = part.numbers, part.observation.text, part.observation.root_text
         measured = whole.raw(target.values)[own]
         answer = whole.raw(shown)[own] if same else shown
         noise, residual = rms(target.deviation[own] * scale[own]), rms(answer - measured) if same else np.nan
-        known = ["-"] * 3 if design else [text(measured), root(noise), root(residual)]
-        rows.append([part.name, known[0], text(answer), *known[1:]])
-    runs = len(found.answers[0].checks)
-    which = f"{found.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
-    return table(["observation", "target", which, "noise", "residual (root mean square)"], rows)
+        row = {"observation": part.name, "target": "-" if design else text(measured), which: text(answer)}
+        row["noise"] = "-" if design else root(noise)
+        row["residual (root mean square)"] = "-" if design else root(residual)
+        rows.append(row)
+    return table(rows)
 
 
 def identified(field: FoundField) -> str:
@@ -283,18 +284,18 @@ def identified(field: FoundField) -> str:
 def field_table(field: FoundField) -> str:
     """Widths and, of a twin, errors: of all values and of those that are identified."""
     unit, inside, rows = field.unknown.unit, field.unknown.inside, []
-    head = ["", "values", f"deviation, prior [{unit}]", f"posterior [{unit}]"]
     for name, where in (("all", inside), ("identified", field.identified), ("others", inside & ~field.identified)):
         if not where.any():
             continue
-        numbers = [field.arrays[name][where].mean() for name in ("prior_deviation", "deviation")]
+        row = {"": name, "values": str(int(where.sum()))}
+        row[f"deviation, prior [{unit}]"] = f"{field.arrays['prior_deviation'][where].mean():.3g}"
+        row[f"posterior [{unit}]"] = f"{field.arrays['deviation'][where].mean():.3g}"
         if field.truth is not None:
-            numbers += [field.error(where, field.unknown.settings.mean), field.error(where)]
-        row = [name, str(int(where.sum())), *(f"{value:.3g}" for value in numbers)]
-        rows.append(row if field.truth is None else [*row, f"{100.0 * (field.covered(where) or 0.0):.0f} %"])
-    if field.truth is not None:
-        head += [f"error of the prior's mean [{unit}]", f"of the found field [{unit}]", "truth within 95 %"]
-    return table(head, rows)
+            row[f"error of the prior's mean [{unit}]"] = f"{field.error(where, field.unknown.settings.mean):.3g}"
+            row[f"of the found field [{unit}]"] = f"{field.error(where):.3g}"
+            row["truth within 95 %"] = f"{100.0 * (field.covered(where) or 0.0):.0f} %"
+        rows.append(row)
+    return table(rows)
 
 
 def uncertainty(found: "Result") -> list[str]:
@@ -315,27 +316,21 @@ def uncertainty(found: "Result") -> list[str]:
         widths = "the half-widths stay" if fit.factor == 1.0 else "**the half-widths are so much wider**"
         parts.append(f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain {chance}: {widths}.")
     if len(found.combinations) > 1:
-        lines = [
-            f"- {'**Identifiable**' if each.identifiable else '**Not identifiable**'}: {mix(each)}, "
-            f"to ± {100.0 * each.half_width:.2g} % of the range."
-            for each in found.combinations
-        ]
-        parts.append("\n".join(lines))
+        words = {True: "**Identifiable**", False: "**Not identifiable**"}
+        parts.append("\n".join(f"- {words[each.identifiable]}: {mix(each, ',')}." for each in found.combinations))
     return parts
 
 
-def mix(combination: Combination) -> str:
-    """A combination in words: which parameters go up, and which go down with them."""
-    greatest = max(abs(weight) for weight in combination.weights.values())
-    heavy = {name: weight for name, weight in combination.weights.items() if abs(weight) >= MAIN * greatest}
-    if len(heavy) > NAMED:
-        heaviest = sorted(heavy, key=lambda name: -abs(heavy[name]))[:NAMED]
-        heavy = {name: weight for name, weight in heavy.items() if name in heaviest}
-    up = [f"`{name}`" for name, weight in heavy.items() if weight > 0.0]
-    down = [f"`{name}`" for name, weight in heavy.items() if weight <= 0.0]
-    if not down:
-        return " and ".join(up) + (" up or down together" if len(up) > 1 else "")
-    return f"{' and '.join(up)} up while {' and '.join(down)} down"
+def mix(combination: Combination, comma: str = "") -> str:
+    """A combination in words: which parameters go up, which go down with them, and how well it is known."""
+    weights = combination.weights
+    heaviest = sorted(weights, key=lambda name: -abs(weights[name]))[:NAMED]
+    heavy = [name for name in weights if name in heaviest and abs(weights[name]) >= MAIN * abs(weights[heaviest[0]])]
+    up = " and ".join(f"`{name}`" for name in heavy if weights[name] > 0.0)
+    down = " and ".join(f"`{name}`" for name in heavy if weights[name] <= 0.0)
+    together = " up or down together" if len(heavy) > 1 else ""
+    text = f"{up} up while {down} down" if down else f"{up}{together}"
+    return f"{text}{comma} to ± {100.0 * combination.half_width:.2g} % of the range"
 
 
 def search_table(found: "Result") -> str:
@@ -349,29 +344,23 @@ def search_table(found: "Result") -> str:
             elif isinstance(value, bool | int | float):
                 row[key.replace("_", " ")] = value
         rows.append(row)
-    text = tabulate(rows, headers="keys", tablefmt="pipe", floatfmt=".4g")
-    if found.surrogate:
-        text = f"Surrogate: {found.surrogate['reason']}.\n\n{text}"
-    return text
+    said = f"Surrogate: {found.surrogate['reason']}.\n\n" if found.surrogate else ""
+    return said + tabulate(rows, headers="keys", tablefmt="pipe", floatfmt=".4g")
 
 
 def cost(found: "Result") -> str:
     """Runs, seconds and memory."""
-    runs = {
-        f"MPM runs, {purpose}": sum(each.purpose is purpose for each in found.mpm_runs)
-        for purpose in Purpose
-        if found.mpm_runs
-    }
+    every = [each.purpose for each in found.mpm_runs]
+    runs = {f"MPM runs, {purpose}": every.count(purpose) for purpose in Purpose if every}
     counts = {key.replace("_", " "): value for key, value in found.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in found.seconds.items()}
-    row = {key: str(value) for key, value in (runs | counts | seconds).items()}
-    row["peak memory"] = f"{peak_memory_mib():.0f} MiB"
-    return table(list(row), [list(row.values())])
+    peak = {"peak memory": f"{peak_memory_mib():.0f} MiB"}
+    return table([{key: str(value) for key, value in (runs | counts | seconds | peak).items()}])
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown of cells that are text already."""
-    return tabulate(rows, headers=head, tablefmt="pipe", disable_numparse=True)
+def table(rows: Sequence[dict[str, str]]) -> str:
+    """A table in Markdown of rows by column, whose cells are text already."""
+    return tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True)
 
 
 def summary(found: "Result") -> str:

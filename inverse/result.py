@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from datasets.files import make_folder, replacing, write_json
 from datasets.library import write_scene
 from datasets.scene import Scene
-from inverse.fields import FoundField, arrays_of
-from inverse.found import Answer, Combination, MpmRun, Verdict, peak_memory_mib, plain
+from inverse.found import Answer, Combination, FoundField, MpmRun, Verdict, peak_memory_mib, plain
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior.answers import half_widths
@@ -199,8 +198,9 @@ class Result:
             with replacing(folder / "posterior.npz") as part:
                 np.savez_compressed(part, names=names, samples=self.samples, weights=weights)
         if self.fields:
+            arrays = {f"{k}_{key}": own for k, each in enumerate(self.fields) for key, own in each.saved.items()}
             with replacing(folder / "field.npz") as part:
-                np.savez(part, **arrays_of(self.fields))  # type: ignore[arg-type]
+                np.savez(part, **arrays)  # type: ignore[arg-type]
             write_scene(self.scene, folder / "scene.toml")
         write_json(folder / "result.json", self.as_json())
         report.write(self, folder, f"{self.command} {self.problem.asked or self.problem.name} --out {folder}")

@@ -14,9 +14,8 @@ from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import KINDS
-from inverse.observations.joint import Joint, Part
 from inverse.observations.measured import Context
-from inverse.observations.observation import Matrix, Measurement, Values
+from inverse.observations.observation import Joint, Matrix, Measurement, Part, Values
 from inverse.problem import Problem
 
 

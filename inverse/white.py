@@ -22,7 +22,6 @@ from datasets.processes import processors
 from datasets.scene import Scene
 from inverse.forward.adjoint import derivatives
 from inverse.observations import Observation, Rollout
-from inverse.observations.joint import Joint
 from inverse.observations.observation import brackets
 from inverse.problem import Problem
 from mpm import simulate_many
@@ -53,8 +52,8 @@ class WhiteFlow:
         """Which white numbers are those of each field; of all numbers."""
         self.size = int(ends[-1])
         scene = problem.scene
-        parts = [part.observation for part in observation.parts] if isinstance(observation, Joint) else [observation]
-        times = np.concatenate([[scene.duration], *(part.times for part in parts if part.times is not None)])
+        own = [part.observation.times for part in observation.parts if part.observation.times is not None]
+        times = np.concatenate([[scene.duration], *own])
         before, share = brackets(np.arange(scene.frames, dtype=np.float64) * scene.frame_dt, times)
         self.frames = sorted({*before.tolist(), *(before + np.ceil(share).astype(np.int64)).tolist()})
         """Frames that the observation looks at, and the last."""
@@ -83,6 +82,11 @@ class WhiteFlow:
             self.bar.update(len(runs))
         self.runs += len(scenes)
         return np.stack(found)
+
+    def scattered(self, white: Floats) -> Floats:
+        """The observed numbers [n, M] of runs at white numbers [W] that differ in their jitter seed."""
+        seeds = self.problem.scatter_seeds
+        return self.observe([white] * len(seeds), seeds)
 
     def mean(self, white: Floats, seeds: Sequence[int]) -> Floats:
         """The observed numbers [M] at white numbers [W], mean over jitter seeds."""

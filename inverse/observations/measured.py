@@ -155,21 +155,17 @@ def profile_of(settings: ObservationSettings, context: Context) -> MeasuredProfi
             if scene.dimension != 2:
                 raise InputError("expected heights above the ground in 3D, got elevations", key="heights")
             height = height - elevation(scene.solids, scene.domain, x[:, None])
-        check_heights(height)
+        got = "datum is the floor's in the file"
+        if height.max() <= 0.0:
+            raise InputError(f"expected a height above the floor, got none; {got}")
+        if height.min() < -BELOW * height.max():
+            raise InputError(f"expected heights above the floor, got {height.min():g} m; {got}")
         profile = closed(x, np.maximum(height, 0.0), scene.domain.size[0])
         if context.released is not None:
             check_area(profile, settings.heights, context.released)
         return profile
     except InputError as error:
         raise error.at(str(path)) from None
-
-
-def check_heights(height: Floats) -> None:
-    """Raise InputError for heights [m] that are below the floor by more than noise, or nowhere above it."""
-    if height.max() <= 0.0:
-        raise InputError("expected a height above the floor, got none; datum is the floor's in the file")
-    if height.min() < -BELOW * height.max():
-        raise InputError(f"expected heights above the floor, got {height.min():g} m; datum is the floor's in the file")
 
 
 def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:

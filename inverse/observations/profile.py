@@ -167,9 +167,7 @@ class SurfaceProfile(Profile):
     """
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
-        scene = self.scene
-        spacing = float(self.fine[1] - self.fine[0])
-        rows = len(self.fine)
+        scene, rows, spacing = self.scene, len(self.fine), float(self.fine[1] - self.fine[0])
         widths = [round(width / spacing) or 1 for width in scene.domain.size[2:]]
         index = np.clip(np.rint(positions[:, 0] / spacing).astype(np.int64), 0, rows - 1)
         for axis, count in enumerate(widths, 2):

@@ -26,8 +26,12 @@ A new one is a line of `KINDS` and, where the surrogate has it among its inputs,
 import dataclasses
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
 
 from datasets.errors import InputError
+from datasets.records import Record
 from datasets.scene import Scene
 from inverse.parameters import inputs
 from inverse.parameters.kind import (
@@ -39,22 +43,21 @@ from inverse.parameters.kind import (
     Extent,
     Height,
     Kind,
-    RateOfShear,
     Residual,
     Vector,
     Velocity,
 )
 
-__all__ = ["Kind", "Vector", "kind", "known_names", "with_parameters"]
+__all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
 
 _MATERIAL = (
     Constant(form="friction_deg", unit="deg", digits=2, order=0, input=inputs.friction),
     Cohesion(form="cohesion", unit="Pa", digits=1, order=0, input=inputs.cohesion),
     Constant(form="young", unit="Pa", digits=0, order=0),
-    Residual(form="residual_friction_deg", unit="deg", digits=2, order=1),
-    Residual(form="residual_cohesion", unit="Pa", digits=1, order=1),
-    RateOfShear(form="friction_limit_deg", unit="deg", digits=2, order=1),
-    RateOfShear(form="inertial_number", unit="-", digits=3, order=1),
+    Residual(form="residual_friction_deg", unit="deg", digits=2, order=1, requires="softening_length"),
+    Residual(form="residual_cohesion", unit="Pa", digits=1, order=1, requires="softening_length"),
+    Constant(form="friction_limit_deg", unit="deg", digits=2, order=1, requires="friction_limit_deg"),
+    Constant(form="inertial_number", unit="-", digits=3, order=1, requires="friction_limit_deg"),
 )
 _COEFFICIENTS = {
     "floor_friction": inputs.floor_friction,
@@ -141,3 +144,67 @@ def with_kinds(scene: Scene, kinds: Sequence[Kind], values: Sequence[float] | Ve
 def in_order(kinds: Sequence[Kind]) -> list[int]:
     """Indices of `kinds` in the order in which they are set."""
     return sorted(range(len(kinds)), key=lambda index: kinds[index].order)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter(Record):
+    """One of `[[unknowns]]`: a number with a uniform prior between its bounds or, with a `spacing`, a field.
+
+    A field varies over the body by the values at its nodes, with a smooth Gaussian prior (`inverse.parameters.field`).
+    """
+
+    name: str
+    """See `inverse.parameters`; of a field `friction_deg`, `velocity_x`, ..., or one of these of `masses[I]`."""
+    lower: float | None = None
+    """Smallest value allowed; of a velocity field both bounds or none."""
+    upper: float | None = None
+    """Largest value allowed."""
+    initial: float | None = None
+    """Of a number: where the search starts."""
+    spacing: tuple[float, ...] | None = None
+    """Of a field: distance between nodes along each axis [m], at most; they cover the body from edge to edge.
+
+    Along an axis for which it is longer than the body the field does not vary."""
+    mean: float | None = None
+    """Of a field: of its prior, everywhere [deg or m/s]."""
+    deviation: float | None = None
+    """Of a field: standard deviation of its prior at every node [deg or m/s]."""
+    length: float | tuple[float, ...] | None = None
+    """Of a field: correlation length [m], or one along each axis; at this distance the correlation is 0.14 in 2D."""
+
+    @property
+    def is_field(self) -> bool:
+        """Whether it varies over the body."""
+        return self.spacing is not None
+
+    @cached_property
+    def kind(self) -> Kind:
+        """What the name of a number stands for. Raises InputError."""
+        return kind(self.name)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest value of a number."""
+        return cast("tuple[float, float]", (self.lower, self.upper))
+
+    @property
+    def start(self) -> float:
+        """Where the search for a number starts."""
+        return cast("float", self.initial)
+
+    @property
+    def range(self) -> float:
+        """Width of the prior bounds of a number."""
+        lower, upper = self.bounds
+        return upper - lower
+
+    @property
+    def quantity(self) -> str:
+        """Of a field: what varies, a quantity of `datasets.field.Field`."""
+        return self.name.split(".")[-1]
+
+    @property
+    def mass(self) -> int | None:
+        """Of a field: the index of the mass that has it; None for all."""
+        found = re.match(r"masses\[(\d{1,6})\]\.", self.name)
+        return None if found is None else int(found[1])

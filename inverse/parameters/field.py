@@ -40,7 +40,7 @@ from datasets.field import FRICTION, VELOCITIES, Field, Grid
 from datasets.geometry.shapes import require
 from datasets.particles import initial_particles
 from datasets.scene import Scene
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter
 
 if TYPE_CHECKING:
     from mpm.adjoint.gradient import Gradient

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from datasets.library import read_scene
 from datasets.scene import Mass, Scene
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, TargetSettings
 

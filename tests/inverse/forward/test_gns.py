@@ -12,7 +12,7 @@ from gns.simulator import Normalisation, Simulator
 from gns.unroll import unroll
 from inverse.forward.gns import GnsForward
 from inverse.observations import Rollout, build
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 
