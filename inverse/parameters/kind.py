@@ -168,7 +168,8 @@ class Constant(Kind):
         return self.value(self.material(scene))
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
-        return {"material": dataclasses.replace(self.material(draft), **{self.key: value})}
+        own: dict[str, Any] = {self.key: value}
+        return {"material": dataclasses.replace(self.material(draft), **own)}
 
 
 class Cohesion(Constant):

@@ -8,16 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from inverse.posterior import Matrix, Row
 from inverse.posterior.sampling import Samples
 from inverse.posterior.settings import CONSTANTS
 
-Matrix = NDArray[np.float64]
-Row = NDArray[np.float64]
 AT_MOST = 800
 """Samples of the region that are joined."""
 ALONG = (0.25, 0.5, 0.75)

@@ -34,9 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, polygamma
 
+from inverse.posterior import Matrix
 from inverse.posterior.settings import CONSTANTS
 
-Matrix = NDArray[np.float64]
 Trend = Callable[[Matrix], Matrix]
 """Points [S, U] -> the trend's functions there [S, p]."""
 NEGLIGIBLE = 1e-3

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from datasets import measures
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
+from inverse.posterior import Matrix
 from inverse.posterior.emulator import fitted
 from inverse.posterior.sampling import Samples
 
-Matrix = NDArray[np.float64]
 STATIONS = 9
 """Places along x at which a height could be measured."""
 ACROSS = 4

@@ -33,14 +33,13 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import f, qmc
 
+from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, squared_distance
 from inverse.posterior.reduction import Reduction, reduction
 from inverse.posterior.sampling import Samples, sample
 from inverse.posterior.settings import CONSTANTS
 from inverse.target import Target
 
-Matrix = NDArray[np.float64]
-Row = NDArray[np.float64]
 OUTERMOST = 0.1
 """Share of a region's extent, within which a sample lies at its edge."""
 SMALLEST = 1e-4
@@ -131,15 +130,21 @@ class Likelihood:
 
     def __call__(self, points: Matrix) -> Row:
         """Its logarithm at points [S, U], shape [S]."""
-        return student(*self.residual(points), self.freedom) + self.in_regime(points)
+        square, determinant = self.squares(points)
+        half, more = 0.5 * self.freedom, 0.5 * len(self.target)
+        constant = gammaln(half + more) - gammaln(half) - more * np.log(np.pi * self.freedom)
+        return np.asarray(constant - 0.5 * determinant + self.relative(square) + self.in_regime(points))
 
     def plausibility(self, points: Matrix) -> Row:
         """The same over its largest value for the scales there, shape [S]: 0 where all residuals are.
 
         Where little is known a likelihood is small, whatever the residuals: it is spread over so many observations.
         """
-        square, _ = whitened(*self.residual(points))
-        return relative_density(square, len(self.target), self.freedom) + self.in_regime(points)
+        return self.relative(self.squares(points)[0]) + self.in_regime(points)
+
+    def relative(self, square: Row) -> Row:
+        """Logarithm of Student's density over its largest value, of residuals of squared lengths [S], shape [S]."""
+        return np.asarray(-0.5 * (self.freedom + len(self.target)) * np.log1p(square / self.freedom))
 
     def in_regime(self, points: Matrix) -> Row:
         """Logarithm of the probability that points [S, U] are in the target's regime, and not excluded, shape [S]."""
@@ -154,6 +159,13 @@ class Likelihood:
         mean, variance = self.emulator.predict(points)
         ratio = self.emulator.variance_ratio(points)
         return self.target - mean, self.fixed, ratio * variance + (ratio - 1.0) * np.diag(self.emulator.scatter)
+
+    def squares(self, points: Matrix) -> tuple[Row, Row]:
+        """Squared lengths of the residuals at points [S, U] in the scales there, logarithms of determinants, [S]."""
+        residual, fixed, variance = self.residual(points)
+        lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(len(self.target)))
+        scaled = np.linalg.solve(lower, residual[:, :, None])[:, :, 0]
+        return (scaled**2).sum(axis=1), 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,26 +302,6 @@ def emulated(
         if len(points) > trend(points[:1]).shape[1] + 1
     ]
     return reduced, min(made, key=lambda each: float(np.mean(each.left_out[0] ** 2))), expected, repeats
-
-
-def student(residual: Matrix, fixed: Matrix, variance: Matrix, freedom: float) -> Row:
-    """Logarithm of Student's density of residuals [S, r] with the scales fixed + diag variance, shape [S]."""
-    count = residual.shape[1]
-    square, determinant = whitened(residual, fixed, variance)
-    constant = gammaln(0.5 * (freedom + count)) - gammaln(0.5 * freedom) - 0.5 * count * np.log(np.pi * freedom)
-    return np.asarray(constant - 0.5 * determinant + relative_density(square, count, freedom))
-
-
-def relative_density(square: Row, count: int, freedom: float) -> Row:
-    """Logarithm of Student's density over its largest value, of `count` numbers with squared lengths [S], shape [S]."""
-    return np.asarray(-0.5 * (freedom + count) * np.log1p(square / freedom))
-
-
-def whitened(residual: Matrix, fixed: Matrix, variance: Matrix) -> tuple[Row, Row]:
-    """Squared length of residuals [S, r] in scales fixed + diag variance, and the logarithm of the determinant, [S]."""
-    lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(residual.shape[1]))
-    scaled = np.linalg.solve(lower, residual[:, :, None])[:, :, 0]
-    return (scaled**2).sum(axis=1), 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
 
 
 def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple[Row, int]:

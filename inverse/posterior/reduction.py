@@ -11,13 +11,11 @@ a discrepancy of the model is looked for in all numbers.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 from inverse.target import Target
 
-Matrix = NDArray[np.float64]
-Row = NDArray[np.float64]
 NEGLIGIBLE = 1e-8
 """Effect of a parameter on any number, over scatter and noise, that is rounding."""
 SMALL = 0.1

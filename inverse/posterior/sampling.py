@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import qmc
 
+from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 
-Matrix = NDArray[np.float64]
-Row = NDArray[np.float64]
 LogLikelihood = Callable[[Matrix], Row]
 """Points [S, U] -> the logarithm of the likelihood [S]."""
 JUMP = 0.1

@@ -12,7 +12,7 @@ from inverse.forward.interface import Simulate
 from inverse.found import MpmRun, Purpose
 from inverse.observations import Observation, Values
 from inverse.parameters import Vector
-from inverse.posterior.emulator import Matrix
+from inverse.posterior import Matrix
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Bounds, Problem
 from inverse.target import Target
