@@ -72,10 +72,7 @@ def check_number(scene: Scene, parameter: Parameter, key: str) -> None:
 
 
 def check_bounds(scene: Scene, numbers: Sequence[tuple[int, Parameter]]) -> None:
-    """Raise InputError for numbers, each with its index, between whose bounds not every scene can be simulated.
-
-    Tried are the start, corners of the box and points that fill it.
-    """
+    """Raise InputError for numbers, with indices, between whose bounds not every scene can be simulated."""
     parameters = [each for _, each in numbers]
     initial, bounds = [each.start for each in parameters], [each.bounds for each in parameters]
     _check_scene(scene, parameters, initial, "unknowns")

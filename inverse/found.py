@@ -158,9 +158,8 @@ class FoundField:
     def arrays(self) -> dict[str, Values]:
         """What is known at each node by name, shape [K] each.
 
-        The most probable field, the ends of its band of 95 %, the widths of that band and of the prior's over those of
-        one standard deviation, the share of the prior's variance that is removed, whether a node is beside the body,
-        and the truth where that is known.
+        `deviation` and `prior_deviation` are widths of bands of 95 % over those of one standard deviation, `removed` is
+        the share of the prior's variance that the observation removes.
         """
         unknown, latent, width = self.unknown, self.latent, self.width
         found = {
@@ -263,10 +262,9 @@ def judge(problem: Problem, answers: Sequence[Answer], *, excluded: bool = False
 
 
 def unidentified(problem: Problem, answer: Answer) -> list[str]:
-    """The numbers whose interval is most of the prior's.
+    """The numbers whose interval, cut off at the bounds, is most of the prior's.
 
-    The interval is cut off at the bounds. Of a parameter that is positive, half as much will do where the half-width is
-    above the value itself.
+    Of a positive one half as much will do where the half-width is above the value itself.
     """
     names = []
     for each, value, width in zip(problem.numbers, answer.parameters, answer.half_widths, strict=True):

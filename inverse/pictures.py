@@ -109,10 +109,7 @@ def standings(found: "Result") -> dict[str, Scene]:
 
 
 def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene], filled: str, top: float) -> None:
-    """A deposit, positions [m], shape [N, D], in the box, of which heights up to `top` [m] are seen.
-
-    The baffles of each of `scenes` are outlines, those of `filled` are filled.
-    """
+    """A deposit [m], shape [N, D], up to `top` [m], and the baffles of `scenes`, those of `filled` filled."""
     size = scenes["found"].domain.size
     across = len(size) - 1
     if across == 1:

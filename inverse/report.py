@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 NAMED = 4
 """With more numbers than these the conclusion gives the range of their half-widths, tables leave them out."""
 MAIN = 0.3
-"""A parameter with less than this share of the greatest weight is not named as part of a combination, nor are more than
-the `NAMED` heaviest."""
+"""Share of the greatest weight from which on one of the `NAMED` heaviest parameters is named in a combination."""
 SUGGESTED = 3
 """Measurements, and combinations that are identifiable, that the conclusion names."""
 

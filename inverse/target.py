@@ -48,10 +48,7 @@ class Target(Measurement):
 
 
 def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Target:
-    """The target of `problem`; the flow of a twin is made with `simulate`. Raises InputError, with its key or file.
-
-    On the numbers of a twin its stated noise is drawn.
-    """
+    """The target of `problem`; `simulate` makes a twin's flow, its noise is drawn. Raises InputError."""
     measurements = read_each(problem)
     run, truth = None, None
     if problem.target.twin:
@@ -73,10 +70,7 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
 
 
 def read_each(problem: Problem, run: Trajectory | None = None) -> list[Measurement]:
-    """Every observation of `problem` with its numbers, or those of a `run`.
-
-    Raises InputError, which names the key or the file.
-    """
+    """Every observation of `problem` with its numbers, or those of a `run`. Raises InputError, with key or file."""
     context, found = Context(scene=problem.scene, folder=problem.folder, released=problem.released, run=run), []
     for index, settings in enumerate(problem.observations):
         try:

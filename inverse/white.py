@@ -36,10 +36,7 @@ MEMORY_MIB = 512.0
 
 
 class WhiteFlow:
-    """Runs of a problem's scene; W white numbers for all unknowns together, M observed numbers.
-
-    Raises InputError for a scene that the adjoint does not know.
-    """
+    """Runs at W white numbers, which show M numbers. Raises InputError for a scene that the adjoint does not know."""
 
     def __init__(self, problem: Problem, observation: Observation) -> None:
         self.problem, self.observation = problem, observation
@@ -93,10 +90,7 @@ class WhiteFlow:
         return np.asarray(self.observe([white] * len(seeds), seeds).mean(axis=0))
 
     def jacobian(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
-        """Derivatives of `combinations` [r, M] of the numbers with respect to the white numbers [W]; [r, W].
-
-        Mean over jitter seeds, as many side by side as there are cores.
-        """
+        """Derivatives [r, W] of `combinations` [r, M] of the numbers at white numbers [W], mean over jitter seeds."""
         found = np.zeros((len(combinations), self.size))
         for first in range(0, len(seeds), processors()):
             scenes = [self.scene_at(white, seed) for seed in seeds[first : first + processors()]]

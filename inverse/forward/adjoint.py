@@ -42,10 +42,10 @@ class Flow(NamedTuple):
 
 
 class Run:
-    """A run as a function of some of the parameters of its scene (`inverse.parameters`), with checkpoints.
+    """A run as a function of parameters of its scene (`inverse.parameters`), with checkpoints.
 
-    frames: those that it returns, the last alone unless given. Options and errors as `mpm.adjoint.tape.Tape`, but in
-    single precision unless asked otherwise.
+    frames: those that it returns, the last unless given. Options and errors as `mpm.adjoint.tape.Tape`, in single
+    precision unless asked otherwise.
     """
 
     def __init__(
@@ -68,11 +68,7 @@ class Run:
         return flow
 
     def flows(self, parameters: Tensor, seeds: Sequence[int]) -> list[Flow]:
-        """The same for several seeds of the jitter, side by side on the threads.
-
-        Corners of one flow (contact that begins, friction that sticks) lie elsewhere in another: the gradient of a mean
-        over seeds is that of a smoother function.
-        """
+        """The same for several jitter seeds, side by side: a mean over seeds is smoother in the parameters."""
         values = parameters.detach().numpy().astype(np.float64)
         scene = with_kinds(self.scene, self.kinds, values)
 
@@ -121,10 +117,7 @@ class _Flow(torch.autograd.Function):
 
 
 class AdjointForward(MpmForward):
-    """The MPM at a problem's parameters, differentiable: in place of a surrogate where its memory and time allow.
-
-    Its observation is the smooth one of the last frame or, where it is one over time, of all frames.
-    """
+    """The MPM, differentiable; its observation is the smooth one of the last frame or, over time, of all frames."""
 
     def __init__(self, problem: Problem, observation: Observation, simulate: Simulate, **options: Any) -> None:
         """options: of `Run`."""

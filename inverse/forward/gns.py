@@ -76,11 +76,10 @@ class Band:
 
 
 class GnsForward:
-    """A rollout of the surrogate from rest that is a differentiable function of the problem's parameters.
+    """A rollout of the surrogate that is a differentiable function of the problem's parameters, in SI units.
 
-    State, conditions and positions are in SI units of the scene; `unroll` scales them to the model's. Unknowns that
-    change the particles (thickness of a layer) are no inputs: each flow then begins with an initial state of its own,
-    one after the other, and derivatives in these unknowns are central differences.
+    Unknowns that change the particles (thickness of a layer) are no inputs: each flow then begins with an initial state
+    of its own, one after the other, and derivatives in these unknowns are central differences.
     """
 
     def __init__(
@@ -93,8 +92,7 @@ class GnsForward:
     ) -> None:
         """The weights are frozen, which makes the backward pass much cheaper. band: its errors, the default if absent.
 
-        flows: those that it has predicted, by their parameters: all observations of one scene may share them.
-        Raises InputError as `gns.initial.check`.
+        flows: predicted ones by their parameters, which observations of one scene may share. Raises InputError.
         """
         self.simulator = simulator.requires_grad_(False)
         self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()

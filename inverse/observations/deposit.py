@@ -48,10 +48,7 @@ class Front(Observation):
 
 
 class Runout(Observation):
-    """The largest x; smoothly, the mean of x under weights exp(x / width) over the particles.
-
-    The width is a quarter of a cell: particles further than a cell behind the first hardly count.
-    """
+    """The largest x; smoothly its mean under weights exp(x / width), the width a quarter of a cell."""
 
     kind = "runout"
     label = "the runout, the largest x of the deposit"
@@ -72,9 +69,9 @@ class Runout(Observation):
 class Toe(Observation):
     """The centroid of the furthest 10 % of the particles, D numbers; the misfit is the paper's |c - c_target|^2.
 
-    Smoothly, a particle at x belongs to them by 1 / (1 + exp((t - x) / width)), with the t at which the volume of all
-    that belong is a tenth: a soft rank. The share of a particle that falls back goes to the others, and its part in the
-    centroid's y and z as well, which fixed weights by rank would leave out. The width is half a cell.
+    Smoothly, a particle at x belongs to them by 1 / (1 + exp((t - x) / width)), the width half a cell, with the t at
+    which the volume of all that belong is a tenth: a soft rank, by which the share of a particle that falls back goes
+    to the others.
     """
 
     kind = "toe"
@@ -112,10 +109,7 @@ class Toe(Observation):
 
 
 class Passed(Observation):
-    """The share of the volume that came to rest beyond x = `line` [m].
-
-    Smoothly, a particle at x counts as 1 / (1 + exp((line - x) / width)).
-    """
+    """Share of the volume beyond x = `line` [m]; a particle counts smoothly as 1 / (1 + exp((line - x) / width))."""
 
     kind = "passed"
     label = "the share of the material that came to rest beyond the line"
@@ -149,9 +143,9 @@ class Passed(Observation):
 
 
 class Deposit(Observation):
-    """The final position of every particle, N D numbers; the misfit is the paper's mean of |p - p_target|^2.
+    """The final position of every particle, N D numbers, of a surrogate those that it follows.
 
-    The surrogate follows some of the particles: they are compared with the same ones of the target.
+    The misfit is the paper's mean of |p - p_target|^2.
     """
 
     kind = "deposit"
@@ -186,10 +180,10 @@ class Deposit(Observation):
 
 
 class Outline(Observation):
-    """The extent of a deposit in 3D from the centroid of its masses along directions of the plan.
+    """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan.
 
-    Along a direction n it is the quantile of (p - c) . n over the particles that a front is along x, c the centroid of
-    the masses in plan: the support function of the deposit's outline, robust against single particles.
+    The quantile of (p - c) . n that a front is along x: the support function of the outline, robust against single
+    particles.
     """
 
     kind = "outline"

@@ -72,10 +72,7 @@ class Gauges(Observation):
 
 
 class Impulse(Observation):
-    """The momentum that the flow has transferred to a solid along an axis, in the end or at given times.
-
-    In 2D per metre of width. Solids are the baffles, counted from 0, then the others. No surrogate predicts it.
-    """
+    """The momentum that the flow has transferred to a solid along an axis, in 2D per metre of width."""
 
     kind = "impulse"
     label = "the impulse on a solid"

@@ -192,10 +192,7 @@ class Observation:
         return values
 
     def misfit(self, values: Values, target: Values) -> float:
-        """Mean over what is compared of the squared distance from the target [unit^2].
-
-        For one number the paper's (d - d_target)^2, for points the mean of |p - p_target|^2.
-        """
+        """Mean over numbers or points of the squared distance from the target [unit^2], as in the paper."""
         return self.components * float(np.mean((values - target) ** 2))
 
     def prior_scatter(self, values: Values) -> Values:
@@ -278,8 +275,7 @@ def brackets(time: Values, times: Values) -> tuple[NDArray[np.int64], Values]:
 def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: Values) -> Any:
     """`operator` of a series [T, ...], arrays or tensors, at each of `times` [s], shape [times, ...].
 
-    Between two frames it is linear in time: a step of the surrogate may last longer than a flow takes to pass a gauge,
-    whose height then is far from linear.
+    Between two frames the series is linear in time: heights at a gauge are far from it.
     """
     different, which = np.unique(times, return_inverse=True)
     before, share = brackets(time, different)
@@ -290,10 +286,7 @@ def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: V
 
 
 def fitted_tail(values: Tensor, volumes: Tensor) -> Tensor:
-    """The value that 99.5 % of the volume is behind, by a fit through the tail (`datasets.measures.fitted_front`).
-
-    Smooth, where the plain quantile depends on one particle; `values` and `volumes` of shape [n].
-    """
+    """The value that 99.5 % of the volume is behind, by a smooth fit (`measures.fitted_front`); both of shape [n]."""
     ordered, order = torch.sort(values.double())
     weights = measures.tail_weights(volumes.detach().double().numpy()[order.numpy()])
     return (torch.from_numpy(weights) * ordered).sum()

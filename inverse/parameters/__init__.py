@@ -148,10 +148,7 @@ def in_order(kinds: Sequence[Kind]) -> list[int]:
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Record):
-    """One of `[[unknowns]]`: a number with a uniform prior between its bounds or, with a `spacing`, a field.
-
-    A field varies over the body by the values at its nodes, with a smooth Gaussian prior (`inverse.parameters.field`).
-    """
+    """A number with a uniform prior between its bounds or, with a `spacing`, a field (`inverse.parameters.field`)."""
 
     name: str
     """See `inverse.parameters`; of a field `friction_deg`, `velocity_x`, ..., or one of these of `masses[I]`."""
@@ -162,9 +159,7 @@ class Parameter(Record):
     initial: float | None = None
     """Of a number: where the search starts."""
     spacing: tuple[float, ...] | None = None
-    """Of a field: distance between nodes along each axis [m], at most; they cover the body from edge to edge.
-
-    Along an axis for which it is longer than the body the field does not vary."""
+    """Of a field: distance between nodes along each axis [m], at most; over a shorter body it is constant."""
     mean: float | None = None
     """Of a field: of its prior, everywhere [deg or m/s]."""
     deviation: float | None = None

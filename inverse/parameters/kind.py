@@ -137,10 +137,7 @@ class Velocity(Kind):
 
 
 class Height(Kind):
-    """Extent of a box along y, from its foot [m]: how much is released.
-
-    Its particles fit their lattice to it, and have its volume exactly; their number changes by whole rows.
-    """
+    """Extent of a box along y, from its foot [m]: how much is released, in whole rows of particles."""
 
     def check(self, scene: Scene) -> None:
         super().check(scene)

@@ -233,9 +233,8 @@ class Emulator:
     def variance_ratio(self, points: Matrix) -> Matrix:
         """By which factor the variances around points [S, U] are larger than stated, shape [S, r].
 
-        The mean squared error of the runs around that are left out, over its variance: where the flow changes more
-        abruptly or scatters more than elsewhere, they show it. Gaussian weights by Scott's rule (Multivariate density
-        estimation, 1992); `ratio_prior` runs of ratio 1 count besides them.
+        The mean squared error of the runs around that are left out, over its variance, by Gaussian weights of Scott's
+        rule (Multivariate density estimation, 1992); `ratio_prior` runs of ratio 1 count besides them.
         """
         ratios, widths = self._left_out_ratio
         near = np.exp(-0.5 * squared_distance(points, self.points, widths))
@@ -247,10 +246,9 @@ class Emulator:
 def fitted(
     points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: Trend = linear, repeats: int = 0
 ) -> Emulator:
-    """The emulator of runs at points [n, U] with the likeliest correlation lengths.
+    """The emulator of runs at points [n, U] with the likeliest correlation lengths, of many parameters a common one.
 
-    Where the parameters are more than `separate_lengths`, all have the same one. Raises ValueError for no more runs
-    than functions of the trend.
+    Raises ValueError for no more runs than functions of the trend.
     """
     count = points.shape[1]
     if len(points) <= trend(points[:1]).shape[1]:

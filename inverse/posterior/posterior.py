@@ -136,10 +136,7 @@ class Likelihood:
         return np.asarray(constant - 0.5 * determinant + self.relative(square) + self.in_regime(points))
 
     def plausibility(self, points: Matrix) -> Row:
-        """The same over its largest value for the scales there, shape [S]: 0 where all residuals are.
-
-        Where little is known a likelihood is small, whatever the residuals: it is spread over so many observations.
-        """
+        """The same over its largest value for the scales there, shape [S]: 0 where all residuals are."""
         return self.relative(self.squares(points)[0]) + self.in_regime(points)
 
     def relative(self, square: Row) -> Row:
@@ -193,10 +190,7 @@ class Posterior:
 
     @cached_property
     def plausible(self) -> Samples:
-        """Samples of the parameters that the runs do not exclude, however little is known of them.
-
-        Of more than `few_parameters` those of the posterior: in most of their box little is known for long.
-        """
+        """Samples that the runs do not exclude, however little is known; of many parameters the posterior's."""
         if len(self.region.low) > CONSTANTS.few_parameters:
             return self.samples
         rng = np.random.default_rng(len(self.near))
@@ -275,8 +269,8 @@ def posterior(
 def regime_of(components: Matrix, points: Matrix, near: NDArray[np.bool_], target: Row) -> NDArray[np.bool_] | None:
     """Which of the runs at points [n, U] with components [n, r] are in the regime of the target [r].
 
-    Those before the widest gap between distances from the target, relative to the distance. None where it is no wider
-    than `regime_gap`, and where those of them that are `near` [n] are too few for an emulator or all that are.
+    Those before the widest gap between distances from it. None where it is no wider than `regime_gap`, and where those
+    of them that are `near` [n] are too few for an emulator or all that are.
     """
     distances = np.sqrt(((components - target) ** 2).sum(axis=1))
     ordered = np.sort(distances[near])
@@ -305,12 +299,10 @@ def emulated(
 
 
 def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple[Row, int]:
-    """Standard deviation from flow to flow of each component [n, r], by runs at the same of the points [n, U].
+    """Standard deviation of each component [n, r] by runs at the same of the points [n, U], and degrees of freedom.
 
-    With its degrees of freedom.
-    Repeated runs are few: each component counts with `scatter_prior` further degrees of freedom of all together, as all
-    are in units of the scatter that was expected. It is `smallest_scatter` of that, `expected` [r], at least; and that
-    where no runs are repeated.
+    Each counts with `scatter_prior` further degrees of freedom of all together; it is `smallest_scatter` of `expected`
+    [r] at least, which it is where no runs are repeated.
     """
     _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     freedom = int((count - 1).sum())

@@ -76,10 +76,9 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
 def cross_fitted(weighted: Matrix, points: Matrix, first: Matrix) -> Matrix:
     """Components of runs [n, M] at points [n, U] in the directions `first` [M, r], each by those of the others, [n, r].
 
-    A slope by few runs holds some of what each of them is off it, so that their own components lie on straight lines
-    more closely than those of any further run: cross-fitting (Chernozhukov et al., Double/debiased machine learning for
-    treatment and structural parameters, Econom. J. 21 (2018) C1-C68, section 3). Of the slopes without the runs at one
-    point those combinations are used whose projection on `first` is `first`.
+    A slope holds some of what each run is off it: cross-fitting (Chernozhukov et al., Double/debiased machine learning
+    for treatment and structural parameters, Econom. J. 21 (2018) C1-C68, section 3). Of the slopes without the runs at
+    one point those combinations are used whose projection on `first` is `first`.
     """
     components, products = weighted @ first, weighted @ weighted.T
     crossed = components.copy()

@@ -118,10 +118,7 @@ def systematic(weights: Row, count: int, rng: np.random.Generator) -> NDArray[np
 def moved(
     log_likelihood: LogLikelihood, points: Matrix, likelihood: Row, exponent: float, rng: np.random.Generator
 ) -> tuple[Matrix, Row, float]:
-    """The population after moves that leave likelihood^exponent invariant, and the share of them accepted.
-
-    One half moves by differences within the other half, which stands still meanwhile.
-    """
+    """The population [S, U] after moves of one half by differences within the other, and the share accepted."""
     points, likelihood = points.copy(), likelihood.copy()
     size, unknowns = points.shape
     order = rng.permutation(size)
