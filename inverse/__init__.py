@@ -32,16 +32,7 @@ _MODULES = {
     "read_problem": "inverse.problem",
 }
 
-__all__ = [
-    "ObservationSettings",
-    "Parameter",
-    "Problem",
-    "Result",
-    "TargetSettings",
-    "adapt",
-    "invert",
-    "read_problem",
-]
+__all__ = ["ObservationSettings", "Parameter", "Problem", "Result", "TargetSettings", "adapt", "invert", "read_problem"]
 
 
 def __getattr__(name: str) -> Any:

@@ -79,12 +79,14 @@ def of_fields(problem: Problem) -> Result:
     scene = flow.scene_at(posterior.mean, problem.scatter_seeds[-1] + 1)
     (shown,) = simulate_many([scene])
     values = flow.values(posterior.mean)
+    spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.own] ** 2).sum(axis=1), 0.0))
+    ends = [ndtr(posterior.mean[flow.own] + sign * BAND * spread) for sign in (1.0, -1.0)]
     check = MpmRun(purpose=Purpose.CHECK, parameters=values, trajectory=shown, target=target, file="check.npz")
     expected = target.observation.prior_scatter(target.values)
     scatter = Scatter(deviations=runs - runs.mean(axis=0), freedom=len(runs) - 1, expected=expected)
     answer = Answer(
         parameters=values,
-        half_widths=half_widths(flow, posterior),
+        half_widths=np.asarray(0.5 * problem.box.range * (ends[0] - ends[1])),
         checks=(check,),
         fit=fit(target, check.observation[None], scatter, parameters=posterior.informative),
     )
@@ -119,14 +121,6 @@ def of_fields(problem: Problem) -> Result:
         record=cost | {"combinations": len(posterior.jacobian), "eigenvalues": posterior.decomposition[0].tolist()},
         command="python -m inverse",
     )
-
-
-def half_widths(flow: WhiteFlow, posterior: "Gaussian") -> Floats:
-    """Of the numbers at 95 %, shape [U]."""
-    own, box = flow.own, flow.problem.box
-    width = np.sqrt(np.maximum(1.0 - (posterior.removed[own] ** 2).sum(axis=1), 0.0))
-    ends = [ndtr(posterior.mean[own] + sign * BAND * width) for sign in (1.0, -1.0)]
-    return np.asarray(0.5 * box.range * (ends[0] - ends[1]))
 
 
 def found_fields(flow: WhiteFlow, posterior: "Gaussian") -> list[FoundField]:

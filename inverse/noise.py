@@ -74,11 +74,6 @@ class Scatter:
         prior = np.maximum(level, FLOOR) * self.expected**2
         return np.asarray((square + PRIOR_FREEDOM * prior) / (self.freedom + PRIOR_FREEDOM))
 
-    @property
-    def freedom_of_variance(self) -> float:
-        """nu_c with what the prior adds."""
-        return self.freedom + PRIOR_FREEDOM if self.freedom else 1e6
-
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
@@ -141,7 +136,9 @@ def fit(target: Target, shown: Floats, scatter: Scatter, *, cells: Floats | None
         known = target.covariance / np.sqrt(np.outer(total, total))
         square += float(np.sum(known**2)) + 2.0 * float(np.sum((flows @ known) * flows))
     first = float(np.clip(size**2 / max(square, 1.0), 1.0, size))
-    second = scatter.freedom_of_variance * (1.0 + float(own.sum()) / max(float(variance.sum()), 1e-300)) ** 2
+    # Those with which the scatter is known, and with what its prior adds; many where nothing but the prior is.
+    counted = scatter.freedom + PRIOR_FREEDOM if scatter.freedom else 1e6
+    second = counted * (1.0 + float(own.sum()) / max(float(variance.sum()), 1e-300)) ** 2
     return Fit(
         residual=rms(residual),
         noise=rms(target.deviation),

@@ -1,7 +1,7 @@
 """`report.md`: conclusion, what was found, comparison with the target, uncertainty, how it was found, cost."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,16 +11,7 @@ from tabulate import tabulate
 
 from datasets.files import write_text
 from inverse import pictures
-from inverse.found import (
-    IDENTIFIED,
-    Answer,
-    Combination,
-    FoundField,
-    Purpose,
-    Verdict,
-    peak_memory_mib,
-    unidentified,
-)
+from inverse.found import IDENTIFIED, Answer, Combination, FoundField, Purpose, Verdict, peak_memory_mib, unidentified
 from inverse.noise import CONFIDENCE, rms
 
 if TYPE_CHECKING:
@@ -61,20 +52,17 @@ def write(found: "Result", folder: Path, command: str) -> None:
             "Expected information of each about the parameters, beyond what was observed; 0.69 halves one interval.",
             table(gains),
         ]
-    parts += ["## How it was found", search_table(found)]
-    parts += ["## Cost", cost(found)]
+    parts += ["## How it was found", search_table(found), "## Cost", cost(found)]
     write_text(folder / "report.md", "\n\n".join(part for part in parts if part) + "\n")
 
 
 def conclusion(found: "Result") -> list[str]:
     """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
     runs = f"{found.record.get('flows', len(found.mpm_runs))} MPM runs, " if found.forward == "MPM" else ""
-    price = f"Cost: {runs}{found.seconds['total']:.1f} s in all."
-    fields = [f"`{each.name}`: {identified(each)}" for each in found.fields]
-    remarks = [f"At the answer: {each}." for each in found.remarks]
-    known = [numbers(found), angles(found), *fields, equifinality(found), quality(found)]
-    sentences = [first_found(found), verdict(found), *known, *remarks, price]
-    return [each for each in sentences if each]
+    sentences = [first_found(found), verdict(found), numbers(found), angles(found)]
+    sentences += [f"`{each.name}`: {identified(each)}" for each in found.fields]
+    sentences += [equifinality(found), quality(found), *(f"At the answer: {each}." for each in found.remarks)]
+    return [each for each in (*sentences, f"Cost: {runs}{found.seconds['total']:.1f} s in all.") if each]
 
 
 def first_found(found: "Result") -> str:
@@ -82,13 +70,11 @@ def first_found(found: "Result") -> str:
     said, root = found.surrogate or {}, found.target.observation.root_text
     if "answers" not in said:
         return ""
-    every, texts = found.problem.numbers, []
+    texts, more = [], len(found.problem.numbers) - NAMED
     for answer in said["answers"]:
-        values, widths = answer["unknowns"], answer["half_widths"]
-        pairs = [(each, each.kind.text(values[each.name]), each.kind.text(widths[each.name])) for each in every[:NAMED]]
-        text = ", ".join(f"`{each.name}` = {value} ± {width}" for each, value, width in pairs)
-        more = f" and {len(every) - NAMED} more" if len(every) > NAMED else ""
-        texts.append(f"{text}{more}, where the MPM is {root(answer['mpm_error']['misfit'] ** 0.5)} off the target")
+        text = named(found, answer["unknowns"].values(), answer["half_widths"].values())
+        text += f" and {more} more" if more > 0 else ""
+        texts.append(f"{text}, where the MPM is {root(answer['mpm_error']['misfit'] ** 0.5)} off the target")
     price = f"{said['predictions']} predictions in {said['seconds']:.1f} s"
     return f"The surrogate found {'; or '.join(texts)} ({price})."
 
@@ -108,11 +94,10 @@ def verdict(found: "Result") -> str:
         better = "The MPM confirms the design" if found.verdict is Verdict.CONFIRMED else "The MPM does not confirm it"
         return f"**{better}**: {now} in {which}, {before} at the start."
     count = len(found.answers)
+    many = f"{count} separate answers" if count > 1 else "the MPM confirms a whole range of parameters"
     words = {
         Verdict.CONFIRMED: "The MPM confirms",
-        Verdict.AMBIGUOUS: f"Ambiguous: {count} separate answers"
-        if count > 1
-        else "Ambiguous: the MPM confirms a whole range of parameters",
+        Verdict.AMBIGUOUS: f"Ambiguous: {many}",
         Verdict.UNCONFIRMED: "The MPM does not confirm",
         Verdict.UNREACHABLE: "No parameters within the bounds give the target, not even in the MPM",
     }[found.verdict]
@@ -146,8 +131,7 @@ def numbers(found: "Result") -> str:
     texts = []
     for answer in found.answers:
         share = f" ({100.0 * answer.weight:.0f} % of the posterior)" if len(found.answers) > 1 else ""
-        named = zip(found.problem.names, cells(found, answer), strict=True)
-        texts.append(", ".join(f"`{name}` = {text}" for name, text in named) + share)
+        texts.append(named(found, answer.parameters.tolist(), answer.half_widths.tolist()) + share)
     meaning = "changes that the MPM distinguishes" if found.problem.target.minimise else "95 %"
     return f"{'; or '.join(texts)} ({meaning})."
 
@@ -165,10 +149,10 @@ def angles(found: "Result") -> str:
     return sentence(parts)
 
 
-def cells(found: "Result", answer: Answer) -> list[str]:
-    """Each number of an answer with its unit and half-width."""
-    both = zip(found.problem.numbers, answer.parameters.tolist(), answer.half_widths.tolist(), strict=True)
-    return [f"{each.kind.text(value)} ± {each.kind.text(width)}" for each, value, width in both]
+def named(found: "Result", values: Iterable[float], widths: Iterable[float]) -> str:
+    """The first numbers with their half-widths."""
+    both = zip(found.problem.numbers[:NAMED], values, widths, strict=False)
+    return ", ".join(f"`{each.name}` = {each.kind.text(value)} ± {each.kind.text(own)}" for each, value, own in both)
 
 
 def equifinality(found: "Result") -> str:
@@ -240,7 +224,8 @@ def every_answer(found: "Result") -> str:
     """A line for each."""
     rows = []
     for each in found.answers:
-        row = {f"`{name}`": cell for name, cell in zip(found.problem.names, cells(found, each), strict=True)}
+        both = zip(found.problem.numbers, each.parameters.tolist(), each.half_widths.tolist(), strict=True)
+        row = {f"`{own.name}`": f"{own.kind.text(value)} ± {own.kind.text(width)}" for own, value, width in both}
         row["share of the posterior"] = f"{100.0 * each.weight:.0f} %"
         row["the MPM there"] = "not asked" if each.fit is None else distance(found, each)
         rows.append(row)
@@ -364,5 +349,5 @@ def table(rows: Sequence[dict[str, str]]) -> str:
 
 def summary(found: "Result") -> str:
     """The outcome for the terminal: the conclusion of the report."""
-    lines = [each.replace("**", "").replace("`", "") for each in conclusion(found)]
-    return "\n".join([f"{found.problem.name}: {found.verdict}", *(f"  {line}" for line in lines)])
+    lines = "".join(f"\n  {each}" for each in conclusion(found)).replace("**", "").replace("`", "")
+    return f"{found.problem.name}: {found.verdict}{lines}"

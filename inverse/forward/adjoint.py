@@ -1,11 +1,5 @@
 """The MPM as a differentiable forward model, by its own adjoint: a layer of PyTorch.
 
-    run = Run(read_scene("column-tall-42"), names=("friction_deg", "masses[0].velocity_x"))
-    parameters = torch.tensor([30.0, 1.0], dtype=torch.float64, requires_grad=True)
-    positions, velocities = run(parameters)                  # [m], [m/s], shape [T, N, D] each
-    positions[-1, :, 0].mean().backward()
-    parameters.grad                                          # of the mean x of the deposit
-
 The forward pass is a run of the solver with checkpoints, the backward pass `mpm.adjoint`: no graph of steps is built,
 and memory stays within `memory_mib`.
 """

@@ -1,22 +1,7 @@
 """Parameters: what of a scene can be unknown, and how each enters the MPM's scene and the surrogate's initial state.
 
-| name | unit | what it is |
-|---|---|---|
-| `friction_deg`, `cohesion` | deg, Pa | of the scene's shared material |
-| `masses[I].friction_deg`, `masses[I].cohesion` | deg, Pa | of mass I, counted from 0, whose material is its own then |
-| `masses[I].velocity_x`, `_y`, `_z` | m/s | initial velocity of mass I |
-| `baffles[I].x`, `.z` | m | centre of baffle I |
-| `baffles[I].length`, `.width` | m | its extent along x and z, about the centre |
-| `baffles[I].height` | m | its extent along y, from its foot |
-| `floor_friction`, `wall_friction`, `baffle_friction`, `damping` | - | of the scene |
-| `solids[I].friction` | - | Coulomb coefficient of solid I |
-| `young`, `residual_friction_deg`, `residual_cohesion` | Pa, deg, Pa | of the material, shared or of `masses[I]` |
-| `friction_limit_deg`, `inertial_number` | deg, - | of mu(I), of the material, shared or of `masses[I]` |
-| `masses[I].k0` | - | ratio of the initial stresses of mass I |
-| `masses[I].height`, `.thickness` | m | extent of a box along y from its foot; thickness of a layer |
-
-`young`, `residual_...`, `k0` and those of mu(I) are the MPM's alone: no surrogate has them among its inputs, the loop
-then runs without one. Height and thickness make other particles: a surrogate begins anew with them, without a gradient.
+Names and units are those of docs/formats.md. What no surrogate has among its inputs is the MPM's alone; a height or a
+thickness makes other particles: a surrogate begins anew with them, without a gradient.
 
 >>> scene = with_parameters(scene, ["friction_deg", "masses[0].velocity_x"], [32.0, 1.5])
 
@@ -59,12 +44,8 @@ _MATERIAL = (
     Constant(form="friction_limit_deg", unit="deg", digits=2, order=1, requires="friction_limit_deg"),
     Constant(form="inertial_number", unit="-", digits=3, order=1, requires="friction_limit_deg"),
 )
-_COEFFICIENTS = {
-    "floor_friction": inputs.floor_friction,
-    "wall_friction": inputs.constant,
-    "baffle_friction": inputs.baffle_friction,
-    "damping": inputs.constant,
-}
+_COEFFICIENTS = {"floor_friction": inputs.floor_friction, "baffle_friction": inputs.baffle_friction}
+_COEFFICIENTS |= dict.fromkeys(("wall_friction", "damping"), inputs.constant)
 _AXES = {"x": 0, "y": UP, "z": 2}
 _EXTENTS = {"length": 0, "height": UP, "width": 2}
 

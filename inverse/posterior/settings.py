@@ -28,8 +28,6 @@ class Constants:
     """Factor of a variance at least, however well the runs around are predicted."""
     separate_lengths: int = 8
     """Parameters up to which each has a correlation length of its own; beyond, runs are too few to tell them apart."""
-    nuggets: tuple[float, ...] = (1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4)
-    """Variance of the scatter over that of the process: a grid of quadrature."""
     other_regime: float = 0.25
     """Squared error of runs left out, over that by an emulator of all, below which one is of a regime alone."""
     regime_gap: float = 3.0
