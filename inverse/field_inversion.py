@@ -9,13 +9,11 @@
 | F | `numbers` | what runs of the MPM show, mean over n jitter seeds |
 | N, C | `noise` | covariance of the measurement; of flows that differ in their jitter seed alone |
 
-Gauss-Newton steps solve the problem that is linear about w. Far from the minimum the slopes along the path differ from
-those over a whole step, so a step is halved until J has fallen, as measured by runs; a run costs less than half of a
-reverse pass. Derivatives are taken of those combinations of the numbers alone that the prior moves by more than their
-errors. The posterior is a low-rank update of the prior by the eigenpairs of the Hessian of the misfit, preconditioned
-by the prior (Bui-Thanh, Ghattas, Martin & Stadler, A computational framework for infinite-dimensional Bayesian inverse
-problems, SIAM J. Sci. Comput. 35 (2013) A2494-A2523): along V_k the observation tells s_k^2 times as much as the
-prior.
+Gauss-Newton steps solve the problem that is linear about w; a step is halved until runs show that J has fallen.
+Derivatives are taken of those combinations of the numbers alone that the prior moves by more than their errors. The
+posterior is a low-rank update of the prior by the eigenpairs of the Hessian of the misfit, preconditioned by the prior
+(Bui-Thanh, Ghattas, Martin & Stadler, A computational framework for infinite-dimensional Bayesian inverse problems,
+SIAM J. Sci. Comput. 35 (2013) A2494-A2523): along V_k the observation tells s_k^2 times as much as the prior.
 """
 
 import math

@@ -19,9 +19,8 @@ degrees of freedom, R the correlation of r (Satterthwaite, Biometrics Bull. 2 (1
 scatter is known and N, D, C the sums of n^2, d^2 and (1 + 1/k) c^2: what is known needs no estimate.
 
 Where there are more numbers than parameters and S is above what chance explains once in twenty times, half-widths are
-multiplied by S: Birge's ratio (R. T. Birge, The calculation of errors by the method of least squares, Phys. Rev. 40
-(1932) 207-227), as the Particle Data Group scales errors. Whatever the model lacks is treated as noise that was stated
-too small, by one factor for all numbers.
+multiplied by S, as if all noise had been stated too small: Birge's ratio (R. T. Birge, The calculation of errors by the
+method of least squares, Phys. Rev. 40 (1932) 207-227).
 """
 
 import math

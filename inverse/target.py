@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 
 from datasets import measures
 from datasets.errors import InputError
+from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import KINDS
@@ -91,8 +92,10 @@ def read_run(problem: Problem, measurements: Sequence[Measurement]) -> Trajector
         if run.scene.dimension != problem.scene.dimension:
             expected = f"a {problem.scene.dimension}D trajectory as the scene's"
             raise InputError(f"expected {expected}, got {run.scene.dimension}D")
-        for each in measurements:
-            each.observation.check_run(run)
+        count = particle_count(problem.scene)
+        if run.positions.shape[1] != count and any(each.observation.every_particle for each in measurements):
+            got = f"got {run.positions.shape[1]}"
+            raise InputError(f"expected the {count} particles of the problem's scene for a deposit, {got}")
     except InputError as error:
         raise error.at(str(path)) from None
     return run

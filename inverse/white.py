@@ -2,10 +2,9 @@
 
     field: u = S A w (`inverse.parameters.field`),    number: lower + (upper - lower) Phi(w)
 
-Phi is the normal distribution: a number is uniform between its bounds. Observed numbers are those of the solver
-itself, by the exact observation operator. Their derivatives are the adjoint's, through the smooth one: each
-combination of the numbers costs one reverse pass, for any number of unknowns, and all combinations share one replay of
-the run. Both are averaged over jitter seeds: of a single run part of the derivative is what single particles do.
+Phi is the normal distribution: a number is uniform between its bounds. Numbers are observed exactly; derivatives are
+the adjoint's, through the smooth operator: one reverse pass for each combination of the numbers, and one replay of the
+run for all of them. Both are averaged over jitter seeds: in a single run's derivative single particles count.
 """
 
 from collections.abc import Sequence

@@ -7,9 +7,8 @@ With s = (x - rear) / L, across the flow s = (z - middle) / width, its positions
 
     b_f L / 1.96 s    and    b_p L / 1.96 sin(k pi s) / sqrt(K),  k = 1 .. K
 
-one displacement after the other, in a flow over time in proportion to the time. What each changes of the numbers is a
-column e_k of their covariance, sum_k e_k e_k^T: so a band of two numbers is one of a front, a toe, a profile, a gauge
-or all together, each in its own unit.
+one displacement after the other, over time in proportion to it. What each changes of the numbers is a column e_k of
+their covariance, sum_k e_k e_k^T.
 """
 
 import dataclasses

@@ -10,9 +10,8 @@ from torch import Tensor
 
 from datasets import measures
 from datasets.errors import InputError
-from datasets.particles import mass_centroids, mass_volumes, particle_count, particle_volumes
+from datasets.particles import mass_centroids, mass_volumes, particle_volumes
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from inverse.observations.measured import Context, read_columns, require_inside
 from inverse.observations.observation import Measurement, Observation, Values, fitted_tail
 from inverse.settings import ObservationSettings
@@ -156,12 +155,6 @@ class Deposit(Observation):
     def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
         super().__init__(settings, scene)
         self.components = scene.dimension
-
-    def check_run(self, run: Trajectory) -> None:
-        count = particle_count(self.scene)
-        if run.positions.shape[1] != count:
-            got = f"got {run.positions.shape[1]}"
-            raise InputError(f"expected the {count} particles of the problem's scene for a deposit, {got}")
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         return np.asarray(positions.astype(np.float64).ravel())

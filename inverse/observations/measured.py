@@ -152,8 +152,15 @@ def profile_of(settings: ObservationSettings, context: Context) -> MeasuredProfi
         if height.min() < -BELOW * height.max():
             raise InputError(f"expected heights above the floor, got {height.min():g} m; {got}")
         profile = closed(x, np.maximum(height, 0.0), scene.domain.size[0])
-        if context.released is not None:
-            check_area(profile, settings.heights, context.released)
+        if (released := context.released) is not None:
+            area = float(np.trapezoid(profile.height, profile.x))
+            low, high = AREA[settings.heights]
+            if not low * released <= area <= high * released:
+                raise InputError(
+                    f"expected {low:g} to {high:g} times the area that was released, {released:.4g} m^2, for "
+                    f"{settings.heights} heights, got {area:.4g} m^2, {area / released:.3g} times; unit, datum and "
+                    "heights say what stands in the file"
+                )
         return profile
     except InputError as error:
         raise error.at(str(path)) from None
@@ -199,15 +206,3 @@ def extrapolated(
     if step > FURTHEST * spacing * (1.0 + 1e-9):
         return None
     return [(step, max(0.0, height - fall * step))]
-
-
-def check_area(profile: MeasuredProfile, heights: Heights, released: float) -> None:
-    """Raise InputError for a profile whose area is not what was released."""
-    area = float(np.trapezoid(profile.height, profile.x))
-    minimum, maximum = AREA[heights]
-    if not minimum * released <= area <= maximum * released:
-        raise InputError(
-            f"expected {minimum:g} to {maximum:g} times the area that was released, {released:.4g} m^2, for {heights} "
-            f"heights, got {area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what "
-            "stands in the file"
-        )

@@ -149,9 +149,6 @@ class Observation:
         """M, of numbers that stand in the settings."""
         return 1 if self.times is None else len(self.times)
 
-    def check_run(self, run: Trajectory) -> None:
-        """Raise InputError for an observed run that cannot be compared with runs of the scene."""
-
     @property
     def over_time(self) -> bool:
         """Whether it needs more of a trajectory than its last frame."""

@@ -2,12 +2,10 @@
 
     h_rows = P h,    area(x) = int_0^x h_rows dx' with h_rows linear between rows,    area(x_k) = s_k area(L)
 
-P interpolates the model's profile at its stations to the rows. A chord between two rows cuts what lies between them off
-both profiles alike; a measured profile refined to the model's stations would be short of it where the model's is not.
-
-A row is the height at one x, the model's a mean over its spacing. The difference is an error of representation
-(Janjic et al., On the representation error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278):
-`REPRESENTATION` of a cell, added to the noise of each height.
+P interpolates the model's profile at its stations to the rows: a chord between two rows cuts what lies between them off
+both profiles alike. A row is the height at one x, the model's a mean over its spacing: an error of representation
+(Janjic et al., On the representation error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278),
+`REPRESENTATION` of a cell, comes on top of the noise of each height.
 """
 
 import math

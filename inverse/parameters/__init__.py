@@ -13,25 +13,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 from datasets.errors import InputError
 from datasets.records import Record
 from datasets.scene import Scene
 from inverse.parameters import inputs
-from inverse.parameters.kind import (
-    UP,
-    Centre,
-    Cohesion,
-    Constant,
-    Draft,
-    Extent,
-    Height,
-    Kind,
-    Residual,
-    Vector,
-    Velocity,
-)
+from inverse.parameters.kind import Centre, Cohesion, Constant, Draft, Extent, Height, Kind, Residual, Vector, Velocity
 
 __all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
 
@@ -44,39 +32,26 @@ _MATERIAL = (
     Constant(form="friction_limit_deg", unit="deg", digits=2, order=1, requires="friction_limit_deg"),
     Constant(form="inertial_number", unit="-", digits=3, order=1, requires="friction_limit_deg"),
 )
-_COEFFICIENTS = {"floor_friction": inputs.floor_friction, "baffle_friction": inputs.baffle_friction}
-_COEFFICIENTS |= dict.fromkeys(("wall_friction", "damping"), inputs.constant)
-_AXES = {"x": 0, "y": UP, "z": 2}
-_EXTENTS = {"length": 0, "height": UP, "width": 2}
-
-
-def _length(made: type[Extent], name: str, axis: int) -> Kind:
-    form = f"baffles[].{name}"
-    return made(form=form, unit="m", digits=4, attribute="size", axis=axis, positive=False, input=inputs.baffle)
-
+_AXES = {"x": 0, "y": 1, "z": 2}
+_VELOCITY: dict[str, Any] = {"unit": "m/s", "digits": 3, "attribute": "velocity", "input": inputs.velocity}
+_BAFFLE: dict[str, Any] = {"unit": "m", "digits": 4, "attribute": "size", "input": inputs.baffle}
 
 KINDS: dict[str, Kind] = {
     each.form: each
     for each in (
         *_MATERIAL,
-        *(Kind(form=name, unit="-", digits=3, input=enter) for name, enter in _COEFFICIENTS.items()),
+        Kind(form="floor_friction", unit="-", digits=3, input=inputs.floor_friction),
+        Kind(form="wall_friction", unit="-", digits=3, input=inputs.constant),
+        Kind(form="baffle_friction", unit="-", digits=3, input=inputs.baffle_friction),
+        Kind(form="damping", unit="-", digits=3, input=inputs.constant),
         *(dataclasses.replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
-        *(
-            Velocity(
-                form=f"masses[].velocity_{name}",
-                unit="m/s",
-                digits=3,
-                attribute="velocity",
-                axis=axis,
-                positive=False,
-                input=inputs.velocity,
-            )
-            for name, axis in _AXES.items()
-        ),
-        *(_length(Centre, name, _AXES[name]) for name in "xz"),
-        *(_length(Extent, name, axis) for name, axis in _EXTENTS.items()),
+        *(Velocity(form=f"masses[].velocity_{x}", axis=axis, positive=False, **_VELOCITY) for x, axis in _AXES.items()),
+        *(Centre(form=f"baffles[].{x}", axis=_AXES[x], positive=False, **_BAFFLE) for x in "xz"),
+        Extent(form="baffles[].length", axis=_AXES["x"], positive=False, **_BAFFLE),
+        Extent(form="baffles[].height", axis=_AXES["y"], positive=False, **_BAFFLE),
+        Extent(form="baffles[].width", axis=_AXES["z"], positive=False, **_BAFFLE),
         Kind(form="masses[].k0", unit="-", digits=3),
-        Height(form="masses[].height", unit="m", digits=4, attribute="size", axis=UP, changes_volume=True),
+        Height(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
         Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
         Kind(form="solids[].friction", unit="-", digits=3, input=inputs.ground_friction),
     )

@@ -18,10 +18,9 @@ Biometrika 58 (1971) 545-554)
 
     log L_j = -1/2 [ (n - p) log s_j^2 + sum_i log(l_i + g) ],    s_j^2 = 1/(n - p) sum_i (q_i . P^T y_j)^2 / (l_i + g)
 
-with l and q the eigenvalues and eigenvectors of P^T k P. So one decomposition serves every component and every g, over
-which is summed; the correlation lengths are the likeliest. With a surrogate in the trend this is the multi-fidelity
-model of Kennedy & O'Hagan (Predicting the output from a complex computer code when fast approximations are available,
-Biometrika 87 (2000) 1-13).
+with l and q the eigenvalues and eigenvectors of P^T k P: one decomposition serves every component and every g, over
+which is summed. With a surrogate in the trend this is the multi-fidelity model of Kennedy & O'Hagan (Predicting the
+output from a complex computer code when fast approximations are available, Biometrika 87 (2000) 1-13).
 """
 
 import math

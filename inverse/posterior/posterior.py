@@ -17,11 +17,9 @@ The prior is uniform between the bounds. What an emulator has excluded stays so,
 next one, which is simpler there (history matching in waves: Vernon, Goldstein & Bower, Galaxy formation: a Bayesian
 uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
 
-A cohesive column stands or falls, and nothing is between the two: a process that is smooth over the whole box would
-have to be as rough within such a regime as from one to the other. So the emulator is of one regime alone where that
-predicts its runs far better (treed Gaussian processes: Gramacy & Lee, Bayesian treed Gaussian process models with an
-application to computer modeling, J. Am. Stat. Assoc. 103 (2008) 1119-1130). A regime ends where what the runs show has
-a gap.
+A cohesive column stands or falls. The emulator is of one such regime alone where that predicts its runs far better
+(Gramacy & Lee, Bayesian treed Gaussian process models with an application to computer modeling, J. Am. Stat. Assoc. 103
+(2008) 1119-1130). A regime ends where what the runs show has a gap.
 """
 
 from collections.abc import Callable, Sequence
