@@ -117,7 +117,6 @@ def of_fields(problem: Problem) -> Result:
         notes=tuple(notes),
         seconds={"total": total, "processors": time.process_time() - used},
         record=cost | {"combinations": len(posterior.jacobian), "eigenvalues": posterior.decomposition[0].tolist()},
-        command="python -m inverse",
     )
 
 

@@ -33,7 +33,7 @@ from scipy.optimize import lsq_linear
 from scipy.spatial import cKDTree
 from scipy.stats import chi2, qmc
 
-from inverse.forward.interface import Differentiable, Forward
+from inverse.forward import Differentiable, Forward
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior import Matrix

@@ -63,7 +63,7 @@ class Result:
     """[s], of each part of the work, and `total`."""
     record: dict[str, Any] = field(default_factory=dict)
     """Further keys of `result.json`."""
-    command: str
+    command: str = "python -m inverse"
     """That made it, as the report names it."""
 
     @property
@@ -198,7 +198,11 @@ class Result:
             with replacing(folder / "posterior.npz") as part:
                 np.savez_compressed(part, names=names, samples=self.samples, weights=weights)
         if self.fields:
-            arrays = {f"{k}_{key}": own for k, each in enumerate(self.fields) for key, own in each.saved.items()}
+            arrays = {}
+            for k, each in enumerate(self.fields):
+                grid = each.unknown.grid
+                own = {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": each.draws} | each.arrays
+                arrays |= {f"{k}_{name}": values for name, values in own.items()}
             with replacing(folder / "field.npz") as part:
                 np.savez(part, **arrays)  # type: ignore[arg-type]
             write_scene(self.scene, folder / "scene.toml")

@@ -126,7 +126,7 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
 
 
 def joined(measurements: Sequence[Measurement], parts: Sequence[Part]) -> Measurement:
-    """Several observations: each number over its standard deviation (`inverse.observations.joint`)."""
+    """Several observations as one (`Joint`). Raises InputError for numbers without any standard deviation."""
     noise = np.concatenate([each.deviation for each in measurements])
     prior = np.concatenate([each.observation.prior_scatter(each.values) for each in measurements])
     scale = np.hypot(noise, prior)

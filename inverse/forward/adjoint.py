@@ -14,7 +14,7 @@ from torch import Tensor
 
 from datasets.particles import initial_volumes
 from datasets.scene import Scene
-from inverse.forward.interface import Simulate
+from inverse.forward import Simulate
 from inverse.forward.mpm import MpmForward
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Kind, Vector, kind, with_kinds

@@ -98,7 +98,7 @@ class GnsForward:
         self.other_particles = [index for index, kind in enumerate(self.kinds) if kind.input is None]
         self.initial = self._initial(problem.scene)
         self.flows = {} if flows is None else flows
-        self.indices, self.steps = self.initial.indices, self.initial.steps
+        self.indices = self.initial.indices
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = int(MEMORY_GIB * 2**30 / bytes_per_step)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.particles import particle_count
-from inverse.forward.interface import Simulate
+from inverse.forward import Simulate
 from inverse.observations import Observation, Values
 from inverse.parameters import Vector
 from inverse.problem import Problem

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from inverse.posterior import Matrix, Row
-from inverse.posterior.sampling import Samples
+from inverse.posterior.sampling import Samples, systematic
 from inverse.posterior.settings import CONSTANTS
 
 AT_MOST = 800
@@ -42,7 +42,7 @@ class Part:
 
 def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.random.Generator) -> list[Part]:
     """The parts of the 95 % region that weigh enough, heaviest first."""
-    index = samples.drawn(min(AT_MOST, len(samples.points)), rng)
+    index = systematic(samples.weights, min(AT_MOST, len(samples.points)), rng)
     points, density = samples.points[index], samples.log_likelihood[index]
     threshold = float(np.quantile(density, 1.0 - CONSTANTS.credible))
     # Copies of a sample would be its only neighbours.

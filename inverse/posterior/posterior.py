@@ -34,7 +34,7 @@ from scipy.stats import f, qmc
 from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, squared_distance
 from inverse.posterior.reduction import Reduction, reduction
-from inverse.posterior.sampling import Samples, sample
+from inverse.posterior.sampling import Samples, sample, systematic
 from inverse.posterior.settings import CONSTANTS
 from inverse.target import Target
 
@@ -325,7 +325,7 @@ def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matri
         region = found.next_region
         cube = qmc.LatinHypercube(len(region.low), rng=rng, optimization="random-cd").random(count)
         return np.asarray(region.low + (region.high - region.low) * cube)
-    candidates = np.unique(found.plausible.points[found.plausible.drawn(300, rng)], axis=0)
+    candidates = np.unique(found.plausible.points[systematic(found.plausible.weights, 300, rng)], axis=0)
     parts = [found.emulator.covariance(candidates, each) for each in range(len(found.likelihood.target))]
     scales = np.diag(found.likelihood.fixed)
     chosen: list[int] = []

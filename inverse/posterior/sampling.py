@@ -52,10 +52,6 @@ class Samples:
         off = self.points - self.mean
         return np.asarray((off.T * self.weights) @ off)
 
-    def drawn(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Indices of `count` samples, drawn by weight with evenly spaced quantiles."""
-        return systematic(self.weights, count, rng)
-
 
 def sample(log_likelihood: LogLikelihood, rng: np.random.Generator, *, low: Row, high: Row) -> Samples:
     """Samples of the posterior with a uniform prior between `low` and `high`, both of shape [U]."""

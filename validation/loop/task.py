@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.scene import Scene
-from inverse.forward.interface import Simulate
+from inverse.forward import Simulate
 from inverse.found import MpmRun, Purpose
 from inverse.observations import Observation, Values
 from inverse.parameters import Vector
