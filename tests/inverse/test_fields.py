@@ -13,13 +13,12 @@ from datasets.errors import InputError
 from datasets.field import Grid
 from datasets.library import read_scene
 from inverse.__main__ import main
-from inverse.field_inversion import Objective, linear_mean
+from inverse.field_inversion import Objective, WhiteFlow, linear_mean
 from inverse.found import Verdict
 from inverse.inversion import invert
 from inverse.parameters.field import BAND, Prior
 from inverse.problem import read_problem
 from inverse.target import read_target
-from inverse.white import WhiteFlow
 from mpm import simulate
 
 SCENE = """
