@@ -174,6 +174,12 @@ class FoundField:
         return found if self.truth is None else found | {"truth": self.truth}
 
     @property
+    def saved(self) -> dict[str, Values]:
+        """The arrays of `field.npz`; there the names of those of field k begin with `k_`."""
+        grid = self.unknown.grid
+        return {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": self.draws} | self.arrays
+
+    @property
     def identified(self) -> NDArray[np.bool_]:
         """Which nodes beside the body the observation identifies, shape [K]."""
         return (self.arrays["removed"] > IDENTIFIED) & self.unknown.inside

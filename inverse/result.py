@@ -198,11 +198,7 @@ class Result:
             with replacing(folder / "posterior.npz") as part:
                 np.savez_compressed(part, names=names, samples=self.samples, weights=weights)
         if self.fields:
-            arrays = {}
-            for k, each in enumerate(self.fields):
-                grid = each.unknown.grid
-                own = {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": each.draws} | each.arrays
-                arrays |= {f"{k}_{name}": values for name, values in own.items()}
+            arrays = {f"{k}_{key}": own for k, found in enumerate(self.fields) for key, own in found.saved.items()}
             with replacing(folder / "field.npz") as part:
                 np.savez(part, **arrays)  # type: ignore[arg-type]
             write_scene(self.scene, folder / "scene.toml")
