@@ -33,11 +33,12 @@ from scipy.optimize import lsq_linear
 from scipy.spatial import cKDTree
 from scipy.stats import chi2, qmc
 
-from inverse.forward.interface import Differentiable, Forward
+from inverse.forward import Differentiable, Forward
 from inverse.observations import Values
 from inverse.parameters import Vector
+from inverse.posterior import Matrix
 from inverse.posterior.answers import Part, half_widths, parts
-from inverse.posterior.emulator import Matrix, fewest_runs, fitted
+from inverse.posterior.emulator import fewest_runs, fitted
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior
 from inverse.posterior.reduction import reduction
 from inverse.posterior.settings import CONSTANTS

@@ -15,7 +15,8 @@ from scipy.stats import qmc
 from inverse.found import MpmRun, Purpose
 from inverse.observations import Values
 from inverse.optimise import Inversion
-from inverse.posterior.emulator import Matrix, fewest_runs, linear
+from inverse.posterior import Matrix
+from inverse.posterior.emulator import fewest_runs, linear
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
 from inverse.target import Target
