@@ -54,6 +54,11 @@ class Region:
     """Shape [U]."""
 
     @staticmethod
+    def whole(unknowns: int) -> "Region":
+        """The unit box."""
+        return Region(low=np.zeros(unknowns), high=np.ones(unknowns))
+
+    @staticmethod
     def around(samples: Samples) -> "Region":
         """Around samples: their extent with `margin`; of more than `few_parameters` some standard deviations."""
         low, high = samples.points.min(axis=0), samples.points.max(axis=0)
@@ -81,6 +86,11 @@ class Region:
     def inside(self, points: Matrix) -> NDArray[np.bool_]:
         """Which of points [n, U] lie in it, shape [n]."""
         return np.asarray(np.all((points >= self.low - 1e-9) & (points <= self.high + 1e-9), axis=1))
+
+    def filled(self, count: int, rng: np.random.Generator) -> Matrix:
+        """Points that fill it evenly, shape [count, U]."""
+        cube = qmc.LatinHypercube(len(self.low), rng=rng, optimization="random-cd").random(count)
+        return np.asarray(self.low + (self.high - self.low) * cube)
 
     def suffices(self, points: Matrix) -> bool:
         """Whether enough different ones of the runs at points [n, U] lie in it for an emulator of their own."""
@@ -229,7 +239,7 @@ def posterior(
     within: logarithm of what is excluded already (`Likelihood`).
     """
     unknowns = points.shape[1]
-    region = region or Region(low=np.zeros(unknowns), high=np.ones(unknowns))
+    region = region or Region.whole(unknowns)
     near = region.inside(points)
     reduced, emulator, expected, repeats = emulated(points[near], numbers[near], target, scatter, trends)
     regime, alike = None, regime_of(reduced(numbers), points, near, reduced(target.values))
@@ -322,9 +332,7 @@ def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matri
     than `few_parameters` evenly over the region: what lies between few samples of many dimensions is unknown otherwise.
     """
     if found.samples.points.shape[1] > CONSTANTS.few_parameters:
-        region = found.next_region
-        cube = qmc.LatinHypercube(len(region.low), rng=rng, optimization="random-cd").random(count)
-        return np.asarray(region.low + (region.high - region.low) * cube)
+        return found.next_region.filled(count, rng)
     candidates = np.unique(found.plausible.points[systematic(found.plausible.weights, 300, rng)], axis=0)
     parts = [found.emulator.covariance(candidates, each) for each in range(len(found.likelihood.target))]
     scales = np.diag(found.likelihood.fixed)
