@@ -111,16 +111,19 @@ def as_paper(kind: Kind) -> Kind:
     return draw
 
 
+COLUMNS: tuple[Kind, ...] = (column, layers, column, layers, block)
+BAFFLES: tuple[Kind, ...] = tuple(map(as_paper, (obstacle3d.slab, obstacle3d.tower, obstacle3d.slab, obstacle3d.row)))
+"""Repeated along columns2d and baffles3d."""
 COLUMNS2D = family(
     "columns2d",
-    kinds=(column, layers, column, layers, block),
+    kinds=COLUMNS,
     variant=flow2d.variant,
     size=600,
     storage=Storage(cell=CELL, kept=1),
 )
 BAFFLES3D = family(
     "baffles3d",
-    kinds=tuple(map(as_paper, (obstacle3d.slab, obstacle3d.tower, obstacle3d.slab, obstacle3d.row))),
+    kinds=BAFFLES,
     variant=obstacle3d.variant,
     size=600,
     storage=Storage(cell=obstacle3d.KEPT_CELL, kept=obstacle3d.KEPT),
