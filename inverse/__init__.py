@@ -16,14 +16,14 @@ import gns  # noqa: F401  (sets what torch reads when it is loaded, before a mod
 if TYPE_CHECKING:
     from inverse.adaptation import adapt
     from inverse.inversion import invert
-    from inverse.parameters.parameter import Parameter
+    from inverse.parameters import Parameter
     from inverse.problem import Problem, read_problem
     from inverse.result import Result
     from inverse.settings import ObservationSettings, TargetSettings
 
 _MODULES = {
     "ObservationSettings": "inverse.settings",
-    "Parameter": "inverse.parameters.parameter",
+    "Parameter": "inverse.parameters",
     "Problem": "inverse.problem",
     "Result": "inverse.result",
     "TargetSettings": "inverse.settings",
@@ -32,16 +32,7 @@ _MODULES = {
     "read_problem": "inverse.problem",
 }
 
-__all__ = [
-    "ObservationSettings",
-    "Parameter",
-    "Problem",
-    "Result",
-    "TargetSettings",
-    "adapt",
-    "invert",
-    "read_problem",
-]
+__all__ = ["ObservationSettings", "Parameter", "Problem", "Result", "TargetSettings", "adapt", "invert", "read_problem"]
 
 
 def __getattr__(name: str) -> Any:

@@ -7,14 +7,7 @@ from datasets.command_line import run
 from inverse.settings import ForwardModel
 
 
-def main(
-    problem: str,
-    /,
-    *,
-    out: Path,
-    forward: ForwardModel | None = None,
-    model: Path | None = None,
-) -> None:
+def main(problem: str, /, *, out: Path, forward: ForwardModel | None = None, model: Path | None = None) -> None:
     """Find the unknowns of PROBLEM; leaves OUT/result.json, OUT/report.md and pictures.
 
     Numbers are found by one forward model alone, so the verdict is "unconfirmed"; `python -m validation.loop` asks the

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import qmc
@@ -12,10 +13,11 @@ from datasets.field import FRICTION
 from datasets.geometry.shapes import require
 from datasets.scene import Scene
 from inverse.observations import KINDS, build
-from inverse.parameters import known_names, with_kinds
-from inverse.parameters.field import UnknownField
-from inverse.parameters.parameter import Parameter
-from inverse.settings import LoopSettings, ObservationSettings, OptimiserSettings, TargetSettings, noise_of
+from inverse.parameters import Parameter, known_names, with_kinds
+from inverse.settings import noise_of
+
+if TYPE_CHECKING:
+    from inverse.problem import Problem
 
 FEWEST_RUNS = 5
 """MPM runs besides one for each unknown: a trend, its error, and one at the answer."""
@@ -23,6 +25,16 @@ FILLING = 32
 """Points by which the box of the bounds is filled, and corners of it, that are tried."""
 OF_FIELDS = ("mean", "deviation", "length")
 """Keys that an unknown has as a field alone; `initial` it has as a number."""
+
+
+def check(problem: "Problem") -> None:
+    """Raise InputError, which names the key, for a problem that has no answer."""
+    check_parameters(problem.scene, problem.parameters)
+    check_observations(problem)
+    check_target(problem)
+    check_search(problem)
+    if any(each.is_field for each in problem.parameters):
+        check_fields(problem)
 
 
 def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
@@ -60,10 +72,7 @@ def check_number(scene: Scene, parameter: Parameter, key: str) -> None:
 
 
 def check_bounds(scene: Scene, numbers: Sequence[tuple[int, Parameter]]) -> None:
-    """Raise InputError for numbers, each with its index, between whose bounds not every scene can be simulated.
-
-    Tried are the start, corners of the box and points that fill it.
-    """
+    """Raise InputError for numbers, with indices, between whose bounds not every scene can be simulated."""
     parameters = [each for _, each in numbers]
     initial, bounds = [each.start for each in parameters], [each.bounds for each in parameters]
     _check_scene(scene, parameters, initial, "unknowns")
@@ -91,15 +100,12 @@ def _check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence
         raise InputError(f"expected a scene that can be simulated, but {error}", key=key) from None
 
 
-def check_fields(
-    scene: Scene,
-    fields: Sequence[tuple[int, UnknownField]],
-    observations: Sequence[ObservationSettings],
-    target: TargetSettings,
-) -> None:
-    """Raise InputError for fields, each with its index, that the adjoint cannot find, or a twin without their truth."""
+def check_fields(problem: "Problem") -> None:
+    """Raise InputError for fields that the adjoint cannot find, or a twin without their truth."""
+    scene, target = problem.scene, problem.target
+    indices = [index for index, each in enumerate(problem.parameters) if each.is_field]
     own = {(each.quantity, each.mass) for each in scene.fields}
-    for index, each in fields:
+    for index, each in zip(indices, problem.fields, strict=True):
         settings, key = each.settings, f"unknowns[{index}]"
         for name, bound in (("lower", settings.lower), ("upper", settings.upper)):
             others = tuple(other for other in scene.fields if other.quantity != settings.quantity)
@@ -115,15 +121,19 @@ def check_fields(
             expected = "a body without initial stress, whose yield depends on an unknown friction"
             for number, mass in enumerate(scene.masses):
                 require(mass.k0 is None, f"scene.masses[{number}].k0", expected, mass.k0)
-    for index, kind in enumerate(each.kind for each in observations):
+    for index, kind in enumerate(each.kind for each in problem.observations):
         operator = KINDS[kind]
         jointly = operator.of_positions and not operator.every_particle
         require(jointly, f"observations[{index}].kind", "an observation of positions of few numbers", kind)
     require(not target.minimise, "target.minimise", "numbers, a field has no design", "fields")
+    expected = f"none of the {len(problem.seeds)} seeds from {problem.seeds[0]} on, which the search has"
+    other = target.seed not in problem.seeds or not target.twin
+    require(other, "target.seed", expected, target.seed)
 
 
-def check_observations(scene: Scene, observations: Sequence[ObservationSettings], target: TargetSettings) -> None:
-    """Raise InputError for observations that cannot be made of a flow of `scene`, or compared with each other."""
+def check_observations(problem: "Problem") -> None:
+    """Raise InputError for observations that cannot be made of a flow of the scene, or compared with each other."""
+    observations, target = problem.observations, problem.target
     require(len(observations) > 0, "observations", "at least one observation", "none")
     for index, settings in enumerate(observations):
         prefix = f"observations[{index}]"
@@ -142,7 +152,7 @@ def check_observations(scene: Scene, observations: Sequence[ObservationSettings]
         try:
             noise_of(settings.noise)
             if settings.csv is None:
-                build(settings, scene).stated(settings)
+                build(settings, problem.scene).stated(settings)
         except InputError as error:
             raise InputError(error.message, key=f"{prefix}.{error.key}") from None
         if target.measured and not given:
@@ -154,8 +164,9 @@ def check_observations(scene: Scene, observations: Sequence[ObservationSettings]
         raise InputError(f"expected it with one observation of {scalar}", key="target.minimise")
 
 
-def check_target(scene: Scene, parameters: Sequence[Parameter], target: TargetSettings) -> None:
+def check_target(problem: "Problem") -> None:
     """Raise InputError for two sources of numbers, a twin that is the inversion's own flow, or one without a truth."""
+    scene, target = problem.scene, problem.target
     sources = {"twin": target.twin, "trajectory": target.trajectory is not None, "minimise": target.minimise}
     given = [name for name, there in sources.items() if there]
     require(len(given) < 2, "target", "one of twin = true, trajectory and minimise = true", " and ".join(given))
@@ -164,30 +175,24 @@ def check_target(scene: Scene, parameters: Sequence[Parameter], target: TargetSe
         return
     other = target.seed >= 0 and target.seed != scene.seed
     require(other, "target.seed", f"a seed of at least 0 and other than the scene's {scene.seed}", target.seed)
-    known = {each.name: each for each in parameters if not each.is_field}
+    known = {each.name: each for each in problem.numbers}
     for name in target.truth:
         require(name in known, f"target.truth.{name}", f"one of the unknowns {', '.join(known)}", name)
     _check_scene(scene, [known[name] for name in target.truth], list(target.truth.values()), "target.truth")
 
 
-def check_search(
-    parameters: Sequence[Parameter],
-    observations: Sequence[ObservationSettings],
-    optimiser: OptimiserSettings,
-    loop: LoopSettings,
-) -> None:
+def check_search(problem: "Problem") -> None:
     """Raise InputError for a search that cannot be made."""
+    optimiser, unknowns, kind = problem.optimiser, len(problem.parameters), problem.observations[0].kind
     for key, number, minimum in (
         ("optimiser.max_iterations", optimiser.max_iterations, 1),
         ("optimiser.seed", optimiser.seed, 0),
         ("optimiser.seeds", optimiser.seeds, 1),
         ("optimiser.ensemble", optimiser.ensemble, 4),
-        ("loop.mpm_runs", loop.budget(len(parameters)), len(parameters) + FEWEST_RUNS),
+        ("loop.mpm_runs", problem.loop.budget(unknowns), unknowns + FEWEST_RUNS),
     ):
         require(number >= minimum, key, f"an integer of at least {minimum}", number)
-    if not any(KINDS[each.kind].every_particle for each in observations):
-        return
-    for parameter in parameters:
-        fixed = parameter.is_field or not parameter.kind.changes_volume
-        expected = f"another kind: with {parameter.name} the number of particles changes"
-        require(fixed, "observations[0].kind", expected, observations[0].kind)
+    for each in problem.numbers:
+        fixed = not (KINDS[kind].every_particle and each.kind.changes_volume)
+        expected = f"another kind: with {each.name} the number of particles changes"
+        require(fixed, "observations[0].kind", expected, kind)

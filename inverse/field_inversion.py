@@ -1,23 +1,68 @@
-"""From a problem with fields to what was found: noise, search, posterior, and a run of the solver that confirms."""
+"""The most probable parameters, fields among them, and what the observation tells of each: Laplace's approximation.
 
+    2 J(w) = |L^-1 (F(w) - y)|^2 + |w|^2,    R = N + (1 + 1/n) C = L L^T
+    G = L^-1 dF/dw = U S V^T,    covariance of w = I - V diag(s^2 / (1 + s^2)) V^T
+
+| symbol | variable | meaning |
+|---|---|---|
+| w | `white` | independent normal numbers of the prior, of which fields and numbers are functions |
+| F | `numbers` | what runs of the MPM show, mean over n jitter seeds |
+| N, C | `noise` | covariance of the measurement; of flows that differ in their jitter seed alone |
+
+A field is u = S A w (`inverse.parameters.field`), a number lower + (upper - lower) Phi(w), Phi the normal distribution:
+uniform between its bounds. Observations are exact; derivatives are the adjoint's, through the smooth operator: one
+reverse pass for each combination of the numbers, one replay of the run for all. Both are averaged over jitter seeds.
+
+Gauss-Newton steps solve the problem that is linear about w; a step is halved until runs show that J has fallen.
+Derivatives are taken of those combinations of the numbers alone that the prior moves by more than their errors. The
+posterior is a low-rank update of the prior by the eigenpairs of the Hessian of the misfit, preconditioned by the prior
+(Bui-Thanh, Ghattas, Martin & Stadler, A computational framework for infinite-dimensional Bayesian inverse problems,
+SIAM J. Sci. Comput. 35 (2013) A2494-A2523): along V_k the observation tells s_k^2 times as much as the prior.
+"""
+
+import math
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+import scipy.linalg
+import torch
 from numpy.typing import NDArray
 from scipy.special import ndtr
+from tqdm import tqdm
 
-from inverse.fields import FoundField
-from inverse.found import Answer, MpmRun, Purpose, judge
-from inverse.laplace import Gaussian, Objective
+from datasets.particles import initial_volumes
+from datasets.processes import processors
+from datasets.scene import Scene
+from inverse.forward.adjoint import derivatives
+from inverse.found import Answer, FoundField, MpmRun, Purpose, judge
 from inverse.noise import Scatter, fit, shrunk
+from inverse.observations import Observation, Rollout
+from inverse.observations.observation import brackets
 from inverse.parameters.field import BAND
 from inverse.problem import Problem
 from inverse.result import Result
 from inverse.target import read_target
-from inverse.white import WhiteFlow
 from mpm import simulate, simulate_many
+from mpm.adjoint.gradient import Gradient, pull_back_all
+from mpm.adjoint.tape import FlowAdjoints, Tape, check
+from mpm.arrays.features import features_of
 
+Floats = NDArray[np.float64]
+
+MEMORY_MIB = 512.0
+"""For the checkpoints of the runs that are reversed side by side [MiB]."""
+SHORTEST = 0.25
+"""Of the steps of the line search, over a whole one."""
+DECREASE = 0.1
+"""Of J, over that of the linear problem, with which a step is accepted."""
+CONVERGED = 0.5
+"""Decrease of J below which there is nothing left to gain: that of one standard deviation along one direction."""
+SMALL = 0.2
+"""Variance of a combination over draws of the prior, over that of its errors, below which it is left out."""
 FIRST_SEEDS, FIRST_CONVERGED = 2, 2.0
 """Jitter seeds of the first search, and how far from its minimum it ends."""
 DRAWS = 100
@@ -34,28 +79,29 @@ def of_fields(problem: Problem) -> Result:
     measured = target.errors_of(np.eye(len(target.values)))
     iterations, seed = problem.optimiser.max_iterations, problem.scene.seed
     rng, start = np.random.default_rng(seed), np.zeros(flow.size)
-    runs = scattered(flow, start)
+    runs = flow.scattered(start)
     draws = flow.observe(list(rng.standard_normal((problem.optimiser.ensemble, flow.size))), [seed] * len(runs))
 
-    def objective(runs: NDArray[np.float64], seeds: Sequence[int]) -> Objective:
+    def objective(runs: Floats, seeds: Sequence[int]) -> "Objective":
         return Objective(flow, target.values, measured + (1.0 + 1.0 / len(seeds)) * shrunk(runs), draws, seeds)
 
     first = objective(runs, problem.seeds[:FIRST_SEEDS])
     nearest = first.minimise(start, iterations, FIRST_CONVERGED)
     # Again with the scatter of the fields that were found, and more seeds.
-    runs = scattered(flow, nearest.posterior.mean)
+    runs = flow.scattered(nearest.mean)
     second = objective(runs, problem.seeds)
-    minimum = second.minimise(nearest.posterior.mean, iterations)
-    posterior = minimum.posterior
+    posterior = second.minimise(nearest.mean, iterations)
     scene = flow.scene_at(posterior.mean, problem.scatter_seeds[-1] + 1)
     (shown,) = simulate_many([scene])
     values = flow.values(posterior.mean)
+    spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.own] ** 2).sum(axis=1), 0.0))
+    ends = [ndtr(posterior.mean[flow.own] + sign * BAND * spread) for sign in (1.0, -1.0)]
     check = MpmRun(purpose=Purpose.CHECK, parameters=values, trajectory=shown, target=target, file="check.npz")
     expected = target.observation.prior_scatter(target.values)
     scatter = Scatter(deviations=runs - runs.mean(axis=0), freedom=len(runs) - 1, expected=expected)
     answer = Answer(
         parameters=values,
-        half_widths=half_widths(flow, posterior),
+        half_widths=np.asarray(0.5 * problem.box.range * (ends[0] - ends[1])),
         checks=(check,),
         fit=fit(target, check.observation[None], scatter, parameters=posterior.informative),
     )
@@ -66,10 +112,10 @@ def of_fields(problem: Problem) -> Result:
         f"{unknowns} values from {len(target.values)} numbers: {posterior.informative} directions in which the "
         "observation tells more than the prior, by the Gaussian approximation about the most probable values."
     ]
-    if minimum.promised > LEFT:
+    if posterior.promised > LEFT:
         notes.append(
-            f"**The search ended where its derivatives promise {minimum.promised:.1f} more of the objective, which no "
-            "step brought: the fields are known less well than their widths say. More `optimiser.seeds` make "
+            f"**The search ended where its derivatives promise {posterior.promised:.1f} more of the objective, which "
+            "no step brought: the fields are known less well than their widths say. More `optimiser.seeds` make "
             "derivatives smoother.**"
         )
     total = time.perf_counter() - began
@@ -88,25 +134,10 @@ def of_fields(problem: Problem) -> Result:
         notes=tuple(notes),
         seconds={"total": total, "processors": time.process_time() - used},
         record=cost | {"combinations": len(posterior.jacobian), "eigenvalues": posterior.decomposition[0].tolist()},
-        command="python -m inverse",
     )
 
 
-def scattered(flow: WhiteFlow, white: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Numbers [n, M] of runs at `white` [W] that differ in their jitter seed."""
-    seeds = flow.problem.scatter_seeds
-    return flow.observe([white] * len(seeds), seeds)
-
-
-def half_widths(flow: WhiteFlow, posterior: Gaussian) -> NDArray[np.float64]:
-    """Of the numbers at 95 %, shape [U]."""
-    own, box = flow.own, flow.problem.box
-    width = np.sqrt(np.maximum(1.0 - (posterior.removed[own] ** 2).sum(axis=1), 0.0))
-    ends = [ndtr(posterior.mean[own] + sign * BAND * width) for sign in (1.0, -1.0)]
-    return np.asarray(0.5 * box.range * (ends[0] - ends[1]))
-
-
-def found_fields(flow: WhiteFlow, posterior: Gaussian) -> list[FoundField]:
+def found_fields(flow: "WhiteFlow", posterior: "Gaussian") -> list[FoundField]:
     """Each field with its widths at the nodes."""
     problem, draws = flow.problem, posterior.draws(DRAWS)
     truths = [None] * len(problem.fields) if not problem.target.twin else problem.true_fields
@@ -125,3 +156,203 @@ def found_fields(flow: WhiteFlow, posterior: Gaussian) -> list[FoundField]:
             )
         )
     return found
+
+
+class WhiteFlow:
+    """Runs at W white numbers, which show M numbers. Raises InputError for a scene that the adjoint does not know."""
+
+    def __init__(self, problem: Problem, observation: Observation) -> None:
+        self.problem, self.observation = problem, observation
+        check(features_of([problem.scene], "f32"))
+        self.runs = self.reverses = 0
+        """MPM runs and reverse passes so far."""
+        self.bar = tqdm(desc="adjoint", unit="run", leave=False, disable=None)
+        ends = np.cumsum([0, *(each.prior.size for each in problem.fields), len(problem.numbers)])
+        *self.parts, self.own = [slice(int(first), int(end)) for first, end in pairwise(ends)]
+        """Which white numbers are those of each field; of all numbers."""
+        self.size = int(ends[-1])
+        scene = problem.scene
+        own = [part.observation.times for part in observation.parts if part.observation.times is not None]
+        times = np.concatenate([[scene.duration], *own])
+        before, share = brackets(np.arange(scene.frames, dtype=np.float64) * scene.frame_dt, times)
+        self.frames = sorted({*before.tolist(), *(before + np.ceil(share).astype(np.int64)).tolist()})
+        """Frames that the observation looks at, and the last."""
+
+    def latents(self, white: Floats) -> list[Floats]:
+        """u [K] of each field."""
+        return [each.prior.field(white[part]) for each, part in zip(self.problem.fields, self.parts, strict=True)]
+
+    def values(self, white: Floats) -> Floats:
+        """The numbers, shape [U]."""
+        box = self.problem.box
+        return np.asarray(box.lower + box.range * ndtr(white[self.own]))
+
+    def scene_at(self, white: Floats, seed: int) -> Scene:
+        """The scene at white numbers [W] with a jitter seed."""
+        latents = zip(self.problem.fields, self.latents(white), strict=True)
+        return self.problem.scene_at(self.values(white), seed, [each.field(latent) for each, latent in latents])
+
+    def observe(self, points: Sequence[Floats], seeds: Sequence[int]) -> Floats:
+        """The observed numbers [points, M] of runs at white numbers [W], each with its jitter seed."""
+        scenes = [self.scene_at(each, seed) for each, seed in zip(points, seeds, strict=True)]
+        together, found = 2 * processors(), []
+        for first in range(0, len(scenes), together):
+            runs = simulate_many(scenes[first : first + together])
+            found += [self.observation.observe(run) for run in runs]
+            self.bar.update(len(runs))
+        self.runs += len(scenes)
+        return np.stack(found)
+
+    def scattered(self, white: Floats) -> Floats:
+        """The observed numbers [n, M] of runs at white numbers [W] that differ in their jitter seed."""
+        seeds = self.problem.scatter_seeds
+        return self.observe([white] * len(seeds), seeds)
+
+    def mean(self, white: Floats, seeds: Sequence[int]) -> Floats:
+        """The observed numbers [M] at white numbers [W], mean over jitter seeds."""
+        return np.asarray(self.observe([white] * len(seeds), seeds).mean(axis=0))
+
+    def jacobian(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
+        """Derivatives [r, W] of `combinations` [r, M] of the numbers at white numbers [W], mean over jitter seeds."""
+        found = np.zeros((len(combinations), self.size))
+        for first in range(0, len(seeds), processors()):
+            scenes = [self.scene_at(white, seed) for seed in seeds[first : first + processors()]]
+            tape = Tape(scenes, self.frames, precision="f32", memory_mib=MEMORY_MIB, outputs=len(combinations))
+            adjoints = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
+            together = [[FlowAdjoints(own[number]) for own in adjoints] for number in range(len(combinations))]
+            for row, gradients in enumerate(pull_back_all(tape, together)):
+                for gradient in gradients:
+                    found[row] += self.pulled_back(gradient, white) / len(seeds)
+            self.runs += len(scenes)
+            self.reverses += len(scenes) * len(combinations)
+            self.bar.update(len(scenes) * (1 + len(combinations)))
+        return found
+
+    def pulled_back(self, gradient: Gradient, white: Floats) -> Floats:
+        """Derivatives with respect to the white numbers [W] from those with respect to what a run begins with."""
+        found = np.zeros(self.size)
+        for unknown, latent, part in zip(self.problem.fields, self.latents(white), self.parts, strict=True):
+            found[part] = unknown.prior.white(unknown.at_nodes(gradient, latent))
+        if self.problem.numbers:
+            density = np.exp(-0.5 * white[self.own] ** 2) / np.sqrt(2.0 * np.pi)
+            slopes = derivatives(gradient, self.problem.kinds, self.values(white))
+            found[self.own] = slopes * self.problem.box.range * density
+        return found
+
+    def adjoints(self, tape: Tape, index: int, combinations: Floats) -> Floats:
+        """Derivatives of the combinations [r, M] with respect to the observed positions, shape [r, T, N, D]."""
+        positions = torch.from_numpy(tape.positions(index)).requires_grad_()
+        rollout = Rollout(
+            positions=positions,
+            times=np.array(self.frames) * self.problem.scene.frame_dt,
+            volumes=torch.from_numpy(initial_volumes(self.problem.scene)),
+        )
+        numbers = self.observation.predict(rollout)
+        rows = [
+            torch.autograd.grad(numbers, positions, torch.from_numpy(each), retain_graph=True)[0].numpy()
+            for each in combinations
+        ]
+        return np.stack(rows)
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """The posterior of W white numbers."""
+
+    mean: Floats
+    """The most probable ones, shape [W]."""
+    jacobian: Floats
+    """G of as many combinations of the numbers as matter, shape [r, W]."""
+    promised: float
+    """Decrease of J that another step would bring where the numbers are linear."""
+
+    @cached_property
+    def decomposition(self) -> tuple[Floats, Floats]:
+        """s^2, shape [r], the largest first, and V, shape [W, r]."""
+        _, singular, directions = np.linalg.svd(self.jacobian, full_matrices=False)
+        return singular**2, directions.T
+
+    @property
+    def informative(self) -> int:
+        """How many directions the observation tells more of than the prior."""
+        return int((self.decomposition[0] > 1.0).sum())
+
+    @property
+    def removed(self) -> Floats:
+        """V (s^2 / (1 + s^2))^(1/2), shape [W, r]: squares of its rows, or of their images, are removed variance."""
+        values, directions = self.decomposition
+        return np.asarray(directions * np.sqrt(values / (1.0 + values)))
+
+    def draws(self, count: int) -> Floats:
+        """Samples, shape [count, W]: mean + (I + V diag((1 + s^2)^(-1/2) - 1) V^T) times white noise."""
+        values, directions = self.decomposition
+        white = np.random.default_rng(0).standard_normal((count, len(self.mean)))
+        return np.asarray(self.mean + white + (white @ directions * (1.0 / np.sqrt(1.0 + values) - 1.0)) @ directions.T)
+
+
+class Objective:
+    """J, its Gauss-Newton steps, and every iterate on the way."""
+
+    def __init__(
+        self, flow: WhiteFlow, target: Floats, covariance: Floats, draws: Floats, seeds: Sequence[int]
+    ) -> None:
+        """target: y [M]; covariance: R [M, M]; draws: numbers [n, M] of draws of the prior; seeds: n of F."""
+        self.flow, self.target, self.seeds = flow, target, seeds
+        self.root = scipy.linalg.cholesky(covariance, lower=True)
+        basis, singular, _ = np.linalg.svd(self.whitened((draws - draws.mean(axis=0)).T), full_matrices=False)
+        matter = int((singular**2 / (len(draws) - 1) > SMALL).sum())
+        self.rows = np.asarray(basis[:, : max(1, matter)].T)
+        """Orthonormal combinations of whitened numbers, in which draws vary by more than `SMALL`, shape [r, M]."""
+        self.iterates: list[dict[str, float]] = []
+
+    def whitened(self, numbers: Floats) -> Floats:
+        """Numbers [M, ...] in units in which their errors are independent and 1."""
+        return np.asarray(scipy.linalg.solve_triangular(self.root, numbers, lower=True))
+
+    def evaluated(self, white: Floats, step: float) -> tuple[Floats, dict[str, float]]:
+        """F [M] and the iterate at white numbers [W]; step: part of the Gauss-Newton step, 0 at the start."""
+        numbers = self.flow.mean(white, self.seeds)
+        residual = self.whitened(numbers - self.target)
+        squares = float(residual @ residual)
+        objective, misfit = 0.5 * (squares + float(white @ white)), math.sqrt(squares / len(residual))
+        return numbers, {"objective": objective, "misfit": misfit, "step": step}
+
+    def minimise(self, start: Floats, iterations: int, enough: float = CONVERGED) -> Gaussian:
+        """From `start` [W] to the most probable white numbers; enough: decrease of J that a step must promise."""
+        white, (numbers, iterate) = start, self.evaluated(start, 0.0)
+        self.iterates.append(iterate)
+        outer, decrease, first = self.whitened(np.eye(len(self.target))), math.inf, len(self.iterates)
+        while True:
+            jacobian = self.flow.jacobian(white, self.rows @ outer, self.seeds)
+            residual = self.rows @ self.whitened(numbers - self.target)
+            proposed = linear_mean(jacobian, white, residual)
+            promised = gain(jacobian, residual, white, proposed - white)
+            if min(promised, decrease) < enough or len(self.iterates) - first >= iterations:
+                return Gaussian(white, jacobian, promised)
+            step = 1.0
+            while True:
+                tried = white + step * (proposed - white)
+                found, iterate = self.evaluated(tried, step)
+                decrease = self.iterates[-1]["objective"] - iterate["objective"]
+                if decrease > DECREASE * gain(jacobian, residual, white, tried - white):
+                    break
+                if step <= SHORTEST:
+                    return Gaussian(white, jacobian, promised)
+                step *= 0.5
+            white, numbers = tried, found
+            self.iterates.append(iterate)
+
+
+def linear_mean(jacobian: Floats, white: Floats, residual: Floats) -> Floats:
+    """The most probable w [W] of numbers that are linear about `white`, where they are off by `residual` [r].
+
+    w = G^T (I + G G^T)^-1 (G w0 - residual): r equations in place of W.
+    """
+    inner = np.eye(len(residual)) + jacobian @ jacobian.T
+    return np.asarray(jacobian.T @ np.linalg.solve(inner, jacobian @ white - residual))
+
+
+def gain(jacobian: Floats, residual: Floats, white: Floats, step: Floats) -> float:
+    """By how much J falls along `step` [W] where the numbers are linear."""
+    after, moved = residual + jacobian @ step, white + step
+    return float(0.5 * (residual @ residual + white @ white - after @ after - moved @ moved))

@@ -18,8 +18,6 @@ from inverse.settings import ForwardModel, Surrogate
 from inverse.target import Target, read_each, read_target
 from mpm import simulate, simulate_many
 
-COMMAND = "python -m inverse"
-
 
 def invert(
     problem: Problem,
@@ -106,5 +104,4 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
         posterior=found.posterior,
         seconds={"per_iteration": total / len(misfits), "mpm": total if by_mpm else 0.0, "total": total},
         record={"loss": loss | {"initial": misfits[0]}} | ({"flows": len(misfits) + 2} if by_mpm else {}),
-        command=COMMAND,
     )

@@ -19,9 +19,8 @@ degrees of freedom, R the correlation of r (Satterthwaite, Biometrics Bull. 2 (1
 scatter is known and N, D, C the sums of n^2, d^2 and (1 + 1/k) c^2: what is known needs no estimate.
 
 Where there are more numbers than parameters and S is above what chance explains once in twenty times, half-widths are
-multiplied by S: Birge's ratio (R. T. Birge, The calculation of errors by the method of least squares, Phys. Rev. 40
-(1932) 207-227), as the Particle Data Group scales errors. Whatever the model lacks is treated as noise that was stated
-too small, by one factor for all numbers.
+multiplied by S, as if all noise had been stated too small: Birge's ratio (R. T. Birge, The calculation of errors by the
+method of least squares, Phys. Rev. 40 (1932) 207-227).
 """
 
 import math
@@ -73,11 +72,6 @@ class Scatter:
         level = float(np.mean(square / np.maximum(self.expected, 1e-300) ** 2)) / self.freedom
         prior = np.maximum(level, FLOOR) * self.expected**2
         return np.asarray((square + PRIOR_FREEDOM * prior) / (self.freedom + PRIOR_FREEDOM))
-
-    @property
-    def freedom_of_variance(self) -> float:
-        """nu_c with what the prior adds."""
-        return self.freedom + PRIOR_FREEDOM if self.freedom else 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +135,9 @@ def fit(target: Target, shown: Floats, scatter: Scatter, *, cells: Floats | None
         known = target.covariance / np.sqrt(np.outer(total, total))
         square += float(np.sum(known**2)) + 2.0 * float(np.sum((flows @ known) * flows))
     first = float(np.clip(size**2 / max(square, 1.0), 1.0, size))
-    second = scatter.freedom_of_variance * (1.0 + float(own.sum()) / max(float(variance.sum()), 1e-300)) ** 2
+    # Those with which the scatter is known, and with what its prior adds; many where nothing but the prior is.
+    counted = scatter.freedom + PRIOR_FREEDOM if scatter.freedom else 1e6
+    second = counted * (1.0 + float(own.sum()) / max(float(variance.sum()), 1e-300)) ** 2
     return Fit(
         residual=rms(residual),
         noise=rms(target.deviation),

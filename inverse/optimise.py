@@ -31,13 +31,14 @@ import numpy as np
 import torch
 from scipy.optimize import lsq_linear
 from scipy.spatial import cKDTree
-from scipy.stats import chi2, qmc
+from scipy.stats import chi2
 
-from inverse.forward.interface import Differentiable, Forward
+from inverse.forward import Differentiable, Forward
 from inverse.observations import Values
 from inverse.parameters import Vector
+from inverse.posterior import Matrix
 from inverse.posterior.answers import Part, half_widths, parts
-from inverse.posterior.emulator import Matrix, fewest_runs, fitted
+from inverse.posterior.emulator import fewest_runs, fitted
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior
 from inverse.posterior.reduction import reduction
 from inverse.posterior.settings import CONSTANTS
@@ -156,9 +157,7 @@ class Inversion:
         """
         samples, unknowns = self.posterior.samples, self.points.shape[1]
         if unknowns > CONSTANTS.few_parameters:
-            region = Region.around(samples)
-            cube = qmc.LatinHypercube(unknowns, rng=rng, optimization="random-cd").random(count)
-            return np.asarray(region.low + (region.high - region.low) * cube)
+            return Region.around(samples).filled(count, rng)
         threshold = np.quantile(samples.log_likelihood, 1.0 - CONSTANTS.credible)
         inside = samples.points[samples.log_likelihood >= threshold]
         chosen = [each.point for each in self.answers]
@@ -210,7 +209,7 @@ def inverted(
     began, unknowns = time.perf_counter(), len(problem.names)
     rng = np.random.default_rng([problem.optimiser.seed, 0])
     box = problem.box
-    cube = qmc.LatinHypercube(unknowns, rng=rng, optimization="random-cd").random(FIRST + PER_UNKNOWN * unknowns - 1)
+    cube = Region.whole(unknowns).filled(FIRST + PER_UNKNOWN * unknowns - 1, rng)
     points = np.concatenate([((problem.initial - box.lower) / box.range)[None], cube])
     numbers = np.stack(forward.observe(list(box.lower + points * box.range)))
     nearest = int(np.argmin(((numbers - forward.select(target.values)) ** 2).mean(axis=1)))
@@ -250,8 +249,7 @@ def filled(state: Inversion, rng: np.random.Generator) -> Inversion:
     if unknowns <= CONSTANTS.few_parameters:
         return state.asked(next_points(state.posterior, PER_UNKNOWN, rng))
     region = around_minima(state)
-    cube = qmc.LatinHypercube(unknowns, rng=rng, optimization="random-cd").random(fewest_runs(unknowns))
-    return dataclasses.replace(state.asked(region.low + (region.high - region.low) * cube), region=region)
+    return dataclasses.replace(state.asked(region.filled(fewest_runs(unknowns), rng)), region=region)
 
 
 def as_predicted(forward: Surrogate, target: Target, scatter: Values, errors: Matrix) -> Target:

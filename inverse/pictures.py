@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from datasets import files, measures
 from datasets.scene import Scene
-from inverse.fields import FoundField
-from inverse.observations.front import Passed, Toe
+from inverse.found import FoundField
+from inverse.observations.deposit import Passed, Toe
 from inverse.observations.profile import Profile
 from inverse.parameters.field import LABELS
 from inverse.settings import ObservationSettings
@@ -109,10 +109,7 @@ def standings(found: "Result") -> dict[str, Scene]:
 
 
 def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene], filled: str, top: float) -> None:
-    """A deposit, positions [m], shape [N, D], in the box, of which heights up to `top` [m] are seen.
-
-    The baffles of each of `scenes` are outlines, those of `filled` are filled.
-    """
+    """A deposit [m], shape [N, D], up to `top` [m], and the baffles of `scenes`, those of `filled` filled."""
     size = scenes["found"].domain.size
     across = len(size) - 1
     if across == 1:
@@ -169,14 +166,9 @@ def profiles(axis: Axes, found: "Result", shown: Mapping[str, Deposit], scene: S
     axis.legend()
 
 
-def units_of(found: "Result") -> list[str]:
-    """The units of the numbers, in the order of the problem."""
-    return list(dict.fromkeys(kind.unit for kind in found.problem.kinds))
-
-
 def draw_unknowns(path: Path, found: "Result") -> None:
     """Every number side by side, a panel for each unit: start, found with its half-width, truth."""
-    units, truth = units_of(found), found.target.truth
+    units, truth = list(dict.fromkeys(kind.unit for kind in found.problem.kinds)), found.target.truth
     size = (WIDTH, 0.4 + 3.2 * len(units))
     figure, grid = plt.subplots(len(units), 1, figsize=size, layout="constrained", squeeze=False)
     for unit, axis in zip(units, grid[:, 0], strict=True):

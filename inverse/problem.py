@@ -11,22 +11,14 @@ import numpy as np
 
 from datasets.errors import InputError
 from datasets.field import Field
-from datasets.geometry.shapes import require
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
 from inverse import checks
-from inverse.parameters import Kind, Vector, with_kinds, with_parameters
+from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_parameters
 from inverse.parameters.field import UnknownField
-from inverse.parameters.parameter import Parameter
-from inverse.settings import (
-    LoopSettings,
-    ObservationSettings,
-    OptimiserSettings,
-    Surrogate,
-    TargetSettings,
-)
+from inverse.settings import LoopSettings, ObservationSettings, OptimiserSettings, Surrogate, TargetSettings
 
 PROBLEMS = Path(__file__).parent / "problems"
 
@@ -92,16 +84,7 @@ class Problem:
     surrogate: Surrogate = Surrogate.AUTO
 
     def __post_init__(self) -> None:
-        checks.check_parameters(self.scene, self.parameters)
-        checks.check_observations(self.scene, self.observations, self.target)
-        checks.check_target(self.scene, self.parameters, self.target)
-        checks.check_search(self.parameters, self.observations, self.optimiser, self.loop)
-        if any(each.is_field for each in self.parameters):
-            indices = [index for index, each in enumerate(self.parameters) if each.is_field]
-            checks.check_fields(self.scene, [*zip(indices, self.fields, strict=True)], self.observations, self.target)
-            expected = f"none of the {len(self.seeds)} seeds from {self.seeds[0]} on, which the search has"
-            other = self.target.seed not in self.seeds or not self.target.twin
-            require(other, "target.seed", expected, self.target.seed)
+        checks.check(self)
 
     @property
     def numbers(self) -> list[Parameter]:

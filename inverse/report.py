@@ -1,7 +1,7 @@
 """`report.md`: conclusion, what was found, comparison with the target, uncertainty, how it was found, cost."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +11,8 @@ from tabulate import tabulate
 
 from datasets.files import write_text
 from inverse import pictures
-from inverse.fields import IDENTIFIED, FoundField
-from inverse.found import Answer, Combination, Purpose, Verdict, peak_memory_mib, unidentified
+from inverse.found import IDENTIFIED, Answer, Combination, FoundField, Purpose, Verdict, peak_memory_mib, unidentified
 from inverse.noise import CONFIDENCE, rms
-from inverse.observations.joint import Joint, Part
 
 if TYPE_CHECKING:
     from inverse.result import Result
@@ -22,8 +20,7 @@ if TYPE_CHECKING:
 NAMED = 4
 """With more numbers than these the conclusion gives the range of their half-widths, tables leave them out."""
 MAIN = 0.3
-"""A parameter with less than this share of the greatest weight is not named as part of a combination, nor are more than
-the `NAMED` heaviest."""
+"""Share of the greatest weight from which on one of the `NAMED` heaviest parameters is named in a combination."""
 SUGGESTED = 3
 """Measurements, and combinations that are identifiable, that the conclusion names."""
 
@@ -49,26 +46,23 @@ def write(found: "Result", folder: Path, command: str) -> None:
         pictures.draw_posterior(folder / "posterior.png", found)
         parts.append("![prior and posterior](posterior.png)")
     if found.further:
-        gains = [[each.name, f"{each.gain:.2f}"] for each in found.further]
+        gains = [{"measurement": each.name, "information [nat]": f"{each.gain:.2f}"} for each in found.further]
         parts += [
             "## What a further measurement would decide",
             "Expected information of each about the parameters, beyond what was observed; 0.69 halves one interval.",
-            table(["measurement", "information [nat]"], gains),
+            table(gains),
         ]
-    parts += ["## How it was found", search_table(found)]
-    parts += ["## Cost", cost(found)]
+    parts += ["## How it was found", search_table(found), "## Cost", cost(found)]
     write_text(folder / "report.md", "\n\n".join(part for part in parts if part) + "\n")
 
 
 def conclusion(found: "Result") -> list[str]:
     """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
     runs = f"{found.record.get('flows', len(found.mpm_runs))} MPM runs, " if found.forward == "MPM" else ""
-    price = f"Cost: {runs}{found.seconds['total']:.1f} s in all."
-    fields = [f"`{each.name}`: {identified(each)}" for each in found.fields]
-    remarks = [f"At the answer: {each}." for each in found.remarks]
-    known = [numbers(found), angles(found), *fields, equifinality(found), quality(found)]
-    sentences = [first_found(found), verdict(found), *known, *remarks, price]
-    return [each for each in sentences if each]
+    sentences = [first_found(found), verdict(found), numbers(found), angles(found)]
+    sentences += [f"`{each.name}`: {identified(each)}" for each in found.fields]
+    sentences += [equifinality(found), quality(found), *(f"At the answer: {each}." for each in found.remarks)]
+    return [each for each in (*sentences, f"Cost: {runs}{found.seconds['total']:.1f} s in all.") if each]
 
 
 def first_found(found: "Result") -> str:
@@ -76,13 +70,11 @@ def first_found(found: "Result") -> str:
     said, root = found.surrogate or {}, found.target.observation.root_text
     if "answers" not in said:
         return ""
-    every, texts = found.problem.numbers, []
+    texts, more = [], len(found.problem.numbers) - NAMED
     for answer in said["answers"]:
-        values, widths = answer["unknowns"], answer["half_widths"]
-        pairs = [(each, each.kind.text(values[each.name]), each.kind.text(widths[each.name])) for each in every[:NAMED]]
-        text = ", ".join(f"`{each.name}` = {value} ± {width}" for each, value, width in pairs)
-        more = f" and {len(every) - NAMED} more" if len(every) > NAMED else ""
-        texts.append(f"{text}{more}, where the MPM is {root(answer['mpm_error']['misfit'] ** 0.5)} off the target")
+        text = named(found, answer["unknowns"].values(), answer["half_widths"].values())
+        text += f" and {more} more" if more > 0 else ""
+        texts.append(f"{text}, where the MPM is {root(answer['mpm_error']['misfit'] ** 0.5)} off the target")
     price = f"{said['predictions']} predictions in {said['seconds']:.1f} s"
     return f"The surrogate found {'; or '.join(texts)} ({price})."
 
@@ -102,11 +94,10 @@ def verdict(found: "Result") -> str:
         better = "The MPM confirms the design" if found.verdict is Verdict.CONFIRMED else "The MPM does not confirm it"
         return f"**{better}**: {now} in {which}, {before} at the start."
     count = len(found.answers)
+    many = f"{count} separate answers" if count > 1 else "the MPM confirms a whole range of parameters"
     words = {
         Verdict.CONFIRMED: "The MPM confirms",
-        Verdict.AMBIGUOUS: f"Ambiguous: {count} separate answers"
-        if count > 1
-        else "Ambiguous: the MPM confirms a whole range of parameters",
+        Verdict.AMBIGUOUS: f"Ambiguous: {many}",
         Verdict.UNCONFIRMED: "The MPM does not confirm",
         Verdict.UNREACHABLE: "No parameters within the bounds give the target, not even in the MPM",
     }[found.verdict]
@@ -140,10 +131,7 @@ def numbers(found: "Result") -> str:
     texts = []
     for answer in found.answers:
         share = f" ({100.0 * answer.weight:.0f} % of the posterior)" if len(found.answers) > 1 else ""
-        texts.append(
-            ", ".join(f"`{n}` = {text}" for n, text in zip(found.problem.names, cells(found, answer), strict=True))
-        )
-        texts[-1] += share
+        texts.append(named(found, answer.parameters.tolist(), answer.half_widths.tolist()) + share)
     meaning = "changes that the MPM distinguishes" if found.problem.target.minimise else "95 %"
     return f"{'; or '.join(texts)} ({meaning})."
 
@@ -161,10 +149,10 @@ def angles(found: "Result") -> str:
     return sentence(parts)
 
 
-def cells(found: "Result", answer: Answer) -> list[str]:
-    """Each number of an answer with its unit and half-width."""
-    both = zip(found.problem.numbers, answer.parameters.tolist(), answer.half_widths.tolist(), strict=True)
-    return [f"{each.kind.text(value)} ± {each.kind.text(width)}" for each, value, width in both]
+def named(found: "Result", values: Iterable[float], widths: Iterable[float]) -> str:
+    """The first numbers with their half-widths."""
+    both = zip(found.problem.numbers[:NAMED], values, widths, strict=False)
+    return ", ".join(f"`{each.name}` = {each.kind.text(value)} ± {each.kind.text(own)}" for each, value, own in both)
 
 
 def equifinality(found: "Result") -> str:
@@ -173,11 +161,7 @@ def equifinality(found: "Result") -> str:
         return ""
     parts = []
     if names := unidentified(found.problem, found.answers[0]):
-        known = [
-            f"{mix(each)} to ± {100.0 * each.half_width:.2g} % of the range"
-            for each in found.combinations
-            if each.identifiable
-        ]
+        known = [mix(each) for each in found.combinations if each.identifiable]
         listed = ", ".join(f"`{name}`" for name in names)
         parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(known[:SUGGESTED]) or 'nothing'}")
     if found.further:
@@ -233,37 +217,38 @@ def question(found: "Result") -> str:
             row |= {"truth": text(truth[each.name]), "error": text(value - truth[each.name])}
             row["truth inside"] = "yes" if each.name in found.inside else "**no**"
         rows.append(row)
-    return observed + (f"\n\n{table(list(rows[0]), [list(row.values()) for row in rows])}" if rows else "")
+    return observed + (f"\n\n{table(rows)}" if rows else "")
 
 
 def every_answer(found: "Result") -> str:
     """A line for each."""
-    head = [*(f"`{name}`" for name in found.problem.names), "share of the posterior", "the MPM there"]
-    said = ["not asked" if each.fit is None else distance(found, each) for each in found.answers]
-    rows = [
-        [*cells(found, each), f"{100.0 * each.weight:.0f} %", word]
-        for each, word in zip(found.answers, said, strict=True)
-    ]
-    return table(head, rows)
+    rows = []
+    for each in found.answers:
+        both = zip(found.problem.numbers, each.parameters.tolist(), each.half_widths.tolist(), strict=True)
+        row = {f"`{own.name}`": f"{own.kind.text(value)} ± {own.kind.text(width)}" for own, value, width in both}
+        row["share of the posterior"] = f"{100.0 * each.weight:.0f} %"
+        row["the MPM there"] = "not asked" if each.fit is None else distance(found, each)
+        rows.append(row)
+    return table(rows)
 
 
 def comparison(found: "Result") -> str:
     """Each observation as it was measured and at the answer."""
     whole, target, shown = found.target.observation, found.target, found.predicted
-    alone = Part(name=whole.kind, observation=whole, numbers=slice(None))
     scale = whole.raw(np.ones(len(target.values)))
     design, same = found.problem.target.minimise, len(shown) == len(target.values)
-    rows = []
-    for part in whole.parts if isinstance(whole, Joint) else (alone,):
+    rows, runs = [], len(found.answers[0].checks)
+    which = f"{found.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
+    for part in whole.parts:
         own, text, root = part.numbers, part.observation.text, part.observation.root_text
         measured = whole.raw(target.values)[own]
         answer = whole.raw(shown)[own] if same else shown
         noise, residual = rms(target.deviation[own] * scale[own]), rms(answer - measured) if same else np.nan
-        known = ["-"] * 3 if design else [text(measured), root(noise), root(residual)]
-        rows.append([part.name, known[0], text(answer), *known[1:]])
-    runs = len(found.answers[0].checks)
-    which = f"{found.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
-    return table(["observation", "target", which, "noise", "residual (root mean square)"], rows)
+        row = {"observation": part.name, "target": "-" if design else text(measured), which: text(answer)}
+        row["noise"] = "-" if design else root(noise)
+        row["residual (root mean square)"] = "-" if design else root(residual)
+        rows.append(row)
+    return table(rows)
 
 
 def identified(field: FoundField) -> str:
@@ -283,18 +268,18 @@ def identified(field: FoundField) -> str:
 def field_table(field: FoundField) -> str:
     """Widths and, of a twin, errors: of all values and of those that are identified."""
     unit, inside, rows = field.unknown.unit, field.unknown.inside, []
-    head = ["", "values", f"deviation, prior [{unit}]", f"posterior [{unit}]"]
     for name, where in (("all", inside), ("identified", field.identified), ("others", inside & ~field.identified)):
         if not where.any():
             continue
-        numbers = [field.arrays[name][where].mean() for name in ("prior_deviation", "deviation")]
+        row = {"": name, "values": str(int(where.sum()))}
+        row[f"deviation, prior [{unit}]"] = f"{field.arrays['prior_deviation'][where].mean():.3g}"
+        row[f"posterior [{unit}]"] = f"{field.arrays['deviation'][where].mean():.3g}"
         if field.truth is not None:
-            numbers += [field.error(where, field.unknown.settings.mean), field.error(where)]
-        row = [name, str(int(where.sum())), *(f"{value:.3g}" for value in numbers)]
-        rows.append(row if field.truth is None else [*row, f"{100.0 * (field.covered(where) or 0.0):.0f} %"])
-    if field.truth is not None:
-        head += [f"error of the prior's mean [{unit}]", f"of the found field [{unit}]", "truth within 95 %"]
-    return table(head, rows)
+            row[f"error of the prior's mean [{unit}]"] = f"{field.error(where, field.unknown.settings.mean):.3g}"
+            row[f"of the found field [{unit}]"] = f"{field.error(where):.3g}"
+            row["truth within 95 %"] = f"{100.0 * (field.covered(where) or 0.0):.0f} %"
+        rows.append(row)
+    return table(rows)
 
 
 def uncertainty(found: "Result") -> list[str]:
@@ -315,27 +300,21 @@ def uncertainty(found: "Result") -> list[str]:
         widths = "the half-widths stay" if fit.factor == 1.0 else "**the half-widths are so much wider**"
         parts.append(f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain {chance}: {widths}.")
     if len(found.combinations) > 1:
-        lines = [
-            f"- {'**Identifiable**' if each.identifiable else '**Not identifiable**'}: {mix(each)}, "
-            f"to ± {100.0 * each.half_width:.2g} % of the range."
-            for each in found.combinations
-        ]
-        parts.append("\n".join(lines))
+        words = {True: "**Identifiable**", False: "**Not identifiable**"}
+        parts.append("\n".join(f"- {words[each.identifiable]}: {mix(each, ',')}." for each in found.combinations))
     return parts
 
 
-def mix(combination: Combination) -> str:
-    """A combination in words: which parameters go up, and which go down with them."""
-    greatest = max(abs(weight) for weight in combination.weights.values())
-    heavy = {name: weight for name, weight in combination.weights.items() if abs(weight) >= MAIN * greatest}
-    if len(heavy) > NAMED:
-        heaviest = sorted(heavy, key=lambda name: -abs(heavy[name]))[:NAMED]
-        heavy = {name: weight for name, weight in heavy.items() if name in heaviest}
-    up = [f"`{name}`" for name, weight in heavy.items() if weight > 0.0]
-    down = [f"`{name}`" for name, weight in heavy.items() if weight <= 0.0]
-    if not down:
-        return " and ".join(up) + (" up or down together" if len(up) > 1 else "")
-    return f"{' and '.join(up)} up while {' and '.join(down)} down"
+def mix(combination: Combination, comma: str = "") -> str:
+    """A combination in words: which parameters go up, which go down with them, and how well it is known."""
+    weights = combination.weights
+    heaviest = sorted(weights, key=lambda name: -abs(weights[name]))[:NAMED]
+    heavy = [name for name in weights if name in heaviest and abs(weights[name]) >= MAIN * abs(weights[heaviest[0]])]
+    up = " and ".join(f"`{name}`" for name in heavy if weights[name] > 0.0)
+    down = " and ".join(f"`{name}`" for name in heavy if weights[name] <= 0.0)
+    together = " up or down together" if len(heavy) > 1 else ""
+    text = f"{up} up while {down} down" if down else f"{up}{together}"
+    return f"{text}{comma} to ± {100.0 * combination.half_width:.2g} % of the range"
 
 
 def search_table(found: "Result") -> str:
@@ -349,32 +328,26 @@ def search_table(found: "Result") -> str:
             elif isinstance(value, bool | int | float):
                 row[key.replace("_", " ")] = value
         rows.append(row)
-    text = tabulate(rows, headers="keys", tablefmt="pipe", floatfmt=".4g")
-    if found.surrogate:
-        text = f"Surrogate: {found.surrogate['reason']}.\n\n{text}"
-    return text
+    said = f"Surrogate: {found.surrogate['reason']}.\n\n" if found.surrogate else ""
+    return said + tabulate(rows, headers="keys", tablefmt="pipe", floatfmt=".4g")
 
 
 def cost(found: "Result") -> str:
     """Runs, seconds and memory."""
-    runs = {
-        f"MPM runs, {purpose}": sum(each.purpose is purpose for each in found.mpm_runs)
-        for purpose in Purpose
-        if found.mpm_runs
-    }
+    every = [each.purpose for each in found.mpm_runs]
+    runs = {f"MPM runs, {purpose}": every.count(purpose) for purpose in Purpose if every}
     counts = {key.replace("_", " "): value for key, value in found.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in found.seconds.items()}
-    row = {key: str(value) for key, value in (runs | counts | seconds).items()}
-    row["peak memory"] = f"{peak_memory_mib():.0f} MiB"
-    return table(list(row), [list(row.values())])
+    peak = {"peak memory": f"{peak_memory_mib():.0f} MiB"}
+    return table([{key: str(value) for key, value in (runs | counts | seconds | peak).items()}])
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown of cells that are text already."""
-    return tabulate(rows, headers=head, tablefmt="pipe", disable_numparse=True)
+def table(rows: Sequence[dict[str, str]]) -> str:
+    """A table in Markdown of rows by column, whose cells are text already."""
+    return tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True)
 
 
 def summary(found: "Result") -> str:
     """The outcome for the terminal: the conclusion of the report."""
-    lines = [each.replace("**", "").replace("`", "") for each in conclusion(found)]
-    return "\n".join([f"{found.problem.name}: {found.verdict}", *(f"  {line}" for line in lines)])
+    lines = "".join(f"\n  {each}" for each in conclusion(found)).replace("**", "").replace("`", "")
+    return f"{found.problem.name}: {found.verdict}{lines}"

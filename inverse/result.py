@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from datasets.files import make_folder, replacing, write_json
 from datasets.library import write_scene
 from datasets.scene import Scene
-from inverse.fields import FoundField, arrays_of
-from inverse.found import Answer, Combination, MpmRun, Verdict, peak_memory_mib, plain
+from inverse.found import Answer, Combination, FoundField, MpmRun, Verdict, peak_memory_mib, plain
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior.answers import half_widths
@@ -64,7 +63,7 @@ class Result:
     """[s], of each part of the work, and `total`."""
     record: dict[str, Any] = field(default_factory=dict)
     """Further keys of `result.json`."""
-    command: str
+    command: str = "python -m inverse"
     """That made it, as the report names it."""
 
     @property
@@ -199,8 +198,9 @@ class Result:
             with replacing(folder / "posterior.npz") as part:
                 np.savez_compressed(part, names=names, samples=self.samples, weights=weights)
         if self.fields:
+            arrays = {f"{k}_{key}": own for k, found in enumerate(self.fields) for key, own in found.saved.items()}
             with replacing(folder / "field.npz") as part:
-                np.savez(part, **arrays_of(self.fields))  # type: ignore[arg-type]
+                np.savez(part, **arrays)  # type: ignore[arg-type]
             write_scene(self.scene, folder / "scene.toml")
         write_json(folder / "result.json", self.as_json())
         report.write(self, folder, f"{self.command} {self.problem.asked or self.problem.name} --out {folder}")

@@ -57,11 +57,7 @@ class Surrogate(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationSettings(Record):
-    """One of `[[observations]]`: what is measured, where and when, what came out, and how well it is known.
-
-    What came out is a `value`, `values` or a `csv`; none of them where a twin or a trajectory makes the numbers, or
-    where they are to be as small as possible.
-    """
+    """What is measured, where and when, how well, and what came out unless a twin or a trajectory says that."""
 
     kind: str
     """A key of `inverse.observations.KINDS`."""
@@ -72,11 +68,9 @@ class ObservationSettings(Record):
     values: tuple[float, ...] | None = None
     """The numbers: of a toe its coordinates, of others one for each of `x` or `times`."""
     csv: str | None = None
-    """A table, by its header: x, height of a profile; time, front; x, height and maybe time of gauges; time, impulse;
-    x, z of an outline."""
+    """A table: x, height of a profile or gauges, there maybe time; time, front; time, impulse; x, z of an outline."""
     noise: float | str = 0.0
-    """Standard deviation of each number, of a profile of each height: a number in their unit, or a percentage of each
-    such as "3%"."""
+    """Standard deviation of each number, of a profile of each height: in their unit, or a percentage such as "3%"."""
     unit: LengthUnit = LengthUnit.METRE
     """Of the lengths in a `csv`."""
     datum: float = 0.0

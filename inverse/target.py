@@ -11,12 +11,12 @@ from scipy.linalg import block_diag
 
 from datasets import measures
 from datasets.errors import InputError
+from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import KINDS
-from inverse.observations.joint import Joint, Part
 from inverse.observations.measured import Context
-from inverse.observations.observation import Matrix, Measurement, Values
+from inverse.observations.observation import Joint, Matrix, Measurement, Part, Values
 from inverse.problem import Problem
 
 
@@ -49,10 +49,7 @@ class Target(Measurement):
 
 
 def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Target:
-    """The target of `problem`; the flow of a twin is made with `simulate`. Raises InputError, with its key or file.
-
-    On the numbers of a twin its stated noise is drawn.
-    """
+    """The target of `problem`; `simulate` makes a twin's flow, its noise is drawn. Raises InputError."""
     measurements = read_each(problem)
     run, truth = None, None
     if problem.target.twin:
@@ -74,10 +71,7 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
 
 
 def read_each(problem: Problem, run: Trajectory | None = None) -> list[Measurement]:
-    """Every observation of `problem` with its numbers, or those of a `run`.
-
-    Raises InputError, which names the key or the file.
-    """
+    """Every observation of `problem` with its numbers, or those of a `run`. Raises InputError, with key or file."""
     context, found = Context(scene=problem.scene, folder=problem.folder, released=problem.released, run=run), []
     for index, settings in enumerate(problem.observations):
         try:
@@ -98,8 +92,10 @@ def read_run(problem: Problem, measurements: Sequence[Measurement]) -> Trajector
         if run.scene.dimension != problem.scene.dimension:
             expected = f"a {problem.scene.dimension}D trajectory as the scene's"
             raise InputError(f"expected {expected}, got {run.scene.dimension}D")
-        for each in measurements:
-            each.observation.check_run(run)
+        count = particle_count(problem.scene)
+        if run.positions.shape[1] != count and any(each.observation.every_particle for each in measurements):
+            got = f"got {run.positions.shape[1]}"
+            raise InputError(f"expected the {count} particles of the problem's scene for a deposit, {got}")
     except InputError as error:
         raise error.at(str(path)) from None
     return run
@@ -130,7 +126,7 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
 
 
 def joined(measurements: Sequence[Measurement], parts: Sequence[Part]) -> Measurement:
-    """Several observations: each number over its standard deviation (`inverse.observations.joint`)."""
+    """Several observations as one (`Joint`). Raises InputError for numbers without any standard deviation."""
     noise = np.concatenate([each.deviation for each in measurements])
     prior = np.concatenate([each.observation.prior_scatter(each.values) for each in measurements])
     scale = np.hypot(noise, prior)

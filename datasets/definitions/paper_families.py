@@ -100,7 +100,8 @@ def as_paper(kind: Kind) -> Kind:
     return draw
 
 
-KINDS = (column, layers, column, layers, block)
-COLUMNS2D = family("columns2d", kinds=KINDS, variant=flow2d.variant, size=600, storage=Storage(cell=CELL, kept=1))
-KINDS_3D = tuple(map(as_paper, (obstacle3d.slab, obstacle3d.tower, obstacle3d.slab, obstacle3d.row)))
-BAFFLES3D = family("baffles3d", kinds=KINDS_3D, variant=obstacle3d.variant, size=600, storage=obstacle3d.STORAGE)
+COLUMNS: tuple[Kind, ...] = (column, layers, column, layers, block)
+BAFFLES: tuple[Kind, ...] = tuple(map(as_paper, (obstacle3d.slab, obstacle3d.tower, obstacle3d.slab, obstacle3d.row)))
+"""Repeated along columns2d and baffles3d."""
+COLUMNS2D = family("columns2d", kinds=COLUMNS, variant=flow2d.variant, size=600, storage=Storage(cell=CELL, kept=1))
+BAFFLES3D = family("baffles3d", kinds=BAFFLES, variant=obstacle3d.variant, size=600, storage=obstacle3d.STORAGE)

@@ -1,1 +1,34 @@
-"""Forward models behind one interface: the surrogate and the MPM."""
+"""Forward models, the MPM and the GNS: from a vector of parameters to the observation that it predicts."""
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
+
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from inverse.observations import Values
+from inverse.parameters import Vector
+from mpm.output.request import ALL, Recording
+
+
+class Forward(Protocol):
+    """Predicts the observation at given parameters."""
+
+    def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
+        """The observation [M] at each vector of parameters [U]; runs may be side by side."""
+
+
+@runtime_checkable
+class Differentiable(Forward, Protocol):
+    """A forward model through which torch differentiates."""
+
+    def predict(self, parameters: Tensor, /) -> Tensor:
+        """The observation, float64 of shape [m] or [S, m], of parameters, float64 of shape [U] or [S, U]."""
+
+
+class Simulate(Protocol):
+    """The MPM, or what stands for it."""
+
+    def __call__(self, scenes: Sequence[Scene], /, *, record: Recording = ALL) -> list[Trajectory]:
+        """The trajectories of scenes that run side by side, with what `record` asks for."""

@@ -1,11 +1,5 @@
 """The MPM as a differentiable forward model, by its own adjoint: a layer of PyTorch.
 
-    run = Run(read_scene("column-tall-42"), names=("friction_deg", "masses[0].velocity_x"))
-    parameters = torch.tensor([30.0, 1.0], dtype=torch.float64, requires_grad=True)
-    positions, velocities = run(parameters)                  # [m], [m/s], shape [T, N, D] each
-    positions[-1, :, 0].mean().backward()
-    parameters.grad                                          # of the mean x of the deposit
-
 The forward pass is a run of the solver with checkpoints, the backward pass `mpm.adjoint`: no graph of steps is built,
 and memory stays within `memory_mib`.
 """
@@ -20,7 +14,7 @@ from torch import Tensor
 
 from datasets.particles import initial_volumes
 from datasets.scene import Scene
-from inverse.forward.interface import Simulate
+from inverse.forward import Simulate
 from inverse.forward.mpm import MpmForward
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Kind, Vector, kind, with_kinds
@@ -42,10 +36,10 @@ class Flow(NamedTuple):
 
 
 class Run:
-    """A run as a function of some of the parameters of its scene (`inverse.parameters`), with checkpoints.
+    """A run as a function of parameters of its scene (`inverse.parameters`), with checkpoints.
 
-    frames: those that it returns, the last alone unless given. Options and errors as `mpm.adjoint.tape.Tape`, but in
-    single precision unless asked otherwise.
+    frames: those that it returns, the last unless given. Options and errors as `mpm.adjoint.tape.Tape`, in single
+    precision unless asked otherwise.
     """
 
     def __init__(
@@ -68,11 +62,7 @@ class Run:
         return flow
 
     def flows(self, parameters: Tensor, seeds: Sequence[int]) -> list[Flow]:
-        """The same for several seeds of the jitter, side by side on the threads.
-
-        Corners of one flow (contact that begins, friction that sticks) lie elsewhere in another: the gradient of a mean
-        over seeds is that of a smoother function.
-        """
+        """The same for several jitter seeds, side by side: a mean over seeds is smoother in the parameters."""
         values = parameters.detach().numpy().astype(np.float64)
         scene = with_kinds(self.scene, self.kinds, values)
 
@@ -121,10 +111,7 @@ class _Flow(torch.autograd.Function):
 
 
 class AdjointForward(MpmForward):
-    """The MPM at a problem's parameters, differentiable: in place of a surrogate where its memory and time allow.
-
-    Its observation is the smooth one of the last frame or, where it is one over time, of all frames.
-    """
+    """The MPM, differentiable; its observation is the smooth one of the last frame or, over time, of all frames."""
 
     def __init__(self, problem: Problem, observation: Observation, simulate: Simulate, **options: Any) -> None:
         """options: of `Run`."""

@@ -7,9 +7,8 @@ With s = (x - rear) / L, across the flow s = (z - middle) / width, its positions
 
     b_f L / 1.96 s    and    b_p L / 1.96 sin(k pi s) / sqrt(K),  k = 1 .. K
 
-one displacement after the other, in a flow over time in proportion to the time. What each changes of the numbers is a
-column e_k of their covariance, sum_k e_k e_k^T: so a band of two numbers is one of a front, a toe, a profile, a gauge
-or all together, each in its own unit.
+one displacement after the other, over time in proportion to it. What each changes of the numbers is a column e_k of
+their covariance, sum_k e_k e_k^T.
 """
 
 import dataclasses
@@ -76,11 +75,10 @@ class Band:
 
 
 class GnsForward:
-    """A rollout of the surrogate from rest that is a differentiable function of the problem's parameters.
+    """A rollout of the surrogate that is a differentiable function of the problem's parameters, in SI units.
 
-    State, conditions and positions are in SI units of the scene; `unroll` scales them to the model's. Unknowns that
-    change the particles (thickness of a layer) are no inputs: each flow then begins with an initial state of its own,
-    one after the other, and derivatives in these unknowns are central differences.
+    Unknowns that change the particles (thickness of a layer) are no inputs: each flow then begins with an initial state
+    of its own, one after the other, and derivatives in these unknowns are central differences.
     """
 
     def __init__(
@@ -93,15 +91,14 @@ class GnsForward:
     ) -> None:
         """The weights are frozen, which makes the backward pass much cheaper. band: its errors, the default if absent.
 
-        flows: those that it has predicted, by their parameters: all observations of one scene may share them.
-        Raises InputError as `gns.initial.check`.
+        flows: predicted ones by their parameters, which observations of one scene may share. Raises InputError.
         """
         self.simulator = simulator.requires_grad_(False)
         self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()
         self.other_particles = [index for index, kind in enumerate(self.kinds) if kind.input is None]
         self.initial = self._initial(problem.scene)
         self.flows = {} if flows is None else flows
-        self.indices, self.steps = self.initial.indices, self.initial.steps
+        self.indices = self.initial.indices
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
         self.kept_steps = int(MEMORY_GIB * 2**30 / bytes_per_step)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.particles import particle_count
-from inverse.forward.interface import Simulate
+from inverse.forward import Simulate
 from inverse.observations import Observation, Values
 from inverse.parameters import Vector
 from inverse.problem import Problem
@@ -17,10 +17,7 @@ PARTICLES = 400
 
 
 class MpmForward:
-    """Runs the problem's scene, with its own jitter seed, at given parameters.
-
-    Of an observation of every particle it follows `PARTICLES` of them, drawn at random.
-    """
+    """Runs the problem's scene with its own jitter seed; of a whole deposit it follows `PARTICLES`, drawn at random."""
 
     def __init__(self, problem: Problem, observation: Observation, simulate: Simulate) -> None:
         self.problem, self.observation, self.simulate = problem, observation, simulate

@@ -7,8 +7,7 @@
 """
 
 from datasets.scene import Scene
-from inverse.observations.deposit import Deposit, Outline
-from inverse.observations.front import Front, Passed, Runout, Toe
+from inverse.observations.deposit import Deposit, Front, Outline, Passed, Runout, Toe
 from inverse.observations.gauges import Gauges, Impulse
 from inverse.observations.observation import Observation, Rollout, Values
 from inverse.observations.profile import Profile

@@ -1,27 +1,150 @@
-"""The whole deposit: the final position of every particle, and its outline in plan (3D)."""
+"""Where a flow came to rest: front, runout, toe, the share beyond a line, every particle, the outline."""
+
+from typing import ClassVar
 
 import numpy as np
+import scipy.optimize
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import measures
 from datasets.errors import InputError
-from datasets.particles import mass_centroids, mass_volumes, particle_count
+from datasets.particles import mass_centroids, mass_volumes, particle_volumes
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from inverse.observations.measured import Context, read_columns, require_inside
 from inverse.observations.observation import Measurement, Observation, Values, fitted_tail
 from inverse.settings import ObservationSettings
 
+SHARE_SCATTER = 0.005
+"""Standard deviation of a share from flow to flow [-], before an ensemble has measured it."""
 DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)
 """Of an outline, where none are named."""
 
 
-class Deposit(Observation):
-    """The final position of every particle, N D numbers; the misfit is the paper's mean of |p - p_target|^2.
+class Front(Observation):
+    """The x that 99.5 % of the particles are behind."""
 
-    The surrogate follows some of the particles: they are compared with the same ones of the target.
+    kind = "front"
+    label = "the front, the x that 99.5 % of the particles are behind"
+    sources = ("value", "values", "csv")
+    options = ("times", "unit")
+    columns: ClassVar = {"time": "times", "front": "values"}
+    scalar = True
+
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
+        self.limits = (0.0, scene.domain.size[0])
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        return np.array([measures.front(positions)])
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        return fitted_tail(positions[:, 0], volumes).reshape(1)
+
+    def front(self, values: Values) -> float:
+        return float(values[-1])
+
+
+class Runout(Observation):
+    """The largest x; smoothly its mean under weights exp(x / width), the width a quarter of a cell."""
+
+    kind = "runout"
+    label = "the runout, the largest x of the deposit"
+    scalar = True
+
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
+        self.limits, self.width = (0.0, scene.domain.size[0]), 0.25 * scene.domain.cell
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        return np.array([measures.runout(positions)])
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        x = positions[:, 0].double()
+        return (torch.softmax(x / self.width, 0) * x).sum().reshape(1)
+
+
+class Toe(Observation):
+    """The centroid of the furthest 10 % of the particles, D numbers; the misfit is the paper's |c - c_target|^2.
+
+    Smoothly, a particle at x belongs to them by 1 / (1 + exp((t - x) / width)), the width half a cell, with the t at
+    which the volume of all that belong is a tenth: a soft rank, by which the share of a particle that falls back goes
+    to the others.
+    """
+
+    kind = "toe"
+    label = "the toe, the centroid of the furthest 10 % of the particles"
+    sources = ("values",)
+
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
+        self.width, self.components = 0.5 * scene.domain.cell, scene.dimension
+        self.limits = (0.0, np.array(scene.domain.size))
+
+    @property
+    def count(self) -> int:
+        return self.components
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        return np.array(measures.toe(positions))
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        points, share = positions.double(), volumes.double() / volumes.double().sum()
+        x = points[:, 0]
+        known, weights = x.detach(), share.detach()
+        low, high = float(known.min()) - 40.0 * self.width, float(known.max()) + 40.0 * self.width
+
+        def surplus(threshold: float) -> float:
+            return float(weights @ torch.sigmoid((known - threshold) / self.width)) - measures.TOE_FRACTION
+
+        found = scipy.optimize.brentq(surplus, low, high, xtol=1e-14, rtol=1e-14)
+        belongs = torch.sigmoid((x - found) / self.width)
+        # A step of Newton's at the root changes its value by rounding alone and gives it its gradient.
+        slope = (weights @ (belongs * (1.0 - belongs)).detach()) / self.width
+        threshold = found + (share @ belongs - measures.TOE_FRACTION) / slope
+        weight = share * torch.sigmoid((x - threshold) / self.width)
+        return (weight / weight.sum()) @ points
+
+
+class Passed(Observation):
+    """Share of the volume beyond x = `line` [m]; a particle counts smoothly as 1 / (1 + exp((line - x) / width))."""
+
+    kind = "passed"
+    label = "the share of the material that came to rest beyond the line"
+    unit = ""
+    options = ("line", "width")
+    scalar = True
+    limits = (0.0, 1.0)
+
+    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+        super().__init__(settings, scene)
+        length, line, width = scene.domain.size[0], settings.line, settings.width
+        if line is None or not 0.0 < line < length:
+            raise InputError(f"expected a length in (0, {length:g}) m, got {line}", key="line")
+        if width is not None and not 0.0 < width <= length:
+            raise InputError(f"expected a length in (0, {length:g}] m, got {width}", key="width")
+        self.line, self.width = line, width or scene.domain.cell
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        volumes = particle_volumes(self.scene, len(positions))
+        return np.array([np.average(positions[:, 0].astype(np.float64) > self.line, weights=volumes)])
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        share = volumes.double() / volumes.double().sum()
+        return (share @ torch.sigmoid((positions[:, 0].double() - self.line) / self.width)).reshape(1)
+
+    def prior_scatter(self, values: Values) -> Values:
+        return np.full(len(values), SHARE_SCATTER)
+
+    def text(self, values: Values) -> str:
+        return f"{100.0 * values[0]:.2f} % beyond {self.line:g} m"
+
+
+class Deposit(Observation):
+    """The final position of every particle, N D numbers, of a surrogate those that it follows.
+
+    The misfit is the paper's mean of |p - p_target|^2.
     """
 
     kind = "deposit"
@@ -32,12 +155,6 @@ class Deposit(Observation):
     def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
         super().__init__(settings, scene)
         self.components = scene.dimension
-
-    def check_run(self, run: Trajectory) -> None:
-        count = particle_count(self.scene)
-        if run.positions.shape[1] != count:
-            got = f"got {run.positions.shape[1]}"
-            raise InputError(f"expected the {count} particles of the problem's scene for a deposit, {got}")
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         return np.asarray(positions.astype(np.float64).ravel())
@@ -56,10 +173,10 @@ class Deposit(Observation):
 
 
 class Outline(Observation):
-    """The extent of a deposit in 3D from the centroid of its masses along directions of the plan.
+    """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan.
 
-    Along a direction n it is the quantile of (p - c) . n over the particles that a front is along x, c the centroid of
-    the masses in plan: the support function of the deposit's outline, robust against single particles.
+    The quantile of (p - c) . n that a front is along x: the support function of the outline, robust against single
+    particles.
     """
 
     kind = "outline"

@@ -4,11 +4,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
-from datasets.particles import particle_volumes
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
 from inverse.observations.measured import require_inside
@@ -64,10 +62,6 @@ class Gauges(Observation):
         positions, volumes = torch.from_numpy(trajectory.positions), torch.from_numpy(trajectory.volumes)
         return np.asarray(self.predict(Rollout(positions=positions, times=trajectory.time, volumes=volumes)).numpy())
 
-    def exact(self, positions: NDArray[np.floating]) -> Values:
-        volumes = particle_volumes(self.scene, len(positions))
-        return np.asarray(self.smooth(torch.from_numpy(positions), torch.from_numpy(volumes)).numpy())
-
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         distance = (positions[:, 0].double()[:, None] - torch.from_numpy(self.x)).abs() / self.spacing
         share = (1.0 - distance).clamp(min=0.0)
@@ -78,10 +72,7 @@ class Gauges(Observation):
 
 
 class Impulse(Observation):
-    """The momentum that the flow has transferred to a solid along an axis, in the end or at given times.
-
-    In 2D per metre of width. Solids are the baffles, counted from 0, then the others. No surrogate predicts it.
-    """
+    """The momentum that the flow has transferred to a solid along an axis, in 2D per metre of width."""
 
     kind = "impulse"
     label = "the impulse on a solid"
@@ -107,21 +98,18 @@ class Impulse(Observation):
         return True
 
     def observe(self, trajectory: Trajectory) -> Values:
-        return np.asarray(self.of_series(self.series(trajectory.solid_impulse), trajectory.time))
+        return np.asarray(self.of_series(trajectory.solid_impulse, trajectory.time))
 
     def predict(self, rollout: Rollout) -> Tensor:
-        found: Tensor = self.of_series(self.series(rollout.impulses), rollout.times)
+        found: Tensor = self.of_series(rollout.impulses, rollout.times)
         return found
 
-    def series(self, impulses: Any) -> Any:
-        """The impulse over time [T] among those of all solids [T, solids, D]. Raises InputError where there is none."""
+    def of_series(self, impulses: Any, time: Values) -> Any:
+        """The numbers [M] of all impulses [T, solids, D] over `time` [s]. Raises InputError where there is none."""
         if impulses is None or self.solid >= impulses.shape[1]:
             raise InputError(f"expected a run that recorded the impulse on solid {self.solid}, it did not")
-        return impulses[:, self.solid, self.axis]
-
-    def of_series(self, impulse: Any, time: Values) -> Any:
-        """The numbers [M] of an impulse over `time` [s], both of shape [T]."""
-        return impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, time, self.times)
+        own = impulses[:, self.solid, self.axis]
+        return own[-1:] if self.times is None else at_times(lambda value: value, own, time, self.times)
 
     def prior_scatter(self, values: Values) -> Values:
         return np.asarray(IMPULSE_SCATTER * np.maximum(np.abs(values), 0.1 * np.abs(values).max()))

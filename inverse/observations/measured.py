@@ -42,10 +42,7 @@ RARE = 0.05
 MINIMUM_FREEDOM = 4
 """Fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too."""
 AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25), Heights.ELEVATION: (0.9, 1.25)}
-"""Area of a profile over the released one: what a measurement may miss, and of a surface also what loosening adds.
-
-Sand that is released dense, at a porosity of 0.38, and comes to rest loose, at 0.45, takes up an eighth more.
-"""
+"""Of a profile over the released one: sand of a porosity of 0.38 that comes to rest at 0.45 takes an eighth more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,10 +71,7 @@ def tabulated(
 
 
 def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
-    """The columns `names` as they stand in a CSV, and those of `optional` that it has, each of shape [R].
-
-    Raises InputError, which names the file.
-    """
+    """Columns of a CSV, each of shape [R], and `optional` ones that it has. Raises InputError, which names it."""
     found = files.read_columns(path, tuple(names), tuple(optional), others=True)
     if len(found[names[0]]) < 2:
         raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
@@ -108,10 +102,7 @@ class MeasuredProfile:
         return np.asarray(np.interp(stations, self.x, self.height, left=0.0, right=0.0))
 
     def deviation(self, *, share: float, noise: float) -> Floats:
-        """Standard deviation [m] of each height, shape [R]: a `share` of it and, for all alike, `noise` [m].
-
-        Where the ground is bare, and beside it, there is no deposit to be mistaken about.
-        """
+        """Of each height [m], [R]: a `share` of it and `noise` [m]; 0 where the ground is bare on both sides."""
         covered = self.height > 0.0
         edge = np.concatenate([[False], covered[:-1]]) | np.concatenate([covered[1:], [False]])
         return np.asarray(np.where(covered | edge, np.hypot(share * self.height, noise), 0.0))
@@ -140,10 +131,10 @@ class MeasuredProfile:
 
 
 def profile_of(settings: ObservationSettings, context: Context) -> MeasuredProfile:
-    """The profile in the CSV of `settings`.
+    """The profile in the CSV of `settings`; its area is checked where the released one is known.
 
-    Where the released area is not known, it is not checked. Raises InputError, which names the file, for rows that are
-    no profile, lie outside of the box, end in the middle of the deposit, or hold another area than was released.
+    Raises InputError, which names the file, for rows that are no profile, lie outside of the box, end in the middle of
+    the deposit, or hold another area than was released.
     """
     path, scene, metres = context.folder / str(settings.csv), context.scene, settings.unit.metres
     x, height = read_columns(path, ("x", "height")).values()
@@ -155,25 +146,28 @@ def profile_of(settings: ObservationSettings, context: Context) -> MeasuredProfi
             if scene.dimension != 2:
                 raise InputError("expected heights above the ground in 3D, got elevations", key="heights")
             height = height - elevation(scene.solids, scene.domain, x[:, None])
-        check_heights(height)
+        got = "datum is the floor's in the file"
+        if height.max() <= 0.0:
+            raise InputError(f"expected a height above the floor, got none; {got}")
+        if height.min() < -BELOW * height.max():
+            raise InputError(f"expected heights above the floor, got {height.min():g} m; {got}")
         profile = closed(x, np.maximum(height, 0.0), scene.domain.size[0])
-        if context.released is not None:
-            check_area(profile, settings.heights, context.released)
+        if (released := context.released) is not None:
+            area = float(np.trapezoid(profile.height, profile.x))
+            low, high = AREA[settings.heights]
+            if not low * released <= area <= high * released:
+                raise InputError(
+                    f"expected {low:g} to {high:g} times the area that was released, {released:.4g} m^2, for "
+                    f"{settings.heights} heights, got {area:.4g} m^2, {area / released:.3g} times; unit, datum and "
+                    "heights say what stands in the file"
+                )
         return profile
     except InputError as error:
         raise error.at(str(path)) from None
 
 
-def check_heights(height: Floats) -> None:
-    """Raise InputError for heights [m] that are below the floor by more than noise, or nowhere above it."""
-    if height.max() <= 0.0:
-        raise InputError("expected a height above the floor, got none; datum is the floor's in the file")
-    if height.min() < -BELOW * height.max():
-        raise InputError(f"expected heights above the floor, got {height.min():g} m; datum is the floor's in the file")
-
-
 def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
-    """The profile with its ends at a wall or at the deposit's edge. Raises InputError where they are too far.
+    """The profile from a wall, or the deposit's edge, to the other. Raises InputError where they are too far.
 
     An end at which the deposit goes on is extrapolated along its last rows, towards larger x only downwards.
     """
@@ -212,15 +206,3 @@ def extrapolated(
     if step > FURTHEST * spacing * (1.0 + 1e-9):
         return None
     return [(step, max(0.0, height - fall * step))]
-
-
-def check_area(profile: MeasuredProfile, heights: Heights, released: float) -> None:
-    """Raise InputError for a profile whose area is not what was released."""
-    area = float(np.trapezoid(profile.height, profile.x))
-    minimum, maximum = AREA[heights]
-    if not minimum * released <= area <= maximum * released:
-        raise InputError(
-            f"expected {minimum:g} to {maximum:g} times the area that was released, {released:.4g} m^2, for {heights} "
-            f"heights, got {area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what "
-            "stands in the file"
-        )

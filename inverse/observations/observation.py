@@ -4,8 +4,9 @@ A new kind is a class and a line in `inverse.observations.KINDS`.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -59,6 +60,17 @@ class Measurement:
     """By how much these scatter more than their stated noise, which is counted."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """One of the observations that are compared together."""
+
+    name: str
+    """As reports call it."""
+    observation: "Observation"
+    numbers: slice
+    """Which of all numbers are its own."""
+
+
 class Observation:
     """An observation operator."""
 
@@ -92,8 +104,14 @@ class Observation:
     def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
         """The operator for flows of `scene`. Raises InputError, which names the key of the settings."""
         self.scene = scene
-        if settings.times is not None:
-            self.times = require_times(np.array(settings.times), scene)
+        self.parts: tuple[Part, ...] = (Part(name=self.kind, observation=self, numbers=slice(None)),)
+        if settings.times is None:
+            return
+        self.times = np.array(settings.times)
+        beyond = self.times[(self.times < 0.0) | (self.times > scene.duration * (1.0 + 1e-9))]
+        if len(beyond):
+            message = f"expected times in [0, {scene.duration:g}] s, which the scene lasts, got {beyond[0]:g}"
+            raise InputError(message, key="times")
 
     @classmethod
     def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
@@ -131,9 +149,6 @@ class Observation:
         """M, of numbers that stand in the settings."""
         return 1 if self.times is None else len(self.times)
 
-    def check_run(self, run: Trajectory) -> None:
-        """Raise InputError for an observed run that cannot be compared with runs of the scene."""
-
     @property
     def over_time(self) -> bool:
         """Whether it needs more of a trajectory than its last frame."""
@@ -147,10 +162,7 @@ class Observation:
 
     def predict(self, rollout: Rollout) -> Tensor:
         """Of a rollout, differentiable; shape [M]."""
-
-        def smooth(positions: Tensor) -> Tensor:
-            return self.smooth(positions, rollout.volumes)
-
+        smooth = partial(self.smooth, volumes=rollout.volumes)
         if self.times is None:
             return smooth(rollout.positions[-1])
         found: Tensor = self.gathered(at_times(smooth, rollout.positions, rollout.times, self.times))
@@ -177,10 +189,7 @@ class Observation:
         return values
 
     def misfit(self, values: Values, target: Values) -> float:
-        """Mean over what is compared of the squared distance from the target [unit^2].
-
-        For one number the paper's (d - d_target)^2, for points the mean of |p - p_target|^2.
-        """
+        """Mean over numbers or points of the squared distance from the target [unit^2], as in the paper."""
         return self.components * float(np.mean((values - target) ** 2))
 
     def prior_scatter(self, values: Values) -> Values:
@@ -207,6 +216,50 @@ class Observation:
         return f"{factor * root:.3g} {unit}"
 
 
+class Joint(Observation):
+    """Several observations, each number over its standard deviation, so that all are compared in one sum.
+
+        z_i = y_i / s_i,    s_i^2 = n_i^2 + c_i^2,    misfit = 1/M sum_i (z_i - z*_i)^2
+
+    y are the numbers in their own units, n their standard deviations by errors of the measurement, c (`prior`) those of
+    one flow, another initial jitter: what two perfect measurements of one sand differ by. The weights 1 / s^2 (`scale`)
+    are those of least squares; c keeps a number that was measured very precisely from outweighing all others.
+    """
+
+    kind = "joint"
+    label = "several observations"
+    unit = "standard deviations"
+
+    def __init__(self, parts: Sequence[Part], scale: Values, prior: Values) -> None:
+        """scale, prior: of each number, in its unit, both of shape [M]."""
+        self.parts, self.scale, self.prior = tuple(parts), scale, prior
+        self.of_positions = all(part.observation.of_positions for part in parts)
+
+    @property
+    def over_time(self) -> bool:
+        return any(part.observation.over_time for part in self.parts)
+
+    def raw(self, values: Values) -> Values:
+        return np.asarray(values * self.scale)
+
+    def record(self) -> dict[str, Any]:
+        parts = [
+            {"name": part.name, "unit": part.observation.unit, "first": part.numbers.start, "end": part.numbers.stop}
+            for part in self.parts
+        ]
+        return {"parts": parts, "deviation": self.scale.tolist()}
+
+    def observe(self, trajectory: Trajectory) -> Values:
+        return np.concatenate([part.observation.observe(trajectory) for part in self.parts]) / self.scale
+
+    def predict(self, rollout: Rollout) -> Tensor:
+        numbers = torch.cat([part.observation.predict(rollout) for part in self.parts])
+        return numbers / torch.from_numpy(self.scale)
+
+    def prior_scatter(self, values: Values) -> Values:
+        return np.asarray(self.prior / self.scale)
+
+
 def brackets(time: Values, times: Values) -> tuple[NDArray[np.int64], Values]:
     """For each of `times` the frame before it and its fraction of the interval to the next, both of shape [M]."""
     times = np.clip(times, time[0], time[-1])
@@ -219,8 +272,7 @@ def brackets(time: Values, times: Values) -> tuple[NDArray[np.int64], Values]:
 def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: Values) -> Any:
     """`operator` of a series [T, ...], arrays or tensors, at each of `times` [s], shape [times, ...].
 
-    Between two frames it is linear in time: a step of the surrogate may last longer than a flow takes to pass a gauge,
-    whose height then is far from linear.
+    Between two frames the series is linear in time: heights at a gauge are far from it.
     """
     different, which = np.unique(times, return_inverse=True)
     before, share = brackets(time, different)
@@ -230,20 +282,8 @@ def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: V
     return torch.stack(rows)[torch.from_numpy(which)] if isinstance(rows[0], Tensor) else np.stack(rows)[which]
 
 
-def require_times(times: Values, scene: Scene) -> Values:
-    """`times` [s], if the scene lasts for them. Raises InputError."""
-    if not np.all((times >= 0.0) & (times <= scene.duration * (1.0 + 1e-9))):
-        got = times[(times < 0.0) | (times > scene.duration)][0]
-        message = f"expected times in [0, {scene.duration:g}] s, which the scene lasts, got {got:g}"
-        raise InputError(message, key="times")
-    return times
-
-
 def fitted_tail(values: Tensor, volumes: Tensor) -> Tensor:
-    """The value that 99.5 % of the volume is behind, by a fit through the tail (`datasets.measures.fitted_front`).
-
-    Smooth, where the plain quantile depends on one particle; `values` and `volumes` of shape [n].
-    """
+    """The value that 99.5 % of the volume is behind, by a smooth fit (`measures.fitted_front`); both of shape [n]."""
     ordered, order = torch.sort(values.double())
     weights = measures.tail_weights(volumes.detach().double().numpy()[order.numpy()])
     return (torch.from_numpy(weights) * ordered).sum()

@@ -2,12 +2,10 @@
 
     h_rows = P h,    area(x) = int_0^x h_rows dx' with h_rows linear between rows,    area(x_k) = s_k area(L)
 
-P interpolates the model's profile at its stations to the rows. A chord between two rows cuts what lies between them off
-both profiles alike; a measured profile refined to the model's stations would be short of it where the model's is not.
-
-A row is the height at one x, the model's a mean over its spacing. The difference is an error of representation
-(Janjic et al., On the representation error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278):
-`REPRESENTATION` of a cell, added to the noise of each height.
+P interpolates the model's profile at its stations to the rows: a chord between two rows cuts what lies between them off
+both profiles alike. A row is the height at one x, the model's a mean over its spacing: an error of representation
+(Janjic et al., On the representation error in data assimilation, Quart. J. Roy. Meteorol. Soc. 144 (2018) 1257-1278),
+`REPRESENTATION` of a cell, comes on top of the noise of each height.
 """
 
 import math
@@ -37,9 +35,8 @@ DRAWS = 400
 class Profile(Observation):
     """The height profile by its quantiles: the x behind which a given share of its area lies, for `SHARES` of it.
 
-    The heights themselves (`datasets.measures.height_profile`) are a poor thing to compare: two fronts that do not
-    overlap differ by the same heights however far they are apart. Positions of equal shares move with the deposit, and
-    their mean square difference is the squared transport (Wasserstein) distance of the two areas: Engquist & Froese,
+    Two fronts that do not overlap differ by the same heights however far they are apart; the mean square difference of
+    positions of equal shares is the squared transport (Wasserstein) distance of the two areas: Engquist & Froese,
     Application of the Wasserstein metric to seismic signals, Commun. Math. Sci. 12 (2014) 979-988. In 3D the area is
     the mean over z.
     """
@@ -50,10 +47,7 @@ class Profile(Observation):
     options = ("spacing", "unit", "datum", "heights", "times")
 
     def __init__(self, settings: ObservationSettings, scene: Scene, rows: NDArray[np.float64] | None = None) -> None:
-        """rows: where alone the heights are known [m], ascending, shape [R]; the model's own stations where absent.
-
-        Beyond their ends they go on to the walls, as far apart as the last two.
-        """
+        """rows: where alone heights are known [m], ascending, [R]; they go on to the walls; else the model's."""
         super().__init__(settings, scene)
         length, spacing = scene.domain.size[0], settings.spacing
         if not 0.0 < spacing <= length / 2:
@@ -130,11 +124,7 @@ class Profile(Observation):
         return float(values[-1])
 
     def sampled(self, settings: ObservationSettings, values: Values, profile: MeasuredProfile) -> Measurement:
-        """`values` [M] by independent errors of the heights; the numbers that they make are not independent.
-
-        Stated are a share of each height or a standard deviation of all alike; the error of representation comes on
-        top. Rows that scatter more than that have more noise than was stated.
-        """
+        """`values` [M] with stated errors of the heights and of representation, more where rows scatter more."""
         share, noise = noise_of(settings.noise)
         stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * self.scene.domain.cell))
         roughness = profile.roughness(stated)
@@ -159,17 +149,13 @@ class Profile(Observation):
 class SurfaceProfile(Profile):
     """`Profile` of the deposit's surface: how high above the ground its particles lie, loosened or not.
 
-    At a station it is the centre of the highest particle that is nearer to this station than to another, in 3D the mean
-    of these over the width. Of a level layer on its lattice that is the surface within a quarter of a particle: the
-    material extends half a particle further up than a centre, the highest of them lies about as much above the rest.
-    The surrogate follows too few particles for a surface: its smooth form is that of the equivalent heights, and what
-    the two differ by is left to the emulator of the MPM (`inverse.posterior.emulator`).
+    At a station it is the centre of the highest particle that is nearest to this station, in 3D the mean of these over
+    the width: of a level layer the surface within a quarter of a particle. The surrogate follows too few particles for
+    a surface: its smooth form is that of the equivalent heights, and the emulator of the MPM has the difference.
     """
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
-        scene = self.scene
-        spacing = float(self.fine[1] - self.fine[0])
-        rows = len(self.fine)
+        scene, rows, spacing = self.scene, len(self.fine), float(self.fine[1] - self.fine[0])
         widths = [round(width / spacing) or 1 for width in scene.domain.size[2:]]
         index = np.clip(np.rint(positions[:, 0] / spacing).astype(np.int64), 0, rows - 1)
         for axis, count in enumerate(widths, 2):

@@ -1,22 +1,7 @@
 """Parameters: what of a scene can be unknown, and how each enters the MPM's scene and the surrogate's initial state.
 
-| name | unit | what it is |
-|---|---|---|
-| `friction_deg`, `cohesion` | deg, Pa | of the scene's shared material |
-| `masses[I].friction_deg`, `masses[I].cohesion` | deg, Pa | of mass I, counted from 0, whose material is its own then |
-| `masses[I].velocity_x`, `_y`, `_z` | m/s | initial velocity of mass I |
-| `baffles[I].x`, `.z` | m | centre of baffle I |
-| `baffles[I].length`, `.width` | m | its extent along x and z, about the centre |
-| `baffles[I].height` | m | its extent along y, from its foot |
-| `floor_friction`, `wall_friction`, `baffle_friction`, `damping` | - | of the scene |
-| `solids[I].friction` | - | Coulomb coefficient of solid I |
-| `young`, `residual_friction_deg`, `residual_cohesion` | Pa, deg, Pa | of the material, shared or of `masses[I]` |
-| `friction_limit_deg`, `inertial_number` | deg, - | of mu(I), of the material, shared or of `masses[I]` |
-| `masses[I].k0` | - | ratio of the initial stresses of mass I |
-| `masses[I].height`, `.thickness` | m | extent of a box along y from its foot; thickness of a layer |
-
-`young`, `residual_...`, `k0` and those of mu(I) are the MPM's alone: no surrogate has them among its inputs, the loop
-then runs without one. Height and thickness make other particles: a surrogate begins anew with them, without a gradient.
+Names and units are those of docs/formats.md. What no surrogate has among its inputs is the MPM's alone; a height or a
+thickness makes other particles: a surrogate begins anew with them, without a gradient.
 
 >>> scene = with_parameters(scene, ["friction_deg", "masses[0].velocity_x"], [32.0, 1.5])
 
@@ -26,73 +11,47 @@ A new one is a line of `KINDS` and, where the surrogate has it among its inputs,
 import dataclasses
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, cast
 
 from datasets.errors import InputError
+from datasets.records import Record
 from datasets.scene import Scene
 from inverse.parameters import inputs
-from inverse.parameters.kind import (
-    UP,
-    Centre,
-    Cohesion,
-    Constant,
-    Draft,
-    Extent,
-    Height,
-    Kind,
-    RateOfShear,
-    Residual,
-    Vector,
-    Velocity,
-)
+from inverse.parameters.kind import Centre, Cohesion, Constant, Draft, Extent, Height, Kind, Residual, Vector, Velocity
 
-__all__ = ["Kind", "Vector", "kind", "known_names", "with_parameters"]
+__all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
 
 _MATERIAL = (
     Constant(form="friction_deg", unit="deg", digits=2, order=0, input=inputs.friction),
     Cohesion(form="cohesion", unit="Pa", digits=1, order=0, input=inputs.cohesion),
     Constant(form="young", unit="Pa", digits=0, order=0),
-    Residual(form="residual_friction_deg", unit="deg", digits=2, order=1),
-    Residual(form="residual_cohesion", unit="Pa", digits=1, order=1),
-    RateOfShear(form="friction_limit_deg", unit="deg", digits=2, order=1),
-    RateOfShear(form="inertial_number", unit="-", digits=3, order=1),
+    Residual(form="residual_friction_deg", unit="deg", digits=2, order=1, requires="softening_length"),
+    Residual(form="residual_cohesion", unit="Pa", digits=1, order=1, requires="softening_length"),
+    Constant(form="friction_limit_deg", unit="deg", digits=2, order=1, requires="friction_limit_deg"),
+    Constant(form="inertial_number", unit="-", digits=3, order=1, requires="friction_limit_deg"),
 )
-_COEFFICIENTS = {
-    "floor_friction": inputs.floor_friction,
-    "wall_friction": inputs.constant,
-    "baffle_friction": inputs.baffle_friction,
-    "damping": inputs.constant,
-}
-_AXES = {"x": 0, "y": UP, "z": 2}
-_EXTENTS = {"length": 0, "height": UP, "width": 2}
-
-
-def _length(made: type[Extent], name: str, axis: int) -> Kind:
-    form = f"baffles[].{name}"
-    return made(form=form, unit="m", digits=4, attribute="size", axis=axis, positive=False, input=inputs.baffle)
-
+_AXES = {"x": 0, "y": 1, "z": 2}
+_VELOCITY: dict[str, Any] = {"unit": "m/s", "digits": 3, "attribute": "velocity", "input": inputs.velocity}
+_BAFFLE: dict[str, Any] = {"unit": "m", "digits": 4, "attribute": "size", "input": inputs.baffle}
 
 KINDS: dict[str, Kind] = {
     each.form: each
     for each in (
         *_MATERIAL,
-        *(Kind(form=name, unit="-", digits=3, input=enter) for name, enter in _COEFFICIENTS.items()),
+        Kind(form="floor_friction", unit="-", digits=3, input=inputs.floor_friction),
+        Kind(form="wall_friction", unit="-", digits=3, input=inputs.constant),
+        Kind(form="baffle_friction", unit="-", digits=3, input=inputs.baffle_friction),
+        Kind(form="damping", unit="-", digits=3, input=inputs.constant),
         *(dataclasses.replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
-        *(
-            Velocity(
-                form=f"masses[].velocity_{name}",
-                unit="m/s",
-                digits=3,
-                attribute="velocity",
-                axis=axis,
-                positive=False,
-                input=inputs.velocity,
-            )
-            for name, axis in _AXES.items()
-        ),
-        *(_length(Centre, name, _AXES[name]) for name in "xz"),
-        *(_length(Extent, name, axis) for name, axis in _EXTENTS.items()),
+        *(Velocity(form=f"masses[].velocity_{x}", axis=axis, positive=False, **_VELOCITY) for x, axis in _AXES.items()),
+        *(Centre(form=f"baffles[].{x}", axis=_AXES[x], positive=False, **_BAFFLE) for x in "xz"),
+        Extent(form="baffles[].length", axis=_AXES["x"], positive=False, **_BAFFLE),
+        Extent(form="baffles[].height", axis=_AXES["y"], positive=False, **_BAFFLE),
+        Extent(form="baffles[].width", axis=_AXES["z"], positive=False, **_BAFFLE),
         Kind(form="masses[].k0", unit="-", digits=3),
-        Height(form="masses[].height", unit="m", digits=4, attribute="size", axis=UP, changes_volume=True),
+        Height(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
         Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
         Kind(form="solids[].friction", unit="-", digits=3, input=inputs.ground_friction),
     )
@@ -141,3 +100,62 @@ def with_kinds(scene: Scene, kinds: Sequence[Kind], values: Sequence[float] | Ve
 def in_order(kinds: Sequence[Kind]) -> list[int]:
     """Indices of `kinds` in the order in which they are set."""
     return sorted(range(len(kinds)), key=lambda index: kinds[index].order)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter(Record):
+    """A number with a uniform prior between its bounds or, with a `spacing`, a field (`inverse.parameters.field`)."""
+
+    name: str
+    """See `inverse.parameters`; of a field `friction_deg`, `velocity_x`, ..., or one of these of `masses[I]`."""
+    lower: float | None = None
+    """Smallest value allowed; of a velocity field both bounds or none."""
+    upper: float | None = None
+    """Largest value allowed."""
+    initial: float | None = None
+    """Of a number: where the search starts."""
+    spacing: tuple[float, ...] | None = None
+    """Of a field: distance between nodes along each axis [m], at most; over a shorter body it is constant."""
+    mean: float | None = None
+    """Of a field: of its prior, everywhere [deg or m/s]."""
+    deviation: float | None = None
+    """Of a field: standard deviation of its prior at every node [deg or m/s]."""
+    length: float | tuple[float, ...] | None = None
+    """Of a field: correlation length [m], or one along each axis; at this distance the correlation is 0.14 in 2D."""
+
+    @property
+    def is_field(self) -> bool:
+        """Whether it varies over the body."""
+        return self.spacing is not None
+
+    @cached_property
+    def kind(self) -> Kind:
+        """What the name of a number stands for. Raises InputError."""
+        return kind(self.name)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest value of a number."""
+        return cast("tuple[float, float]", (self.lower, self.upper))
+
+    @property
+    def start(self) -> float:
+        """Where the search for a number starts."""
+        return cast("float", self.initial)
+
+    @property
+    def range(self) -> float:
+        """Width of the prior bounds of a number."""
+        lower, upper = self.bounds
+        return upper - lower
+
+    @property
+    def quantity(self) -> str:
+        """Of a field: what varies, a quantity of `datasets.field.Field`."""
+        return self.name.split(".")[-1]
+
+    @property
+    def mass(self) -> int | None:
+        """Of a field: the index of the mass that has it; None for all."""
+        found = re.match(r"masses\[(\d{1,6})\]\.", self.name)
+        return None if found is None else int(found[1])

@@ -3,10 +3,8 @@
     f = T(u + m),    u Gaussian of mean 0
     T(z) = lower + (upper - lower) / (1 + exp(-z))    with bounds, else T(z) = z
 
-m and the deviation of u are such that the stated mean is the median of f, and the band of 95 % about it 1.96 times the
-stated deviation to either side on average. Everywhere the standard deviation of a field stands for this width.
-
-Its prior is Gaussian and smooth, with a standard deviation and a correlation length that are stated:
+The stated mean is the median of f, and its band of 95 % 1.96 times the stated deviation to either side on average:
+everywhere the standard deviation of a field stands for this width. The prior of u is smooth:
 
     (1 - sum_a s_a^2 d^2/dx_a^2) u = white noise,    s_a = length_a / sqrt(8 nu),    nu = 2 - D / 2
 
@@ -19,9 +17,8 @@ fields and Gaussian Markov random fields, J. R. Stat. Soc. B 73 (2011) 423-498),
 
     K = M + sum_a s_a^2 G_a,    covariance K^-1 M K^-1 = A A^T,    A = K^-1 M^(1/2)
 
-with M the mass and G_a the stiffness along axis a: K is sparse, and a field from white noise w, u = S A w, is one
-solution with it. The operator continues by a correlation length beyond the nodes of the field, where its boundary
-matters less; S takes the nodes of the field and scales each to the stated deviation, which then holds exactly.
+with M the mass and G_a the stiffness along axis a: a field from white noise w, u = S A w, is one sparse solution. The
+operator continues by a correlation length beyond the field; S takes its nodes and scales each to the stated deviation.
 """
 
 import math
@@ -40,7 +37,7 @@ from datasets.field import FRICTION, VELOCITIES, Field, Grid
 from datasets.geometry.shapes import require
 from datasets.particles import initial_particles
 from datasets.scene import Scene
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter
 
 if TYPE_CHECKING:
     from mpm.adjoint.gradient import Gradient

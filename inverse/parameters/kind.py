@@ -24,6 +24,11 @@ Input = Callable[[Any, InitialState, Tensor], InitialState]
 """A kind, an initial state and a value -> the initial state with this value, differentiable in it."""
 T = TypeVar("T", float, Tensor)
 UP = 1
+WITHOUT = {
+    "softening_length": "it never falls to a residual strength",
+    "friction_limit_deg": "its friction does not grow with the rate",
+}
+"""What a material does without a constant that another one requires."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +54,8 @@ class Kind:
     order: int = 2
     """Parameters are set in ascending order: shared constants (0), then those of a mass, which take precedence (2), and
     each time residual strengths last (1, 3), because the cohesion of their material scales them."""
+    requires: str = ""
+    """Of a constant of a material: another, without which it has no effect."""
     input: Input | None = None
     """How it enters the surrogate (`inverse.parameters.inputs`); None of what is no input of it."""
 
@@ -94,9 +101,9 @@ class Kind:
         found = getattr(holder, self.key)
         return float(found if self.axis is None else found[self.axis])
 
-    def changed(self, holder: Any, value: float) -> Any:
-        """The mass, baffle or solid with this value."""
-        return dataclasses.replace(holder, **{self.key: self.vector(getattr(holder, self.key), value)})
+    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
+        """What of the scene, mass, baffle or solid that has it changes with this value."""
+        return {self.key: self.vector(getattr(self.holder(draft), self.key), value)}
 
     def vector(self, known: Any, value: float) -> Any:
         """The value, or the vector `known` with it as its component."""
@@ -109,11 +116,12 @@ class Kind:
 
     def put(self, draft: Draft, value: float) -> None:
         """Set this value: how it enters the MPM. Use `with_parameters`."""
+        changes = self.changes(draft, value)
         if self.index is None:
-            setattr(draft, self.key, value)
+            vars(draft).update(changes)
             return
         members = list(getattr(draft, self.group))
-        members[self.index] = self.changed(members[self.index], value)
+        members[self.index] = dataclasses.replace(members[self.index], **changes)
         setattr(draft, self.group, tuple(members))
 
 
@@ -123,16 +131,13 @@ class Velocity(Kind):
     def value(self, holder: Any) -> float:
         return super().value(holder) if holder.velocity else 0.0
 
-    def changed(self, holder: Any, value: float) -> Any:
-        moving = holder if holder.velocity else dataclasses.replace(holder, velocity=(0.0,) * len(holder.size))
-        return super().changed(moving, value)
+    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
+        mass = self.holder(draft)
+        return {"velocity": self.vector(mass.velocity or (0.0,) * len(mass.size), value)}
 
 
 class Height(Kind):
-    """Extent of a box along y, from its foot [m]: how much is released.
-
-    Its particles fit their lattice to it, and have its volume exactly; their number changes by whole rows.
-    """
+    """Extent of a box along y, from its foot [m]: how much is released, in whole rows of particles."""
 
     def check(self, scene: Scene) -> None:
         super().check(scene)
@@ -147,6 +152,8 @@ class Constant(Kind):
         super().check(scene)
         if self.index is None and all(mass.material is not None for mass in scene.masses):
             raise InputError("expected a mass of the scene's shared material, every mass has its own")
+        if self.requires and getattr(self.material(scene), self.requires) is None:
+            raise InputError(f"expected a material with a {self.requires}, {WITHOUT[self.requires]}")
 
     def material(self, scene: Scene | Draft) -> Material:
         """The material in question."""
@@ -157,35 +164,26 @@ class Constant(Kind):
     def read(self, scene: Scene) -> float:
         return self.value(self.material(scene))
 
-    def put(self, draft: Draft, value: float) -> None:
-        material = self.changed(self.material(draft), value)
-        if self.index is None:
-            draft.material = material
-            return
-        masses = list(draft.masses)
-        masses[self.index] = dataclasses.replace(masses[self.index], material=material)
-        draft.masses = tuple(masses)
+    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
+        own: dict[str, Any] = {self.key: value}
+        return {"material": dataclasses.replace(self.material(draft), **own)}
 
 
 class Cohesion(Constant):
     """Cohesion [Pa]. The tension cutoff and residual values change with it in proportion."""
 
-    def changed(self, holder: Any, value: float) -> Any:
+    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
+        material = self.material(draft)
         # Where there is no cohesion there is no ratio: cutoff and residual values stay as well.
-        ratio = value / holder.cohesion if holder.cohesion > 0.0 else 1.0
+        ratio = value / material.cohesion if material.cohesion > 0.0 else 1.0
         keys = ("tension_cutoff", "residual_cohesion", "residual_tension_cutoff")
-        known = {key: getattr(holder, key) for key in keys}
+        known = {key: getattr(material, key) for key in keys}
         scaled = {key: ratio * each for key, each in known.items() if each is not None}
-        return dataclasses.replace(holder, cohesion=value, **scaled)
+        return {"material": dataclasses.replace(material, cohesion=value, **scaled)}
 
 
 class Residual(Constant):
     """A residual strength: friction angle [deg] or cohesion [Pa] after a long slip."""
-
-    def check(self, scene: Scene) -> None:
-        super().check(scene)
-        if self.material(scene).softening_length is None:
-            raise InputError("expected a material with a softening_length, it never falls to a residual strength")
 
     def value(self, holder: Any) -> float:
         # Unless they are named, residual values are those of the peak.
@@ -193,23 +191,14 @@ class Residual(Constant):
         return float(getattr(holder, self.key.removeprefix("residual_")) if known is None else known)
 
 
-class RateOfShear(Constant):
-    """A number of mu(I), where friction grows with the rate of shear."""
-
-    def check(self, scene: Scene) -> None:
-        super().check(scene)
-        if self.material(scene).friction_limit_deg is None:
-            raise InputError("expected a material with a friction_limit_deg, its friction does not grow with the rate")
-
-
 class Extent(Kind):
     """Extent of a baffle [m]: upwards from its foot, else about its centre."""
 
-    def changed(self, holder: Any, value: float) -> Any:
+    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
         assert self.axis is not None, "a length along an axis"
-        low, size = self.moved(holder.lower[self.axis], holder.size[self.axis], value)
-        lower, extent = self.vector(holder.lower, low), self.vector(holder.size, size)
-        return dataclasses.replace(holder, lower=lower, size=extent)
+        baffle = self.holder(draft)
+        low, size = self.moved(baffle.lower[self.axis], baffle.size[self.axis], value)
+        return {"lower": self.vector(baffle.lower, low), "size": self.vector(baffle.size, size)}
 
     def moved(self, low: T, size: T, value: T) -> tuple[T, T]:
         """Lower end and extent along the axis [m] with this value."""

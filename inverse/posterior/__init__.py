@@ -2,3 +2,11 @@
 
 Vectors of parameters are here in fractions of their ranges between the prior bounds: v in [0, 1]^U.
 """
+
+import numpy as np
+from numpy.typing import NDArray
+
+Matrix = NDArray[np.float64]
+"""A row for each vector of parameters, run or sample."""
+Row = NDArray[np.float64]
+"""A number for each of them."""

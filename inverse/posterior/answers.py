@@ -8,16 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from inverse.posterior.sampling import Samples
+from inverse.posterior import Matrix, Row
+from inverse.posterior.sampling import Samples, systematic
 from inverse.posterior.settings import CONSTANTS
 
-Matrix = NDArray[np.float64]
-Row = NDArray[np.float64]
 AT_MOST = 800
 """Samples of the region that are joined."""
 ALONG = (0.25, 0.5, 0.75)
@@ -44,7 +42,7 @@ class Part:
 
 def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.random.Generator) -> list[Part]:
     """The parts of the 95 % region that weigh enough, heaviest first."""
-    index = samples.drawn(min(AT_MOST, len(samples.points)), rng)
+    index = systematic(samples.weights, min(AT_MOST, len(samples.points)), rng)
     points, density = samples.points[index], samples.log_likelihood[index]
     threshold = float(np.quantile(density, 1.0 - CONSTANTS.credible))
     # Copies of a sample would be its only neighbours.

@@ -18,10 +18,9 @@ Biometrika 58 (1971) 545-554)
 
     log L_j = -1/2 [ (n - p) log s_j^2 + sum_i log(l_i + g) ],    s_j^2 = 1/(n - p) sum_i (q_i . P^T y_j)^2 / (l_i + g)
 
-with l and q the eigenvalues and eigenvectors of P^T k P. So one decomposition serves every component and every g, over
-which is summed; the correlation lengths are the likeliest. With a surrogate in the trend this is the multi-fidelity
-model of Kennedy & O'Hagan (Predicting the output from a complex computer code when fast approximations are available,
-Biometrika 87 (2000) 1-13).
+with l and q the eigenvalues and eigenvectors of P^T k P: one decomposition serves every component and every g, over
+which is summed. With a surrogate in the trend this is the multi-fidelity model of Kennedy & O'Hagan (Predicting the
+output from a complex computer code when fast approximations are available, Biometrika 87 (2000) 1-13).
 """
 
 import math
@@ -34,11 +33,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, polygamma
 
+from inverse.posterior import Matrix
 from inverse.posterior.settings import CONSTANTS
 
-Matrix = NDArray[np.float64]
 Trend = Callable[[Matrix], Matrix]
 """Points [S, U] -> the trend's functions there [S, p]."""
+NUGGETS = np.array((1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4))
+"""g: a grid of quadrature."""
 NEGLIGIBLE = 1e-3
 """Weight of a nugget that is left out."""
 SHORTEST, LONGEST = 0.03, 20.0
@@ -90,16 +91,12 @@ class Emulator:
     @property
     def freedom(self) -> int:
         """n - p: degrees of freedom of every variance."""
-        return len(self.points) - int(self._basis.shape[1])
-
-    @cached_property
-    def _basis(self) -> Matrix:
-        return self.trend(self.points)
+        return len(self._decomposed[2])
 
     @cached_property
     def _decomposed(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
         """H^+ [p, n], P q [n, n - p], l [n - p] and the contrasts of the numbers, q . P^T y [n - p, r]."""
-        basis = self._basis
+        basis = self.trend(self.points)
         count = basis.shape[1]
         full, upper = np.linalg.qr(basis, mode="complete")
         inverse = np.linalg.solve(upper[:count], full[:, :count].T)
@@ -116,11 +113,10 @@ class Emulator:
     def _quadrature(self) -> tuple[Matrix, Matrix, float]:
         """Weights of the nuggets [G, r], variances s^2 [G, r], and the logarithm of the likelihood of the lengths."""
         _, _, values, roots = self._decomposed
-        nuggets = np.array(CONSTANTS.nuggets)
-        total = values + nuggets[:, None]
+        total = values + NUGGETS[:, None]
         variance = np.maximum((1.0 / total) @ roots**2 / len(values), 1e-30)
         likelihood = -0.5 * (len(values) * np.log(variance) + np.log(total).sum(axis=1)[:, None])
-        scatter = 0.5 * np.log(nuggets[:, None] * variance) - np.log(self.expected_scatter)
+        scatter = 0.5 * np.log(NUGGETS[:, None] * variance) - np.log(self.expected_scatter)
         # That of few repeated runs is often far too small: the variance of the logarithm of a chi-square is added.
         variety = float(polygamma(1, 0.5 * self.repeats)) / 4.0 if self.repeats else 0.0
         likelihood = likelihood - 0.5 * scatter**2 / (CONSTANTS.scatter_spread**2 + variety)
@@ -138,7 +134,7 @@ class Emulator:
     def scatter(self) -> Matrix:
         """Covariance of the components of one flow, over the jitter seeds, shape [r, r]."""
         weights, variance, _ = self._quadrature
-        deviation = np.sqrt((weights * variance * np.array(CONSTANTS.nuggets)[:, None]).sum(axis=0))
+        deviation = np.sqrt((weights * variance * NUGGETS[:, None]).sum(axis=0))
         residual = self.numbers - self.mean(self.points)
         root = np.sqrt((residual**2).mean(axis=0))
         alike = np.divide(residual, root, out=np.zeros_like(residual), where=root > 0.0)
@@ -153,7 +149,7 @@ class Emulator:
         """Weighted coefficients of the contrasts in the mean, shape [n - p, r]."""
         weights, _, _ = self._quadrature
         _, _, values, roots = self._decomposed
-        precision = 1.0 / (values + np.array(CONSTANTS.nuggets)[:, None])
+        precision = 1.0 / (values + NUGGETS[:, None])
         return np.asarray(np.einsum("gi,gr->ir", precision, weights) * roots)
 
     @cached_property
@@ -179,12 +175,11 @@ class Emulator:
         fitted_trend, _, spread_of_trend, leverages = self._of_trend
         inverse, _, values, roots = self._decomposed
         weights, variance, _ = self._quadrature
-        nuggets = np.array(CONSTANTS.nuggets)
         prior = 1.0 - 2.0 * ((near @ inverse.T) * functions).sum(1) + ((functions @ spread_of_trend) * functions).sum(1)
         leverage = ((functions @ leverages) * functions).sum(1)
         counted = np.flatnonzero(weights.max(axis=1) > NEGLIGIBLE)
-        precision = 1.0 / (values + nuggets[counted, None])
-        own = prior[:, None] + leverage[:, None] * nuggets[counted] - contrasts**2 @ precision.T
+        precision = 1.0 / (values + NUGGETS[counted, None])
+        own = prior[:, None] + leverage[:, None] * NUGGETS[counted] - contrasts**2 @ precision.T
         spread = np.maximum(own, 0.0) @ (weights * variance)[counted]
         # The nuggets disagree about the mean as well.
         for index, each in zip(counted, precision, strict=True):
@@ -196,7 +191,7 @@ class Emulator:
         functions, near, contrasts = self._projected(points)
         weights, variance, _ = self._quadrature
         inverse, _, values, _ = self._decomposed
-        nugget = float(np.exp(weights[:, component] @ np.log(np.array(CONSTANTS.nuggets))))
+        nugget = float(np.exp(weights[:, component] @ np.log(NUGGETS)))
         scale = float(weights[:, component] @ variance[:, component])
         cross = functions @ (inverse @ near.T)
         prior = correlation(points, points, self.lengths) - cross - cross.T
@@ -209,7 +204,7 @@ class Emulator:
         weights, variance, _ = self._quadrature
         _, contrasts, values, roots = self._decomposed
         errors, variances = np.zeros_like(self.numbers), np.zeros_like(self.numbers)
-        for nugget, share, each in zip(CONSTANTS.nuggets, weights, variance, strict=True):
+        for nugget, share, each in zip(NUGGETS, weights, variance, strict=True):
             precision = 1.0 / (values + nugget)
             own = np.maximum(contrasts**2 @ precision, 1e-300)[:, None]
             errors += share * (contrasts @ (precision[:, None] * roots)) / own
@@ -233,9 +228,8 @@ class Emulator:
     def variance_ratio(self, points: Matrix) -> Matrix:
         """By which factor the variances around points [S, U] are larger than stated, shape [S, r].
 
-        The mean squared error of the runs around that are left out, over its variance: where the flow changes more
-        abruptly or scatters more than elsewhere, they show it. Gaussian weights by Scott's rule (Multivariate density
-        estimation, 1992); `ratio_prior` runs of ratio 1 count besides them.
+        The mean squared error of the runs around that are left out, over its variance, by Gaussian weights of Scott's
+        rule (Multivariate density estimation, 1992); `ratio_prior` runs of ratio 1 count besides them.
         """
         ratios, widths = self._left_out_ratio
         near = np.exp(-0.5 * squared_distance(points, self.points, widths))
@@ -247,10 +241,9 @@ class Emulator:
 def fitted(
     points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: Trend = linear, repeats: int = 0
 ) -> Emulator:
-    """The emulator of runs at points [n, U] with the likeliest correlation lengths.
+    """The emulator of runs at points [n, U] with the likeliest correlation lengths, of many parameters a common one.
 
-    Where the parameters are more than `separate_lengths`, all have the same one. Raises ValueError for no more runs
-    than functions of the trend.
+    Raises ValueError for no more runs than functions of the trend.
     """
     count = points.shape[1]
     if len(points) <= trend(points[:1]).shape[1]:

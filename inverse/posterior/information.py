@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from datasets import measures
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
+from inverse.posterior import Matrix
 from inverse.posterior.emulator import fitted
-from inverse.posterior.sampling import Samples
+from inverse.posterior.sampling import Samples, systematic
 
-Matrix = NDArray[np.float64]
 STATIONS = 9
 """Places along x at which a height could be measured."""
 ACROSS = 4
@@ -57,7 +57,7 @@ def information(
     points: Matrix, shown: Mapping[str, Matrix], samples: Samples, *, cell: float, rng: np.random.Generator
 ) -> list[Information]:
     """Of each measurement, most first; shown: by name what runs at points [n, U] show [n]; cell: of the grid [m]."""
-    where = samples.points[samples.drawn(400, rng)]
+    where = samples.points[systematic(samples.weights, 400, rng)]
     found = []
     for name, numbers in shown.items():
         spread = float(numbers.std())

@@ -17,11 +17,9 @@ The prior is uniform between the bounds. What an emulator has excluded stays so,
 next one, which is simpler there (history matching in waves: Vernon, Goldstein & Bower, Galaxy formation: a Bayesian
 uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
 
-A cohesive column stands or falls, and nothing is between the two: a process that is smooth over the whole box would
-have to be as rough within such a regime as from one to the other. So the emulator is of one regime alone where that
-predicts its runs far better (treed Gaussian processes: Gramacy & Lee, Bayesian treed Gaussian process models with an
-application to computer modeling, J. Am. Stat. Assoc. 103 (2008) 1119-1130). A regime ends where what the runs show has
-a gap.
+A cohesive column stands or falls. The emulator is of one such regime alone where that predicts its runs far better
+(Gramacy & Lee, Bayesian treed Gaussian process models with an application to computer modeling, J. Am. Stat. Assoc. 103
+(2008) 1119-1130). A regime ends where what the runs show has a gap.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,14 +31,13 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import f, qmc
 
+from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, squared_distance
 from inverse.posterior.reduction import Reduction, reduction
-from inverse.posterior.sampling import Samples, sample
+from inverse.posterior.sampling import Samples, sample, systematic
 from inverse.posterior.settings import CONSTANTS
 from inverse.target import Target
 
-Matrix = NDArray[np.float64]
-Row = NDArray[np.float64]
 OUTERMOST = 0.1
 """Share of a region's extent, within which a sample lies at its edge."""
 SMALLEST = 1e-4
@@ -55,6 +52,11 @@ class Region:
     """Shape [U]."""
     high: Row
     """Shape [U]."""
+
+    @staticmethod
+    def whole(unknowns: int) -> "Region":
+        """The unit box."""
+        return Region(low=np.zeros(unknowns), high=np.ones(unknowns))
 
     @staticmethod
     def around(samples: Samples) -> "Region":
@@ -84,6 +86,11 @@ class Region:
     def inside(self, points: Matrix) -> NDArray[np.bool_]:
         """Which of points [n, U] lie in it, shape [n]."""
         return np.asarray(np.all((points >= self.low - 1e-9) & (points <= self.high + 1e-9), axis=1))
+
+    def filled(self, count: int, rng: np.random.Generator) -> Matrix:
+        """Points that fill it evenly, shape [count, U]."""
+        cube = qmc.LatinHypercube(len(self.low), rng=rng, optimization="random-cd").random(count)
+        return np.asarray(self.low + (self.high - self.low) * cube)
 
     def suffices(self, points: Matrix) -> bool:
         """Whether enough different ones of the runs at points [n, U] lie in it for an emulator of their own."""
@@ -131,15 +138,18 @@ class Likelihood:
 
     def __call__(self, points: Matrix) -> Row:
         """Its logarithm at points [S, U], shape [S]."""
-        return student(*self.residual(points), self.freedom) + self.in_regime(points)
+        square, determinant = self.squares(points)
+        half, more = 0.5 * self.freedom, 0.5 * len(self.target)
+        constant = gammaln(half + more) - gammaln(half) - more * np.log(np.pi * self.freedom)
+        return np.asarray(constant - 0.5 * determinant + self.relative(square) + self.in_regime(points))
 
     def plausibility(self, points: Matrix) -> Row:
-        """The same over its largest value for the scales there, shape [S]: 0 where all residuals are.
+        """The same over its largest value for the scales there, shape [S]: 0 where all residuals are."""
+        return self.relative(self.squares(points)[0]) + self.in_regime(points)
 
-        Where little is known a likelihood is small, whatever the residuals: it is spread over so many observations.
-        """
-        square, _ = whitened(*self.residual(points))
-        return relative_density(square, len(self.target), self.freedom) + self.in_regime(points)
+    def relative(self, square: Row) -> Row:
+        """Logarithm of Student's density over its largest value, of residuals of squared lengths [S], shape [S]."""
+        return np.asarray(-0.5 * (self.freedom + len(self.target)) * np.log1p(square / self.freedom))
 
     def in_regime(self, points: Matrix) -> Row:
         """Logarithm of the probability that points [S, U] are in the target's regime, and not excluded, shape [S]."""
@@ -154,6 +164,13 @@ class Likelihood:
         mean, variance = self.emulator.predict(points)
         ratio = self.emulator.variance_ratio(points)
         return self.target - mean, self.fixed, ratio * variance + (ratio - 1.0) * np.diag(self.emulator.scatter)
+
+    def squares(self, points: Matrix) -> tuple[Row, Row]:
+        """Squared lengths of the residuals at points [S, U] in the scales there, logarithms of determinants, [S]."""
+        residual, fixed, variance = self.residual(points)
+        lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(len(self.target)))
+        scaled = np.linalg.solve(lower, residual[:, :, None])[:, :, 0]
+        return (scaled**2).sum(axis=1), 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,10 +198,7 @@ class Posterior:
 
     @cached_property
     def plausible(self) -> Samples:
-        """Samples of the parameters that the runs do not exclude, however little is known of them.
-
-        Of more than `few_parameters` those of the posterior: in most of their box little is known for long.
-        """
+        """Samples that the runs do not exclude, however little is known; of many parameters the posterior's."""
         if len(self.region.low) > CONSTANTS.few_parameters:
             return self.samples
         rng = np.random.default_rng(len(self.near))
@@ -225,7 +239,7 @@ def posterior(
     within: logarithm of what is excluded already (`Likelihood`).
     """
     unknowns = points.shape[1]
-    region = region or Region(low=np.zeros(unknowns), high=np.ones(unknowns))
+    region = region or Region.whole(unknowns)
     near = region.inside(points)
     reduced, emulator, expected, repeats = emulated(points[near], numbers[near], target, scatter, trends)
     regime, alike = None, regime_of(reduced(numbers), points, near, reduced(target.values))
@@ -263,8 +277,8 @@ def posterior(
 def regime_of(components: Matrix, points: Matrix, near: NDArray[np.bool_], target: Row) -> NDArray[np.bool_] | None:
     """Which of the runs at points [n, U] with components [n, r] are in the regime of the target [r].
 
-    Those before the widest gap between distances from the target, relative to the distance. None where it is no wider
-    than `regime_gap`, and where those of them that are `near` [n] are too few for an emulator or all that are.
+    Those before the widest gap between distances from it. None where it is no wider than `regime_gap`, and where those
+    of them that are `near` [n] are too few for an emulator or all that are.
     """
     distances = np.sqrt(((components - target) ** 2).sum(axis=1))
     ordered = np.sort(distances[near])
@@ -292,33 +306,11 @@ def emulated(
     return reduced, min(made, key=lambda each: float(np.mean(each.left_out[0] ** 2))), expected, repeats
 
 
-def student(residual: Matrix, fixed: Matrix, variance: Matrix, freedom: float) -> Row:
-    """Logarithm of Student's density of residuals [S, r] with the scales fixed + diag variance, shape [S]."""
-    count = residual.shape[1]
-    square, determinant = whitened(residual, fixed, variance)
-    constant = gammaln(0.5 * (freedom + count)) - gammaln(0.5 * freedom) - 0.5 * count * np.log(np.pi * freedom)
-    return np.asarray(constant - 0.5 * determinant + relative_density(square, count, freedom))
-
-
-def relative_density(square: Row, count: int, freedom: float) -> Row:
-    """Logarithm of Student's density over its largest value, of `count` numbers with squared lengths [S], shape [S]."""
-    return np.asarray(-0.5 * (freedom + count) * np.log1p(square / freedom))
-
-
-def whitened(residual: Matrix, fixed: Matrix, variance: Matrix) -> tuple[Row, Row]:
-    """Squared length of residuals [S, r] in scales fixed + diag variance, and the logarithm of the determinant, [S]."""
-    lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(residual.shape[1]))
-    scaled = np.linalg.solve(lower, residual[:, :, None])[:, :, 0]
-    return (scaled**2).sum(axis=1), 2.0 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
-
-
 def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple[Row, int]:
-    """Standard deviation from flow to flow of each component [n, r], by runs at the same of the points [n, U].
+    """Standard deviation of each component [n, r] by runs at the same of the points [n, U], and degrees of freedom.
 
-    With its degrees of freedom.
-    Repeated runs are few: each component counts with `scatter_prior` further degrees of freedom of all together, as all
-    are in units of the scatter that was expected. It is `smallest_scatter` of that, `expected` [r], at least; and that
-    where no runs are repeated.
+    Each counts with `scatter_prior` further degrees of freedom of all together; it is `smallest_scatter` of `expected`
+    [r] at least, which it is where no runs are repeated.
     """
     _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
     freedom = int((count - 1).sum())
@@ -340,10 +332,8 @@ def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matri
     than `few_parameters` evenly over the region: what lies between few samples of many dimensions is unknown otherwise.
     """
     if found.samples.points.shape[1] > CONSTANTS.few_parameters:
-        region = found.next_region
-        cube = qmc.LatinHypercube(len(region.low), rng=rng, optimization="random-cd").random(count)
-        return np.asarray(region.low + (region.high - region.low) * cube)
-    candidates = np.unique(found.plausible.points[found.plausible.drawn(300, rng)], axis=0)
+        return found.next_region.filled(count, rng)
+    candidates = np.unique(found.plausible.points[systematic(found.plausible.weights, 300, rng)], axis=0)
     parts = [found.emulator.covariance(candidates, each) for each in range(len(found.likelihood.target))]
     scales = np.diag(found.likelihood.fixed)
     chosen: list[int] = []

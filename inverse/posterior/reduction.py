@@ -11,13 +11,11 @@ a discrepancy of the model is looked for in all numbers.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 from inverse.target import Target
 
-Matrix = NDArray[np.float64]
-Row = NDArray[np.float64]
 NEGLIGIBLE = 1e-8
 """Effect of a parameter on any number, over scatter and noise, that is rounding."""
 SMALL = 0.1
@@ -78,10 +76,9 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
 def cross_fitted(weighted: Matrix, points: Matrix, first: Matrix) -> Matrix:
     """Components of runs [n, M] at points [n, U] in the directions `first` [M, r], each by those of the others, [n, r].
 
-    A slope by few runs holds some of what each of them is off it, so that their own components lie on straight lines
-    more closely than those of any further run: cross-fitting (Chernozhukov et al., Double/debiased machine learning for
-    treatment and structural parameters, Econom. J. 21 (2018) C1-C68, section 3). Of the slopes without the runs at one
-    point those combinations are used whose projection on `first` is `first`.
+    A slope holds some of what each run is off it: cross-fitting (Chernozhukov et al., Double/debiased machine learning
+    for treatment and structural parameters, Econom. J. 21 (2018) C1-C68, section 3). Of the slopes without the runs at
+    one point those combinations are used whose projection on `first` is `first`.
     """
     components, products = weighted @ first, weighted @ weighted.T
     crossed = components.copy()

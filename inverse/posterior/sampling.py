@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import qmc
 
+from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 
-Matrix = NDArray[np.float64]
-Row = NDArray[np.float64]
 LogLikelihood = Callable[[Matrix], Row]
 """Points [S, U] -> the logarithm of the likelihood [S]."""
 JUMP = 0.1
@@ -52,10 +51,6 @@ class Samples:
         """Shape [U, U]."""
         off = self.points - self.mean
         return np.asarray((off.T * self.weights) @ off)
-
-    def drawn(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Indices of `count` samples, drawn by weight with evenly spaced quantiles."""
-        return systematic(self.weights, count, rng)
 
 
 def sample(log_likelihood: LogLikelihood, rng: np.random.Generator, *, low: Row, high: Row) -> Samples:
@@ -119,10 +114,7 @@ def systematic(weights: Row, count: int, rng: np.random.Generator) -> NDArray[np
 def moved(
     log_likelihood: LogLikelihood, points: Matrix, likelihood: Row, exponent: float, rng: np.random.Generator
 ) -> tuple[Matrix, Row, float]:
-    """The population after moves that leave likelihood^exponent invariant, and the share of them accepted.
-
-    One half moves by differences within the other half, which stands still meanwhile.
-    """
+    """The population [S, U] after moves of one half by differences within the other, and the share accepted."""
     points, likelihood = points.copy(), likelihood.copy()
     size, unknowns = points.shape
     order = rng.permutation(size)

@@ -17,8 +17,7 @@ class Constants:
     length_spread: float = 0.8
     """Standard deviation of its logarithm: from a seventh of the diagonal to more than three times it."""
     scatter_spread: float = 0.7
-    """Standard deviation of the logarithm of a component's scatter around that of runs that are repeated: a factor of
-    two."""
+    """Standard deviation of the logarithm of a component's scatter around that of repeated runs: a factor of two."""
     scatter_prior: float = 2.0
     """Degrees of freedom that all components together add to the scatter of each."""
     smallest_scatter: float = 0.02
@@ -29,14 +28,10 @@ class Constants:
     """Factor of a variance at least, however well the runs around are predicted."""
     separate_lengths: int = 8
     """Parameters up to which each has a correlation length of its own; beyond, runs are too few to tell them apart."""
-    nuggets: tuple[float, ...] = (1e-6, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1e4)
-    """Variance of the scatter over that of the process: a grid of quadrature."""
     other_regime: float = 0.25
-    """Squared error and variance of runs that are left out, over those by an emulator of all, below which one is of the
-    target's regime alone: half of the error, where other runs are given up for it."""
+    """Squared error of runs left out, over that by an emulator of all, below which one is of a regime alone."""
     regime_gap: float = 3.0
-    """Distance of a run from the target over that of the next nearer one, from which on it may be of another regime:
-    where runs change steadily it is little above 1."""
+    """Distance of a run from the target over that of the next nearer one, from which on it may be of another regime."""
 
     # Samples
     populations: int = 2
@@ -74,8 +69,7 @@ class Constants:
     converged: float = 0.15
     """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
     converged_around: float = 0.5
-    """The same of runs around the answers of a surrogate, and where runs for other targets are known: half-widths are
-    four tenths wider than by any number of runs, for half as many."""
+    """The same around a surrogate's answers, and where runs for other targets are known: for half as many runs."""
     first_checks: int = 3
     """Runs at the one answer of a surrogate, one less at each of several."""
     lack_of_fit: float = 0.9
@@ -89,11 +83,9 @@ class Constants:
     few_parameters: int = 6
     """Parameters up to which runs go where the emulator's variance is largest; of more they fill the region evenly."""
     region_deviations: float = 2.5
-    """Standard deviations within which the next samples of more than `few_parameters` lie: what is unknown between few
-    runs fills most of a box of many dimensions, and the emulator is the simpler the smaller that is."""
+    """Standard deviations within which the next samples of more than `few_parameters` lie."""
     runs_per_coefficient: float = 2.0
-    """Different runs in a region, for each coefficient of the trend, from which on they alone make its emulator: runs
-    far from it would have most of the leverage."""
+    """Different runs in a region, for each coefficient of the trend, from which on they alone make its emulator."""
     checks: int = 4
     """Runs at an answer, whose mean is compared with the target: halves the scatter."""
     known_checks: int = 2

@@ -12,8 +12,7 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
-from inverse.parameters import kind
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter, kind
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, TargetSettings
 

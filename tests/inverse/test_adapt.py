@@ -19,7 +19,7 @@ from gns.simulator import Simulator
 from gns.units import Units
 from inverse.adapt import main
 from inverse.adaptation import DATA, adapt, definition, deposits
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter
 from inverse.problem import Problem
 
 MakeProblem = Callable[..., Problem]

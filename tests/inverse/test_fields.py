@@ -13,13 +13,12 @@ from datasets.errors import InputError
 from datasets.field import Grid
 from datasets.library import read_scene
 from inverse.__main__ import main
+from inverse.field_inversion import Objective, WhiteFlow, linear_mean
 from inverse.found import Verdict
 from inverse.inversion import invert
-from inverse.laplace import Objective, linear_mean
 from inverse.parameters.field import BAND, Prior
 from inverse.problem import read_problem
 from inverse.target import read_target
-from inverse.white import WhiteFlow
 from mpm import simulate
 
 SCENE = """
@@ -147,12 +146,11 @@ def objective(flow: Linear, target: Any) -> Objective:
 def test_a_linear_problem_has_the_exact_gaussian_posterior() -> None:
     flow, target = Linear(), 3.0 * np.random.default_rng(2).normal(size=M)
     search = objective(flow, target)
-    found = search.minimise(np.zeros(W), 5)
+    posterior = search.minimise(np.zeros(W), 5)
     inverse = np.linalg.inv(search.root @ search.root.T)
     exact = np.linalg.inv(np.eye(W) + flow.matrix.T @ inverse @ flow.matrix)
-    assert found.promised < 1e-9
+    assert posterior.promised < 1e-9
     assert [each["step"] for each in search.iterates] == [0.0, 1.0]
-    posterior = found.posterior
     np.testing.assert_allclose(posterior.mean, exact @ flow.matrix.T @ inverse @ target, atol=1e-10)
     np.testing.assert_allclose(np.eye(W) - posterior.removed @ posterior.removed.T, exact, atol=1e-10)
     eigenvalues = np.linalg.eigvalsh(flow.matrix.T @ inverse @ flow.matrix)[::-1]

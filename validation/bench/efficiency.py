@@ -26,8 +26,7 @@ from gns.simulator import Simulator
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
 from inverse.forward.mpm import MpmForward
-from inverse.parameters import Vector
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter, Vector
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 from mpm import simulate_many

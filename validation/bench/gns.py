@@ -33,8 +33,8 @@ from validation.report.page import GNS, MPM, Page, Row, rms, signed
 from validation.report.plots import BLUE, INK, ORANGE, figure, pane
 from validation.runs import Run, RunStore
 
-SCENES = {2: 14, 3: 4}
-"""Held-out scenes, one of every kind after the other, by dimension; references in 3D are dear."""
+SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 9, "obstacle3d": 4}}
+"""Held-out scenes of each family, one of every kind after the other, by dimension; references in 3D are dear."""
 CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
 """Of the coarse MPM, across the smallest side of the body, by dimension."""
 QUICK_CELLS = {2: 10, 3: 4}
@@ -69,10 +69,10 @@ class Compared:
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """All that was measured of one model."""
+    """All that was measured of one model on one family of scenes."""
 
     name: str
-    dimension: int
+    family: str
     compared: Sequence[Compared]
     creeps: Sequence[float]
     """Of rollouts `TIMES` times as long as the first scenes whose reference comes to rest [mm/s]."""
@@ -106,14 +106,14 @@ class Model:
 
 
 def bench(out: Path, *, quick: bool, keep: Path, model: tuple[Path, ...] = ()) -> str:
-    """Compare models with the MPM on fine cells; some eight minutes, most of them for the references.
+    """Compare models with the MPM on fine cells; some fifteen minutes, most of them for the references.
 
     Parameters
     ----------
     out
         Folder for gns.md and its picture.
     quick
-        Two scenes of each dimension, on coarse cells.
+        Two scenes of each family, on coarse cells.
     keep
         Folder of the MPM's runs, which are not made again.
     model
@@ -123,27 +123,29 @@ def bench(out: Path, *, quick: bool, keep: Path, model: tuple[Path, ...] = ()) -
     found = []
     for path in paths:
         dimension = gns.load(path).settings.dimension
-        chosen, cells = held_out(dimension, 2 if quick else SCENES[dimension]), CELLS[dimension][: 2 if quick else None]
-        if quick:
-            chosen = [(kind, coarse(scene, QUICK_CELLS[dimension])) for kind, scene in chosen]
-        found.append(measure(path, chosen, keep, cells=cells, long=1 if quick else LONG))
+        for family, number in SCENES[dimension].items():
+            chosen, cells = held_out(family, 2 if quick else number), CELLS[dimension][: 2 if quick else None]
+            if quick:
+                chosen = [(kind, coarse(scene, QUICK_CELLS[dimension])) for kind, scene in chosen]
+            found.append(measure(path, family, chosen, keep, cells=cells, long=1 if quick else LONG))
     draw(out / "gns.png", found)
     flags = "".join(f" --model {path}" for path in model)
     return page(found, flags=flags, quick=quick).write(out / "gns.md")
 
 
-def measure(path: Path, scenes: Sequence[tuple[str, Scene]], keep: Path, *, cells: Sequence[int], long: int) -> Model:
-    """Everything of one model."""
+def measure(
+    path: Path, family: str, scenes: Sequence[tuple[str, Scene]], keep: Path, *, cells: Sequence[int], long: int
+) -> Model:
+    """Everything of one model on scenes of one family."""
     simulator = gns.load(path)
-    dimension = simulator.settings.dimension
-    references = RunStore(keep / f"{dimension}d").run([Run(scene=scene, record=AT_REST) for _, scene in scenes])
+    references = RunStore(keep / family).run([Run(scene=scene, record=AT_REST) for _, scene in scenes])
     # Kernels are compiled, or read from their cache, at a first call.
     gns.simulate(scenes[0][1], model=simulator)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     compared = []
     pairs = [*zip(scenes, references, strict=True)]
-    for (kind, scene), reference in tqdm(pairs, desc=f"{path.stem}, deposits", unit="scene"):
+    for (kind, scene), reference in tqdm(pairs, desc=f"{family}, deposits", unit="scene"):
         truth = deposit_of(reference)
         free = not at_wall(truth, scene)
         compared.append(
@@ -165,10 +167,8 @@ def measure(path: Path, scenes: Sequence[tuple[str, Scene]], keep: Path, *, cell
     torch.set_num_threads(threads)
     resting = [scene for (_, scene), flow in pairs if flow.summary["rest_time"] is not None]
     longer = [dataclasses.replace(each, duration=TIMES * each.duration) for each in resting[:long]]
-    creeps = [
-        creep(gns.simulate(each, model=simulator)) for each in tqdm(longer, desc=f"{path.stem}, rest", unit="scene")
-    ]
-    return Model(name=path.stem, dimension=dimension, compared=compared, creeps=creeps)
+    creeps = [creep(gns.simulate(each, model=simulator)) for each in tqdm(longer, desc=f"{family}, rest", unit="scene")]
+    return Model(name=path.stem, family=family, compared=compared, creeps=creeps)
 
 
 def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
@@ -205,13 +205,13 @@ def price_sentence(model: Model) -> str:
     seconds, error = model.own
     same = mpm_seconds(model.points.values(), error)
     cheaper = "no coarse MPM is as good" if same is None else f"a coarse MPM takes {same:.2g} s for the same error"
-    return f"`{model.name}` is off by {error:.1%} in {seconds:.2g} s, {cheaper}"
+    return f"{model.family} off by {error:.1%} in {seconds:.2g} s, {cheaper}"
 
 
 def conclusion(found: Sequence[Model]) -> list[str]:
     """At most five sentences, each over all models."""
     fronts = [
-        f"`{each.name}` {mean(each.fronts()):.1%} on average, worst {signed(worst(each.fronts()))} of "
+        f"{each.family} {mean(each.fronts()):.1%} on average, worst {signed(worst(each.fronts()))} of "
         f"{len(each.fronts())}, profiles {mean(each.profiles()):.1%}"
         for each in found
     ]
@@ -219,11 +219,11 @@ def conclusion(found: Sequence[Model]) -> list[str]:
         f"Fronts of held-out scenes, free of walls, over the extent: {'; '.join(fronts)}.",
         f"One rollout: {'; '.join(map(price_sentence, found))}.",
     ]
-    if parts := [f"{sum(each.held)} of {len(each.held)} fronts (`{each.name}`)" for each in found if each.held]:
+    if parts := [f"{sum(each.held)} of {len(each.held)} fronts ({each.family})" for each in found if each.held]:
         sentences.append(f"{LEVEL:.0%} bands hold {' and '.join(parts)}.")
-    parts = [f"{sum(one.warned for one in each.compared)} of {len(each.compared)} (`{each.name}`)" for each in found]
+    parts = [f"{sum(one.warned for one in each.compared)} of {len(each.compared)} ({each.family})" for each in found]
     sentences.append(f"Cards warn of {', '.join(parts)} of these scenes, which are in their ranges.")
-    rested = [f"{abs(worst(each.creeps)):.2g} mm/s (`{each.name}`)" for each in found if each.creeps]
+    rested = [f"{abs(worst(each.creeps)):.2g} mm/s ({each.family})" for each in found if each.creeps]
     if rested:
         sentences.append(f"Deposits that should rest creep by at most {', '.join(rested)}.")
     return sentences
@@ -240,7 +240,8 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
     )
     result.picture("gns.png", "errors of fronts by kind of scene; error over seconds")
     result.text(f"""
-        Scenes drawn by the definition that draws the training data, with seed {SEED}. The reference is the MPM on the
+        Scenes drawn by the definitions that draw the training data, with seed {SEED}: of the paper's families
+        (columns2d, baffles3d) and of the wide ones (flow2d, obstacle3d). The reference is the MPM on the
         training data's cells, until the deposit rests. Models begin with the scene alone. Their cards, with sizes,
         data and the commands that made them, are beside their weights in `gns/weights`.
     """)
@@ -263,7 +264,7 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
         rows = {f"MPM, {cells} cells across": at for cells, at in each.points.items()} | {f"`{each.name}`": each.own}
         result.table(
             [
-                {f"{each.dimension}D": name, "seconds": f"{seconds:.3g}", "error": f"{error:.1%}"}
+                {each.family: name, "seconds": f"{seconds:.3g}", "error": f"{error:.1%}"}
                 for name, (seconds, error) in rows.items()
             ]
         )
@@ -284,7 +285,7 @@ def kind_row(model: Model, kind: str) -> Row:
 
     fronts, profiles = model.fronts(kind), model.profiles(kind)
     return {
-        f"`{model.name}`": kind,
+        f"`{model.name}` on {model.family}": kind,
         "scenes": len(profiles),
         "at the wall": len(profiles) - len(fronts),
         "front": both(fronts),
@@ -297,6 +298,7 @@ def self_row(model: Model) -> Row:
     widths = [each.band[1] / each.extent for each in model.compared if each.band]
     return {
         "model": f"`{model.name}`",
+        "scenes of": model.family,
         "fronts in their bands": f"{sum(model.held)} of {len(model.held)}" if widths else "-",
         "half-width over the extent": f"{mean(widths):.1%}" if widths else "-",
         "warned of, in range": f"{sum(each.warned for each in model.compared)} of {len(model.compared)}",
@@ -321,7 +323,7 @@ def draw_fronts(axis: Axes, model: Model) -> None:
         axis.plot(np.full(len(values), index), values, "o", color=ORANGE, markersize=4)
     axis.axhline(0.0, color=INK, linewidth=0.8)
     axis.set_xticks(range(len(kinds)), kinds, rotation=30)
-    axis.set_title(f"{model.name}, {model.dimension}D")
+    axis.set_title(f"{model.name} on {model.family}")
     axis.set_ylabel("front beyond the MPM's [% of the extent]")
 
 

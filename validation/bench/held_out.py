@@ -13,7 +13,7 @@ from itertools import count
 import numpy as np
 
 from datasets import measures
-from datasets.definitions import flow2d, obstacle3d
+from datasets.definitions import flow2d, obstacle3d, paper_families
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Scene
 from datasets.trajectory import Trajectory
@@ -22,16 +22,21 @@ from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
 
 SEED = 1
 """Of the held-out scenes; the training data have 0."""
-FAMILIES = {2: (flow2d, flow2d.FLOW2D), 3: (obstacle3d, obstacle3d.OBSTACLE3D)}
-"""Module, with its kinds of flows, and definition of the training data, by dimension."""
+FAMILIES = {
+    "columns2d": (paper_families.COLUMNS, paper_families.COLUMNS2D),
+    "flow2d": (flow2d.KINDS, flow2d.FLOW2D),
+    "baffles3d": (paper_families.BAFFLES, paper_families.BAFFLES3D),
+    "obstacle3d": (obstacle3d.KINDS, obstacle3d.OBSTACLE3D),
+}
+"""Kinds of flows and definition of the training data, by its name."""
 AT_WALL = 0.01
 """A front within this fraction of the box's length of the wall ahead leans on it, which then bounds everyone's."""
 
 
-def held_out(dimension: int, number: int) -> list[tuple[str, Scene]]:
+def held_out(family: str, number: int) -> list[tuple[str, Scene]]:
     """So many scenes that no training data have, with their kinds: the first of every kind, then the second, ..."""
-    module, definition = FAMILIES[dimension]
-    kinds = [each.__name__.replace("_", " ") for each in module.KINDS]
+    drawn, definition = FAMILIES[family]
+    kinds = [each.__name__.replace("_", " ") for each in drawn]
     found: dict[str, list[tuple[str, Scene]]] = {kind: [] for kind in kinds}
     rounds, streams = math.ceil(number / len(found)), set[int]()
     for index in count():

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from gns.simulator import Simulator
+from inverse.forward import Differentiable, Forward
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
-from inverse.forward.interface import Differentiable, Forward
 from inverse.forward.mpm import MpmForward
 from inverse.observations import Values
 from inverse.parameters import Vector

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from inverse.found import MpmRun, Purpose
 from inverse.observations import Values
 from inverse.optimise import Inversion
-from inverse.posterior.emulator import Matrix, fewest_runs, linear
+from inverse.posterior import Matrix
+from inverse.posterior.emulator import fewest_runs, linear
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
 from inverse.target import Target
@@ -153,7 +153,7 @@ def first(task: Task, runs: tuple[MpmRun, ...] = (), known: tuple[MpmRun, ...] =
     left = task.budget - task.checks - len(runs)
     if count + repeats > left:
         count, repeats = max(unknowns + 3, left), 0
-    cube = qmc.LatinHypercube(unknowns, rng=task.generator(0), optimization="random-cd").random(count)
+    cube = Region.whole(unknowns).filled(count, task.generator(0))
     middle = np.full((repeats, unknowns), 0.5)
     return Search(task=task, runs=runs, known=known).ran(np.concatenate([cube, middle]), Purpose.WAVE)
 

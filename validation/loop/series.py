@@ -23,7 +23,7 @@ from datasets.command_line import WorkFailed
 from datasets.errors import InputError
 from datasets.files import make_folder, write_json, write_text
 from datasets.trajectory import SUFFIXES, Trajectory
-from inverse.forward.interface import Simulate
+from inverse.forward import Simulate
 from inverse.found import Verdict
 from inverse.observations import KINDS
 from inverse.problem import Problem, read_problem

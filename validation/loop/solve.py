@@ -15,7 +15,7 @@ from datasets import measures
 from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.adaptation import deposits as adapted_runs
-from inverse.forward.interface import Simulate
+from inverse.forward import Simulate
 from inverse.found import MpmRun, Purpose, Verdict
 from inverse.optimise import Inversion, inverted
 from inverse.parameters import Vector

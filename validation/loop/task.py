@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from datasets.scene import Scene
-from inverse.forward.interface import Simulate
+from inverse.forward import Simulate
 from inverse.found import MpmRun, Purpose
 from inverse.observations import Observation, Values
 from inverse.parameters import Vector
-from inverse.posterior.emulator import Matrix
+from inverse.posterior import Matrix
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Bounds, Problem
 from inverse.target import Target

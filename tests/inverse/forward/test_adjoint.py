@@ -10,7 +10,7 @@ from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
 from inverse.forward.adjoint import AdjointForward, Run
 from inverse.observations import build
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, TargetSettings
 from mpm import simulate, simulate_many

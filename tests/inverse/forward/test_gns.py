@@ -12,7 +12,7 @@ from gns.simulator import Normalisation, Simulator
 from gns.unroll import unroll
 from inverse.forward.gns import GnsForward
 from inverse.observations import Rollout, build
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 
@@ -43,7 +43,7 @@ def test_a_rollout_is_in_the_units_of_the_scene(problem: Problem) -> None:
     large = dataclasses.replace(problem, scene=scaled(problem.scene, 10.0))
     small = forward_of(problem)
     other = forward_of(large)
-    assert (small.steps, len(small.indices)) == (other.steps, len(other.indices))
+    assert (small.initial.steps, len(small.indices)) == (other.initial.steps, len(other.indices))
     assert small.initial.times[-1] == pytest.approx(problem.scene.duration)
     assert other.initial.times[-1] == pytest.approx(large.scene.duration)
     angle = np.array([30.0])

@@ -12,7 +12,7 @@ from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Rollout, build
 from inverse.observations.deposit import Outline
-from inverse.observations.joint import Joint
+from inverse.observations.observation import Joint
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings
 from inverse.target import read_target

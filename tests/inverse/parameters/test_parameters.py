@@ -14,8 +14,7 @@ from datasets.scene import Baffle, Mass, Solid
 from inverse.checks import check_parameters
 from inverse.forward.gns import GnsForward
 from inverse.observations import build
-from inverse.parameters import kind, with_parameters
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter, kind, with_parameters
 from inverse.problem import read_problem
 
 NAMES: dict[int | str, tuple[str, ...]] = {

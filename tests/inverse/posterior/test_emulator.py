@@ -51,11 +51,11 @@ def test_it_is_the_textbooks_universal_kriging() -> None:
     scale = np.einsum("nr,nm,mr->r", residual, inverse, residual) / (14 - 3)
 
     class OneNugget:
-        nuggets = (nugget,)
         scatter_spread, length_scale, length_spread = 1e6, 0.7, 0.8
 
     patch = pytest.MonkeyPatch()
     patch.setattr("inverse.posterior.emulator.CONSTANTS", OneNugget)
+    patch.setattr("inverse.posterior.emulator.NUGGETS", np.array([nugget]))
     try:
         own_mean, own_variance = made.predict(where)
         covariance, scatter = made.covariance(where, 0)

@@ -16,8 +16,7 @@ from datasets.particles import particle_count
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Observation, Values
-from inverse.parameters import Vector
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter, Vector
 from inverse.problem import Problem
 from inverse.result import Result
 from inverse.settings import ObservationSettings, Surrogate, TargetSettings

@@ -18,7 +18,7 @@ from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from inverse.forward.gns import GnsForward
 from inverse.found import Purpose, Verdict
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter
 from inverse.problem import read_problem
 from inverse.settings import ObservationSettings, Surrogate, TargetSettings
 from inverse.target import read_target

@@ -11,7 +11,7 @@ import pytest
 from datasets.command_line import WorkFailed
 from datasets.scene import Mass
 from inverse.found import Verdict
-from inverse.parameters.parameter import Parameter
+from inverse.parameters import Parameter
 from inverse.problem import Problem
 from inverse.result import Result
 from inverse.settings import ObservationSettings, Surrogate, TargetSettings
