@@ -16,10 +16,10 @@ from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
 from mpm.adjoint.transfer import affine_reverse, gather_moments, gather_reverse, prepare_weights, scatter_reverse
 from mpm.arrays.access import lane_sum, no_overflow
-from mpm.arrays.layout import PADDING, Offset, Property, Setting
+from mpm.arrays.layout import Offset, Property, Setting
 from mpm.physics.boundary import is_wall
 from mpm.physics.channel import side_friction
-from mpm.physics.transfer import contributions, prepare_contributions, property_of, spline, volume_of
+from mpm.physics.transfer import contributions, prepare_contributions, property_of, volume_of, weights_of
 
 
 @ti.func
@@ -45,14 +45,7 @@ def update_block_reverse(
     if ti.static(features.channel):
         for k in ti.static(range(1 + size)):
             arrays.scratch[values + k * features.node + features.side_friction] = 0.0 * arrays.state[first]
-    f = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(size))]
-    for k in ti.static(range(size)):
-        low = ti.floor(f[k] - 0.5)
-        f[k] = f[k] - low
-        arrays.scratch[scratch + features.lowest + k] = low
-        w = spline(f[k])
-        for a in ti.static(range(3)):
-            arrays.scratch[scratch + 3 * k + a] = w[a]
+    f = weights_of(block, scratch, per_dx, arrays)
     prepare_weights(scene, block, scratch, arrays)
     if ti.static(features.volume_correction):
         gather_moments(grid, block, scratch, strides, arrays)

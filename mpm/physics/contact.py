@@ -235,16 +235,12 @@ def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.templat
 def apply_solids(v, mass, n, worker, arrays: ti.template()):
     """Velocity `v` [m/s] after the solids of the node with the `mass` [kg] and the entry `n` in `fixed_nodes`, [D]."""
     features = arrays.features
-    line = arrays.fixed_nodes[n] - 1
+    stopped, line = after_solid(v, n, arrays), arrays.fixed_nodes[n] - 1
     if line >= 0:
-        normal = ti.Vector([arrays.node_contacts[line, k] for k in ti.static(range(features.dimension))])
-        if v.dot(normal) < 0.0:
-            stopped = after_contact(v, normal, arrays.node_contacts[line, features.dimension])
-            solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
-            for k in ti.static(range(features.dimension)):
-                add_impulse(solid, k, mass * (v[k] - stopped[k]), 0, worker, arrays)
-            v = stopped
-    return v
+        solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
+        for k in ti.static(range(features.dimension)):
+            add_impulse(solid, k, mass * (v[k] - stopped[k]), 0, worker, arrays)
+    return stopped
 
 
 @ti.func

@@ -138,6 +138,22 @@ def block_to_grid(grid, scene, block, scratch, strides: ti.template(), arrays: t
 
 
 @ti.func
+def weights_of(block, scratch, per_dx, arrays: ti.template()):
+    """Leave in `scratch` the weights and lowest nodes of a block; its places above these nodes [cells], D vectors."""
+    features = arrays.features
+    first = no_overflow(block * features.block)
+    f = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
+    for k in ti.static(range(features.dimension)):
+        low = ti.floor(f[k] - 0.5)
+        f[k] = f[k] - low
+        arrays.scratch[scratch + features.lowest + k] = low
+        w = spline(f[k])
+        for a in ti.static(range(3)):
+            arrays.scratch[scratch + 3 * k + a] = w[a]
+    return f
+
+
+@ti.func
 def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     """Leave in `scratch` the weights, lowest nodes, values and slopes of a block."""
     features = arrays.features
@@ -146,14 +162,7 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     per_dx, volume = 1.0 / dx, volume_of(scene, block, arrays)
     zero = 0.0 * arrays.state[first]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + zero
-    x_cells = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
-    low = [ti.floor(p - 0.5) for p in ti.static(x_cells)]
-    f = [x_cells[k] - low[k] for k in ti.static(range(features.dimension))]
-    for k in ti.static(range(features.dimension)):
-        arrays.scratch[scratch + features.lowest + k] = low[k]
-        w = spline(f[k])
-        for a in ti.static(range(3)):
-            arrays.scratch[scratch + 3 * k + a] = w[a]
+    f = weights_of(block, scratch, per_dx, arrays)
     values = scratch + features.values
     pushed = [zero for _ in ti.static(range(2 * features.dimension))]
     if ti.static(features.contact):
@@ -232,17 +241,11 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.block)
     # Weights, and weights times distance, of three nodes along each axis.
+    f = weights_of(block, scratch, per_dx, arrays)
     for k in ti.static(range(features.dimension)):
-        x_cells = arrays.state[first + k] * per_dx + PADDING
-        low = ti.floor(x_cells - 0.5)
-        f = x_cells - low
-        w = spline(f)
-        arrays.scratch[scratch + features.lowest + k] = low
         for a in ti.static(range(3)):
-            arrays.scratch[scratch + 3 * k + a] = w[a]
-            arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (
-                (4.0 * per_dx) * w[a] * (ti.static(float(a)) - f)
-            )
+            w, apart = arrays.scratch[scratch + 3 * k + a], ti.static(float(a)) - f[k]
+            arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (4.0 * per_dx) * w * apart
     stride_x, stride_y = strides[0], strides[1]
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, strides)
@@ -315,6 +318,7 @@ def store_affine(slopes: ti.template(), kappa, first, lane, arrays: ti.template(
     size = ti.static(features.dimension)
     particle = no_overflow(first * lanes + lane)
     affine = particle + features.affine * lanes
+    excess = 0.0 * kappa
     if ti.static(features.volume_correction):
         before_squared, now_squared = 0.0 * kappa, 0.0 * kappa
         for i in ti.static(range(size)):
@@ -327,17 +331,15 @@ def store_affine(slopes: ti.template(), kappa, first, lane, arrays: ti.template(
         for k in ti.static(range(3)):
             bears += ti.abs(arrays.lanes[particle + (features.stress + k) * lanes])
         loose = arrays.lanes[particle + features.gap * lanes] > 0.0 or bears == 0.0
-        excess = 0.0 * kappa
         if loose and now_squared > before_squared:
             excess = 1.0 - ti.sqrt(before_squared / now_squared)
-        for i in ti.static(range(size)):
-            for j in ti.static(range(size)):
-                new = slopes[j][i] - slopes[j][features.change + i]
-                arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i] - excess * new
-    else:
-        for i in ti.static(range(size)):
-            for j in ti.static(range(size)):
-                arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i]
+    for i in ti.static(range(size)):
+        for j in ti.static(range(size)):
+            at = affine + (size * i + j) * lanes
+            if ti.static(features.volume_correction):
+                arrays.lanes[at] = slopes[j][i] - excess * (slopes[j][i] - slopes[j][features.change + i])
+            else:
+                arrays.lanes[at] = slopes[j][i]
 
 
 @ti.func
