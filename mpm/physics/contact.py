@@ -108,8 +108,8 @@ def opening_velocity(foot: ti.template(), contact: ti.template(), dimension: ti.
 def jump_at_contact(
     velocity: ti.template(),
     affine: ti.template(),
-    stress: ti.template(),
     contact: ti.template(),
+    stress: ti.template(),
     dt,
     dimension: ti.template(),
 ):
@@ -189,7 +189,7 @@ def strain_at_contact(block, scratch, dt, arrays: ti.template()):
     if touches(block, arrays):
         velocity, affine, stress = motion_and_stress(block, scratch, arrays)
         contact = contact_of(block, arrays)
-        arrays.scratch[jump] = jump_at_contact(velocity, affine, stress, contact, dt, arrays.features.dimension)
+        arrays.scratch[jump] = jump_at_contact(velocity, affine, contact, stress, dt, arrays.features.dimension)
 
 
 @ti.func
