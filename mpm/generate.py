@@ -150,14 +150,11 @@ def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> No
     trajectory = replace(trajectory, summary=summary)
     if storage is not None:
         if storage.deposit:
-            last_frame(trajectory).save(path.parents[1] / DEPOSITS / path.name)
+            end, time = trajectory.positions[-1:], trajectory.time[-1:]
+            deposit = replace(trajectory, positions=end, time=time, solid_impulse=None)
+            deposit.save(path.parents[1] / DEPOSITS / path.name)
         trajectory = thinned(trajectory, storage)
     trajectory.save(path)
-
-
-def last_frame(trajectory: Trajectory) -> Trajectory:
-    """The positions of all particles at the end of a trajectory of the MPM."""
-    return replace(trajectory, positions=trajectory.positions[-1:], time=trajectory.time[-1:], solid_impulse=None)
 
 
 def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:

@@ -22,7 +22,7 @@ from mpm import runtime
 from mpm.adjoint.kernel import Pass
 from mpm.adjoint.kernel import kernel as adjoint_kernel
 from mpm.adjoint.layout import Layout
-from mpm.arrays.batch import Batch, aligned, particles_of
+from mpm.arrays.batch import Batch, aligned, particles_of, put_vectors
 from mpm.arrays.features import Features, features_of
 from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
 from mpm.arrays.table import ADJOINT, STEP, arguments
@@ -345,8 +345,7 @@ class Tape:
                 if values is not None:
                     flat = self.vectors(own["adjoints"], first)
                     flat[here] += values[slot]
-                    columns = np.moveaxis(flat.reshape(len(self.batch.state), self.features.lanes, -1), 1, 2)
-                    own["adjoints"][:, first : first + self.features.dimension] = columns
+                    put_vectors(own["adjoints"], first, flat)
             if observed.impulses is not None:
                 for worker in self.batch.workers[self.batch.workers[:, Worker.SCENE] == index]:
                     at = int(worker[Worker.IMPULSE])

@@ -13,7 +13,8 @@ from datasets.remarks import remarks
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
-from mpm.arrays.layout import Energy, Offset
+from mpm.arrays.layout import Energy, Offset, Retained
+from mpm.initial.barriers import release_times
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
@@ -98,7 +99,8 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         "arch": arch,
         "precision": batch.features.precision,
     }
-    if (released := batch.release_times(index)) is not None:
+    opened = batch.retained[offset[Offset.RETAINED] :, Retained.OPENED][: offset[Offset.RETAINED_COUNT]]
+    if (released := release_times(scene, opened)) is not None:
         summary["release_time"] = released
     if batch.recording.wall_forces:
         walls = impulses[:, solids:]
