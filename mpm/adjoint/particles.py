@@ -14,7 +14,7 @@ from mpm.adjoint.contact import push_reverse
 from mpm.adjoint.grid import add_kappa_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
-from mpm.adjoint.transfer import affine_reverse, gather_moments, gather_reverse, prepare_weights, scatter_reverse
+from mpm.adjoint.transfer import affine_reverse, gather_moments, prepare_weights, transfer_reverse
 from mpm.arrays.access import lane_sum, no_overflow
 from mpm.arrays.layout import Offset, Property, Setting
 from mpm.physics.boundary import is_wall
@@ -90,7 +90,7 @@ def update_block_reverse(
             value = value - slope * f[j]
             arrays.scratch[values + (1 + j) * features.node + size] = slope
         arrays.scratch[values + size] = value
-    scatter_reverse(grid, block, scratch, strides, arrays)
+    transfer_reverse(grid, block, scratch, True, strides, arrays)
     square = 4.0 * per_dx * per_dx
     for j in ti.static(range(size)):
         moved = arrays.adjoints[own + j] + arrays.scratch[scratch + layout.forces + j]
@@ -131,7 +131,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     first, own = no_overflow(block * features.block), block * layout.width
     prepare_contributions(scene, block, scratch, arrays)
     prepare_weights(scene, block, scratch, arrays)
-    gather_reverse(grid, block, scratch, strides, arrays)
+    transfer_reverse(grid, block, scratch, False, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx = 1.0 / dx
     volume, density = volume_of(scene, block, arrays), property_of(scene, block, Property.DENSITY, arrays)

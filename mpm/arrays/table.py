@@ -137,10 +137,7 @@ def kernel_of(
     scope = {"ti": ti, "Arrays": Arrays, "body": body, "constants": {"features": features, **constants}}
     exec(compile(source, file, "exec"), scope)
     run: Any = scope["run"]
-    types = {
-        name: ti.types.ndarray(dtype=dtype, ndim=rank)
-        for name, (dtype, rank) in ((name, elements[kind]) for name, kind in arrays.items())
-    }
+    types = {name: ti.types.ndarray(*elements[kind]) for name, kind in arrays.items()}
     run.__annotations__ = types | {"first": ti.i32, "last": ti.i32, "phase": ti.template()}
     compiled: Callable[..., None] = ti.kernel(run)
     return compiled

@@ -240,6 +240,7 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
     """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.block)
+    size = ti.static(features.dimension)
     # Weights, and weights times distance, of three nodes along each axis.
     f = weights_of(block, scratch, per_dx, arrays)
     for k in ti.static(range(features.dimension)):
@@ -253,42 +254,36 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
         lever = weight + 3 * features.dimension * lanes
         wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
         lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
-        v, x_slope, y_slope = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+        v, x_slope, y_slope, z_slope = zero_node(arrays), zero_node(arrays), zero_node(arrays), zero_node(arrays)
         # Sums along the last axis first: they share the weights of the others.
-        if ti.static(features.dimension == 2):
-            for a in ti.static(range(3)):
-                at = no_overflow(n + a * stride_x)
-                p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
-                u = wy[0] * p + wy[1] * q + wy[2] * r
-                s = ly[0] * p + ly[1] * q + ly[2] * r
-                v = v + wx[a] * u
-                x_slope = x_slope + lx[a] * u
-                y_slope = y_slope + wx[a] * s
-            store_velocity(v, scratch, lane, arrays)
-            if ti.static(features.volume_correction):
-                store_grid_mass(v[2], (x_slope[2], y_slope[2]), scratch, lane, arrays)
-            store_affine((x_slope, y_slope), kappa, first, lane, arrays)
-        else:
-            wz, lz = three_vectors(arrays, weight + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
-            z_slope = zero_node(arrays)
-            for a in ti.static(range(3)):
-                u, s, t = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+        for a in ti.static(range(3)):
+            u, s, t = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+            if ti.static(size == 2):
+                u, s = line_sums(n + a * stride_x, wy, ly, arrays)
+            else:
+                wz, lz = three_vectors(arrays, weight + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
                 for b in ti.static(range(3)):
-                    at = no_overflow(n + a * stride_x + b * stride_y)
-                    p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
-                    along = wz[0] * p + wz[1] * q + wz[2] * r
-                    across = lz[0] * p + lz[1] * q + lz[2] * r
+                    along, across = line_sums(n + a * stride_x + b * stride_y, wz, lz, arrays)
                     u = u + wy[b] * along
                     s = s + ly[b] * along
                     t = t + wy[b] * across
-                v = v + wx[a] * u
-                x_slope = x_slope + lx[a] * u
-                y_slope = y_slope + wx[a] * s
-                z_slope = z_slope + wx[a] * t
-            store_velocity(v, scratch, lane, arrays)
-            if ti.static(features.volume_correction):
-                store_grid_mass(v[3], (x_slope[3], y_slope[3], z_slope[3]), scratch, lane, arrays)
-            store_affine((x_slope, y_slope, z_slope), kappa, first, lane, arrays)
+            v = v + wx[a] * u
+            x_slope = x_slope + lx[a] * u
+            y_slope = y_slope + wx[a] * s
+            z_slope = z_slope + wx[a] * t
+        slopes = ti.static([x_slope, y_slope, z_slope][:size])
+        store_velocity(v, scratch, lane, arrays)
+        if ti.static(features.volume_correction):
+            store_grid_mass(v[size], [slope[size] for slope in ti.static(slopes)], scratch, lane, arrays)
+        store_affine(slopes, kappa, first, lane, arrays)
+
+
+@ti.func
+def line_sums(first, w: ti.template(), levers: ti.template(), arrays: ti.template()):
+    """Sums of three nodes along the last axis, times weights and times levers."""
+    at = no_overflow(first)
+    p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
+    return w[0] * p + w[1] * q + w[2] * r, levers[0] * p + levers[1] * q + levers[2] * r
 
 
 @ti.func
