@@ -72,13 +72,7 @@ def command(
 
 
 def generate(
-    definition: Definition,
-    out: Path,
-    *,
-    seed: int,
-    count: int | None,
-    jobs: int,
-    scheduler: str | None = None,
+    definition: Definition, out: Path, *, seed: int, count: int | None, jobs: int, scheduler: str | None = None
 ) -> None:
     """Simulate what is missing of a dataset in `out`, then describe it in `metadata.json`.
 

@@ -129,7 +129,7 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     stress = [arrays.history[after + features.stress + k] for k in ti.static(range(features.stresses))]
     affine = [arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
     contact = contact_of(block, arrays)
-    numbers = ti.static((grid_motion(scratch, arrays), affine, stress, contact, shear))
+    numbers = ti.static(((grid_motion(scratch, arrays), affine), stress, contact, shear))
     sheared = ti.static([Pullback(sheared_traction, numbers, (dt, size))])[0]
     before = scratch + layout.before
     for k in ti.static(range(size)):
@@ -151,10 +151,10 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     q_bar = [arrays.adjoints[shear_at + k] for k in ti.static(range(size))]
     for k in ti.static(range(size)):
         arrays.adjoints[shear_at + k] = 0.0 * q_bar[k]
-    velocity_bar, affine_bar, stress_bar, contacts_bar, shear_bar = ti.static(sheared(q_bar))
+    motion_bar, stress_bar, contacts_bar, shear_bar = ti.static(sheared(q_bar))
     for k in ti.static(range(size)):
-        arrays.scratch[scratch + layout.foot + k] = velocity_bar[k]
-    add_bars(own + features.affine, affine_bar, arrays)
+        arrays.scratch[scratch + layout.foot + k] = motion_bar[0][k]
+    add_bars(own + features.affine, motion_bar[1], arrays)
     add_bars(own + features.stress, stress_bar, arrays)
     add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
     return shear_bar
@@ -170,11 +170,11 @@ def jump_reverse(
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    numbers = ti.static((grid_motion(scratch, arrays), affine, contact))
+    numbers = ti.static(((grid_motion(scratch, arrays), affine), contact))
     jump = ti.static([Pullback(jump_at_contact, numbers, (stress, dt, size))])[0]
-    velocity_bar, affine_bar, contacts_bar = ti.static(jump([bar]))
+    motion_bar, contacts_bar = ti.static(jump([bar]))
     for k in ti.static(range(size)):
         at = scratch + layout.foot + k
-        arrays.scratch[at] = arrays.scratch[at] + velocity_bar[k]
-    add_bars(block * layout.width + features.affine, affine_bar, arrays)
+        arrays.scratch[at] = arrays.scratch[at] + motion_bar[0][k]
+    add_bars(block * layout.width + features.affine, motion_bar[1], arrays)
     add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)

@@ -43,10 +43,8 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
         then = after * lanes + lane
         contact = then + features.contacts * lanes
         delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
-        x_bar, v_bar = (
-            lane_numbers(arrays.adjoint_lanes, own * lanes + lane, arrays),
-            lane_numbers(arrays.adjoint_lanes, (own + features.velocity) * lanes + lane, arrays),
-        )
+        x_bar = lane_numbers(arrays.adjoint_lanes, own * lanes + lane, arrays)
+        v_bar = lane_numbers(arrays.adjoint_lanes, (own + features.velocity) * lanes + lane, arrays)
         shear_to = (Contact.NORMAL + size) * lanes
         q_bar = lane_numbers(arrays.adjoint_lanes, at + shear_to, arrays)
         mass_bar = 0.0 * present
@@ -59,9 +57,9 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
             n_bar = lane_numbers(arrays.adjoint_lanes, at + Contact.NORMAL * lanes, arrays)
             friction_bar = arrays.adjoint_lanes[at + Contact.FRICTION * lanes]
             share = ti.min(distance / width, 1.0)
-            d_bar = arrays.adjoint_lanes[at + Contact.DISTANCE * lanes] + arrays.adjoint_lanes[
-                at + Contact.DELTA * lanes
-            ] * (12.0 / (width * width)) * share * (share - 1.0)
+            delta_bar = arrays.adjoint_lanes[at + Contact.DELTA * lanes]
+            d_bar = arrays.adjoint_lanes[at + Contact.DISTANCE * lanes]
+            d_bar += delta_bar * (12.0 / (width * width)) * share * (share - 1.0)
             back = False
             if ti.static(put_back):
                 before = lane_numbers(arrays.scratch_lanes, (scratch + layout.before) * lanes + lane, arrays)

@@ -79,7 +79,7 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
             arrays.scratch[scratch + layout.foot + k] = zero
         if touching == 1:
             gather_moments(grid, block, scratch, strides, arrays)
-            jump = jump_at_contact(grid_motion(scratch, arrays), affine, contact, stress, dt, size)
+            jump = jump_at_contact((grid_motion(scratch, arrays), affine), contact, stress, dt, size)
             slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays)
     gap = [arrays.state[first + features.gap] for _ in ti.static(range(corrected))]
     around = [arrays.scratch[scratch + features.density + k] for k in ti.static(range(corrected * (1 + size)))]
@@ -98,20 +98,9 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
         bar, elastic.values, strengths, lame, shear, strain_bar, opened_bar, features
     )
-    (
-        stress_bar,
-        affine_bar,
-        jump_bar,
-        contacts_bar,
-        limit_bar,
-        lame_bar,
-        shear_bar,
-        gap_bar,
-        rate_bar,
-        around_bar,
-        x_bar,
-        density_bar,
-    ) = ti.static(elastic(trial_bar))
+    bars = ti.static(elastic(trial_bar))
+    stress_bar, affine_bar, jump_bar, contacts_bar, limit_bar, lame_bar, shear_bar = ti.static(bars[:7])
+    gap_bar, rate_bar, around_bar, x_bar, density_bar = ti.static(bars[7:])
     for k in ti.static(range(features.stresses)):
         arrays.adjoints[own + features.stress + k] = stress_bar[k]
     add_bars(own + features.affine, affine_bar, arrays)

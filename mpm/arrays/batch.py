@@ -294,10 +294,6 @@ class Batch:
         """Positions of one scene in the kept frames [m], shape [T, N, D]; a view."""
         return self.record[index]["positions"] if self.file is None else self.file.frames("positions")
 
-    def finite(self, index: int) -> bool:
-        """Whether the particles of one scene have positions and velocities that are numbers."""
-        return bool(np.isfinite(self.numbers(index)[: self.features.velocity + self.features.dimension]).all())
-
     def ended(self, frame: int) -> NDArray[np.bool_]:
         """Which scenes have ended before `frame`, shape [scenes]."""
         return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))

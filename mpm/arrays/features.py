@@ -174,12 +174,7 @@ def begins(parts: Callable[[Features], list[dict[str, int]]], features: Features
 
 
 def features_of(
-    scenes: Sequence[Scene],
-    precision: Precision,
-    *,
-    record: Recording = ALL,
-    shared: bool = False,
-    gpu: bool = False,
+    scenes: Sequence[Scene], precision: Precision, *, record: Recording = ALL, shared: bool = False, gpu: bool = False
 ) -> Features:
     """What has to be compiled for these scenes, all of one dimension."""
     materials = [scene.material_of(mass) for scene in scenes for mass in scene.masses]

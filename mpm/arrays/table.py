@@ -51,12 +51,7 @@ STEP = {
     "settling": Kind.DOUBLE_TABLE,
 }
 """What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
-RECORD = {
-    "order": Kind.INTEGER,
-    "positions": Kind.SINGLE,
-    "energy": Kind.DOUBLE,
-    "recorded_impulse": Kind.DOUBLE_TABLE,
-}
+RECORD = {"order": Kind.INTEGER, "positions": Kind.SINGLE, "energy": Kind.DOUBLE, "recorded_impulse": Kind.DOUBLE_TABLE}
 """What the end of a frame reads and writes besides."""
 DEVICE = {"owner": Kind.INTEGER, "step_control": Kind.REAL_TABLE}
 """What only a GPU reads and writes."""

@@ -23,10 +23,10 @@ from mpm.runtime import Arch
 def failure(batch: Batch, index: int) -> WorkFailed | None:
     """Why scene `index` of a batch blew up; None where it did not."""
     scene, features, frames = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
-    if frames == scene.frames and batch.finite(index):
+    motion = batch.numbers(index)[: features.velocity + features.dimension]
+    if frames == scene.frames and np.isfinite(motion).all():
         return None
-    velocities = batch.numbers(index)[features.velocity :][: features.dimension].T
-    return WorkFailed(explain(scene, batch.particles[index], velocities, frames - 1))
+    return WorkFailed(explain(scene, batch.particles[index], motion[features.velocity :].T, frames - 1))
 
 
 def outflow(batch: Batch, index: int) -> dict[str, float]:

@@ -84,8 +84,9 @@ def surface_force(stress: ti.template(), contact: ti.template(), dimension: ti.t
 
 
 @ti.func
-def foot_velocity(velocity: ti.template(), affine: ti.template(), contact: ti.template(), dimension: ti.template()):
-    """v_f [m/s], of the material at the foot: from the grid's `velocity` at the particle and C; a list of D."""
+def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.template()):
+    """v_f [m/s], of the material at the foot: from `motion`, the grid's velocity at the particle and C; a list of D."""
+    velocity, affine = motion
     foot = [velocity[i] for i in ti.static(range(dimension))]
     for i in ti.static(range(dimension)):
         rotation = 0.0 * contact[Contact.NORMAL]
@@ -105,19 +106,12 @@ def opening_velocity(foot: ti.template(), contact: ti.template(), dimension: ti.
 
 
 @ti.func
-def jump_at_contact(
-    velocity: ti.template(),
-    affine: ti.template(),
-    contact: ti.template(),
-    stress: ti.template(),
-    dt,
-    dimension: ti.template(),
-):
+def jump_at_contact(motion: ti.template(), contact: ti.template(), stress: ti.template(), dt, dimension: ti.template()):
     """What contact adds along n to the strain increment of a particle, dt delta n . v_f [-].
 
     Sand without pressure leaves a surface without strain.
     """
-    opening = opening_velocity(foot_velocity(velocity, affine, contact, dimension), contact, dimension)
+    opening = opening_velocity(foot_velocity(motion, contact, dimension), contact, dimension)
     separated = (normal_stress(stress, contact, dimension) >= 0.0) & (opening > 0.0)
     return ti.select(separated, 0.0, dt * contact[Contact.DELTA] * opening)
 
@@ -133,16 +127,10 @@ def with_jump(increment: ti.template(), jump, contact: ti.template(), dimension:
 
 @ti.func
 def sheared_traction(
-    velocity: ti.template(),
-    affine: ti.template(),
-    stress: ti.template(),
-    contact: ti.template(),
-    shear,
-    dt,
-    dimension: ti.template(),
+    motion: ti.template(), stress: ti.template(), contact: ti.template(), shear, dt, dimension: ti.template()
 ):
     """The shear traction q [Pa] after a step, a list of D, within Coulomb's bound for the new `stress`."""
-    foot = foot_velocity(velocity, affine, contact, dimension)
+    foot = foot_velocity(motion, contact, dimension)
     opening, square = opening_velocity(foot, contact, dimension), TINY + 0.0 * foot[0]
     stiffness = dt * shear * contact[Contact.DELTA]
     q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
@@ -157,13 +145,13 @@ def sheared_traction(
 
 @ti.func
 def motion_and_stress(block, scratch, arrays: ti.template()):
-    """The grid's velocity at the particles of a block, their C and stress, a list of vectors each."""
+    """The motion of a block, the grid's velocity at its particles and their C, and their stress; lists of vectors."""
     features = arrays.features
     first, moved = block * features.block, scratch + features.lowest + features.dimension
     velocity = [arrays.scratch[moved + i] for i in ti.static(range(features.dimension))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    return velocity, affine, stress
+    return (velocity, affine), stress
 
 
 @ti.func
@@ -187,17 +175,17 @@ def strain_at_contact(block, scratch, dt, arrays: ti.template()):
     jump = scratch + arrays.features.push
     arrays.scratch[jump] = 0.0 * arrays.state[contact_at(block, Contact.DELTA, arrays)]
     if touches(block, arrays):
-        velocity, affine, stress = motion_and_stress(block, scratch, arrays)
+        motion, stress = motion_and_stress(block, scratch, arrays)
         contact = contact_of(block, arrays)
-        arrays.scratch[jump] = jump_at_contact(velocity, affine, contact, stress, dt, arrays.features.dimension)
+        arrays.scratch[jump] = jump_at_contact(motion, contact, stress, dt, arrays.features.dimension)
 
 
 @ti.func
 def shear_traction_step(block, scratch, dt, shear, arrays: ti.template()):
     """Bring the shear tractions q of a block forward by a step."""
     dimension = ti.static(arrays.features.dimension)
-    velocity, affine, stress = motion_and_stress(block, scratch, arrays)
-    q = sheared_traction(velocity, affine, stress, contact_of(block, arrays), shear, dt, dimension)
+    motion, stress = motion_and_stress(block, scratch, arrays)
+    q = sheared_traction(motion, stress, contact_of(block, arrays), shear, dt, dimension)
     for k in ti.static(range(dimension)):
         arrays.state[contact_at(block, Contact.NORMAL + dimension + k, arrays)] = q[k]
 
@@ -295,10 +283,8 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     dimension = ti.static(features.dimension)
     first = block * features.block * lanes + lane
     contact = contact_at(block, 0, arrays) * lanes + lane
-    x, v = (
-        lane_numbers(arrays.lanes, first, arrays),
-        lane_numbers(arrays.lanes, first + features.velocity * lanes, arrays),
-    )
+    x = lane_numbers(arrays.lanes, first, arrays)
+    v = lane_numbers(arrays.lanes, first + features.velocity * lanes, arrays)
     velocity, solid, moved = v, -1, False
     cell = arrays.settings[scene, Setting.CELL]
     if bound <= 0.0:
