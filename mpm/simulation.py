@@ -1,12 +1,4 @@
-"""Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads.
-
-    trajectory = simulate(read_scene("column-tall-42"))                          # every frame
-    deposit = simulate(read_scene("baffles-2"), record=LAST).positions[-1]       # the last one alone
-    flows = simulate_many(scenes, record=AT_REST, precision="f64")               # side by side, each until it rests
-    outcomes = simulate_each(scenes, record=LAST)                                # a WorkFailed for one that blew up
-
-What is recorded is a `mpm.Recording`: memory and compiled code are for that alone.
-"""
+"""Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads."""
 
 import time
 from collections.abc import Callable, Sequence

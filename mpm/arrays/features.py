@@ -20,7 +20,7 @@ REGISTER = 64
 
 @dataclass(frozen=True, kw_only=True)
 class Features(Record):
-    """What the scenes of a batch need; the kernels are compiled for exactly this, and nothing else is in them."""
+    """What the scenes of a batch need; nothing else is in their kernels."""
 
     dimension: int
     precision: Precision

@@ -146,15 +146,12 @@ def near_pairs(domain: Domain, surface: Surface, limit: float) -> tuple[Integers
         around[tuple(map(slice, first, last))] = True
     numbers = np.flatnonzero(around)
     centres = node_positions(domain, numbers) + 0.5 * domain.cell
-    found: list[tuple[Integers, Integers, Floats]] = []
+    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
     for point, face in Search(surface).pairs(centres, np.full(len(centres), limit)):
         _, distance, _ = feet(surface.corners[face], centres[point])
         near = distance <= limit
         found.append((numbers[point[near]], face[near], distance[near]))
-    none = np.zeros(0, np.int64)
-    cells = np.concatenate([none, *(part[0] for part in found)])
-    faces = np.concatenate([none, *(part[1] for part in found)])
-    distance = np.concatenate([np.zeros(0), *(part[2] for part in found)])
+    cells, faces, distance = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.lexsort((faces, cells))
     return cells[order], faces[order], distance[order]
 
