@@ -50,6 +50,8 @@ def transfer_reverse(grid, block, scratch, scatters: ti.template(), strides: ti.
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     size = ti.static(features.dimension)
     last = ti.static(size - 1)
+    # With volume correction the bar of the mass differs from node to node.
+    varies = ti.static(scatters and features.volume_correction)
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
@@ -57,8 +59,8 @@ def transfer_reverse(grid, block, scratch, scatters: ti.template(), strides: ti.
         w = [three_vectors(arrays, weight + 3 * k * lanes) for k in ti.static(range(size))]
         d = [three_vectors(arrays, slope + 3 * k * lanes) for k in ti.static(range(size))]
         levers = [three_vectors(arrays, lever + 3 * k * lanes) for k in ti.static(range(size))]
-        value = node_adjoint(arrays, scratch, 0, lane, scatters)
-        steps = [node_adjoint(arrays, scratch, 1 + k, lane, scatters) for k in ti.static(range(size))]
+        value = node_vector(arrays, scratch, 0, lane, varies)
+        steps = [node_vector(arrays, scratch, 1 + k, lane, varies) for k in ti.static(range(size))]
         sums = [zero_node(arrays) for _ in ti.static(range(1 + size))]
         forces = [zero_node(arrays) for _ in ti.static(range(size))]
         for a in ti.static(range(3)):
@@ -102,25 +104,6 @@ def outer_weights(w: ti.template(), d: ti.template(), a: ti.template(), b: ti.te
         return w[0][a], d[0][a]
     else:
         return w[0][a] * w[1][b], d[0][a] * w[1][b], w[0][a] * d[1][b]
-
-
-@ti.func
-def node_adjoint(arrays: ti.template(), scratch, group: ti.template(), lane, scatters: ti.template()):
-    """As `mpm.physics.transfer.node_vector`, also of what is added to the bars of nodes.
-
-    With volume correction the bar of the mass differs from node to node.
-    """
-    features = arrays.features
-    if ti.static(scatters and features.volume_correction):
-        first = scratch + features.values + group * features.node
-        return ti.Vector(
-            [
-                arrays.scratch_lanes[(first + k) * features.lanes + lane] if k < features.used else 0.0
-                for k in ti.static(range(features.node))
-            ]
-        )
-    else:
-        return node_vector(arrays, scratch, group, lane)
 
 
 @ti.func

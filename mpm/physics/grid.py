@@ -50,9 +50,7 @@ def update_grid(worker, scene, dt, kappa, strides, arrays: ti.template()):
                     n = i * strides[0] + j * strides[1] + k
                     node = node_of(arrays.grid, n, i, j, k, worker, arrays)
                     if node[features.dimension] > 0.0:
-                        old = velocity_before(node, arrays)
-                        new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
-                        node = with_velocity(node, new, old, kappa, arrays)
+                        node = moved_node(node, i, j, k, worker, scene, dt, kappa, arrays)
                         put_node(arrays.grid, node, n, i, j, k, worker, arrays)
 
 
@@ -120,9 +118,8 @@ def update_node(n, scene, arrays: ti.template()):
         n = arrays.workers[scene, Worker.NODE] + n
         node = arrays.grid[n]
         if node[arrays.features.dimension] > 0.0:
-            old = velocity_before(node, arrays)
-            new = velocity_after(node, old, i, j, k, scene, scene, dt, arrays)
-            arrays.grid[n] = with_velocity(node, new, old, relaxation_factor(scene, dt, arrays), arrays)
+            kappa = relaxation_factor(scene, dt, arrays)
+            arrays.grid[n] = moved_node(node, i, j, k, scene, scene, dt, kappa, arrays)
 
 
 @ti.func
@@ -144,9 +141,11 @@ def velocity_before(node, arrays: ti.template()):
 
 
 @ti.func
-def with_velocity(node, new, old, kappa, arrays: ti.template()):
-    """A node with its new velocity in place of its momentum and its change new - kept old."""
+def moved_node(node, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
+    """The node (i, j, k) with its new velocity in place of its momentum, and its change new - kept old."""
     features = arrays.features
+    old = velocity_before(node, arrays)
+    new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
     for axis in ti.static(range(features.dimension)):
         node[axis] = new[axis]
         node[features.change + axis] = new[axis] - kappa * old[axis]

@@ -78,17 +78,17 @@ def lowest_node(arrays: ti.template(), scratch, lane, grid, strides: ti.template
 
 
 @ti.func
-def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane):
+def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, varies: ti.template()):
     """What a block has left for the nodes of the particle in `lane`: value (group 0) or slope along an axis.
 
-    A particle gives each node the same mass and side friction but for the weight: their slopes are zero.
+    Unless `varies`, each node is given the same mass and side friction but for the weight: their slopes are zero.
     """
     features = arrays.features
     first = scratch + features.values + group * features.node
     return ti.Vector(
         [
             arrays.scratch_lanes[(first + k) * features.lanes + lane]
-            if k < features.used and (group == 0 or (k != features.dimension and k <= 2 * features.dimension))
+            if k < features.used and (group == 0 or varies or (k != features.dimension and k <= 2 * features.dimension))
             else 0.0
             for k in ti.static(range(features.node))
         ]
@@ -113,8 +113,8 @@ def block_to_grid(grid, scene, block, scratch, strides: ti.template(), arrays: t
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
         wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
-        value = node_vector(arrays, scratch, 0, lane)
-        slope_x, slope_y = node_vector(arrays, scratch, 1, lane), node_vector(arrays, scratch, 2, lane)
+        value = node_vector(arrays, scratch, 0, lane, False)
+        slope_x, slope_y = node_vector(arrays, scratch, 1, lane, False), node_vector(arrays, scratch, 2, lane, False)
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
                 at = no_overflow(n + a * stride_x)
@@ -124,7 +124,7 @@ def block_to_grid(grid, scene, block, scratch, strides: ti.template(), arrays: t
                     here = here + y_step
                 value = value + slope_x
         else:
-            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane)
+            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane, False)
             for a in ti.static(range(3)):
                 along, y_step, z_slope = wx[a] * value, wx[a] * slope_y, wx[a] * slope_z
                 for b in ti.static(range(3)):
