@@ -154,17 +154,12 @@ def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> No
 def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
     """Some of the particles of a trajectory of the MPM, each with the volume of those that it stands for."""
     scene = trajectory.scene
-    stay = thin(
-        trajectory.positions[0],
-        trajectory.volumes,
-        cell=storage.cell,
-        kept=storage.kept,
-        rng=np.random.default_rng(scene.seed),
-    )
+    positions, rng = trajectory.positions, np.random.default_rng(scene.seed)
+    stay = thin(positions[0], trajectory.volumes, cell=storage.cell, kept=storage.kept, rng=rng)
     mass = np.repeat(np.arange(len(scene.masses)), mass_counts(scene))
     return replace(
         trajectory,
-        positions=trajectory.positions[:, stay.indices],
+        positions=positions[:, stay.indices],
         velocity0=trajectory.velocity0[stay.indices],
         friction=trajectory.friction[stay.indices],
         volume=stay.volumes,
@@ -174,14 +169,9 @@ def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
 
 def statistics_of(workers: Workers, paths: list[Path]) -> MotionStatistics:
     """The statistics of all trajectories together, added in their order whoever is ready first."""
-    each = tqdm(
-        workers.finished(statistics_of_one, [(path,) for path in paths]),
-        total=len(paths),
-        desc="statistics",
-        unit="trajectory",
-        dynamic_ncols=True,
-    )
-    found: dict[int, MotionStatistics] = dict(each)
+    each = workers.finished(statistics_of_one, [(path,) for path in paths])
+    bar = tqdm(each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True)
+    found: dict[int, MotionStatistics] = dict(bar)
     return reduce(MotionStatistics.__add__, (found[number] for number in range(len(paths))))
 
 

@@ -32,7 +32,7 @@ which could not keep it in balance; it is held like a node behind a wall of the 
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_maximum, lane_minimum, lane_numbers, maximum, minimum, put_lane_numbers
+from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting, Worker, component
 from mpm.physics.boundary import after_contact
 from mpm.solids.face_lookup import cell_of, face_vector, first_crossed, nearest_face, solid_of
@@ -58,7 +58,7 @@ def contact_of(block, arrays: ti.template()):
 @ti.func
 def touches(block, arrays: ti.template()):
     """Whether a particle of a block is within the width of the contact; most blocks have none."""
-    return lane_maximum(arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
+    return over_lanes(ti.max, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
 
 
 @ti.func
@@ -258,7 +258,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
         square = square + moved * moved
     lower_bound = arrays.state[distance] - 1.001 * ti.sqrt(square)
     nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
-    if lane_minimum(lower_bound, arrays) >= nearby:
+    if over_lanes(ti.min, lower_bound, arrays) >= nearby:
         arrays.state[distance] = lower_bound
         arrays.state[contact_at(block, Contact.DELTA, arrays)] = 0.0 * lower_bound
     else:

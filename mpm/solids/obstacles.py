@@ -38,7 +38,7 @@ class Obstacles:
 
     faces: Array
     """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], number
-    of its solid; see `mpm.arrays.layout.Features.face_normal` and what follows it; shape [F, columns]."""
+    of its solid; see `mpm.arrays.features.parts`; shape [F, columns]."""
     cell_faces: Array
     """Where the list of each cell begins in `near_faces`, shape [C + 1]."""
     near_faces: Array
