@@ -100,11 +100,8 @@ def update_block_reverse(
         for i in ti.static(range(size)):
             moved = moved - square * slope_bar[i * size + j] * arrays.scratch[scratch + layout.sums + i]
             if ti.static(features.volume_correction):
-                moved = (
-                    moved
-                    - square * change_bar[i * size + j] * arrays.scratch[scratch + layout.sums + features.change + i]
-                )
-            if ti.static(features.volume_correction):
+                change = arrays.scratch[scratch + layout.sums + features.change + i]
+                moved = moved - square * change_bar[i * size + j] * change
                 arrays.adjoints[own + features.affine + i * size + j] = affine_bar[i * size + j]
         arrays.adjoints[own + j] = moved
     add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)

@@ -35,12 +35,10 @@ import taichi as ti
 from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting, Worker, component
 from mpm.physics.boundary import after_contact
-from mpm.solids.face_lookup import cell_of, face_vector, first_crossed, nearest_face, solid_of
+from mpm.solids.face_lookup import TINY, cell_of, face_vector, first_crossed, nearest_face, solid_of
 
 MAX_CROSSINGS = 3
 """Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
-TINY = 1.0e-20
-"""Keeps quotients finite."""
 
 
 @ti.func
