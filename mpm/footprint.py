@@ -15,7 +15,7 @@ from datasets.errors import InputError
 from datasets.particles import mass_counts
 from datasets.scene import Scene
 from mpm.arrays.features import features_of
-from mpm.arrays.layout import PADDING, Energy, Precision
+from mpm.arrays.layout import Energy, Precision, node_shape
 from mpm.arrays.properties import substeps_per_frame
 from mpm.output.request import ALL, Recording
 
@@ -74,7 +74,7 @@ def footprint(
             key="duration",
         )
     count, dimension = sum(mass_counts(scene)), features.dimension
-    nodes = tuple(round(length / scene.domain.cell) + 2 * PADDING + 1 for length in scene.domain.size)
+    nodes = node_shape(scene.domain)
     real = 4 if features.precision == "f32" else 8
     particle = 8 * (2 * dimension + dimension**2 + 2) + 8
     sizes = (

@@ -72,13 +72,7 @@ def command(
 
 
 def generate(
-    definition: Definition,
-    out: Path,
-    *,
-    seed: int,
-    count: int | None,
-    jobs: int,
-    scheduler: str | None = None,
+    definition: Definition, out: Path, *, seed: int, count: int | None, jobs: int, scheduler: str | None = None
 ) -> None:
     """Simulate what is missing of a dataset in `out`, then describe it in `metadata.json`.
 
@@ -150,30 +144,22 @@ def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> No
     trajectory = replace(trajectory, summary=summary)
     if storage is not None:
         if storage.deposit:
-            last_frame(trajectory).save(path.parents[1] / DEPOSITS / path.name)
+            end, time = trajectory.positions[-1:], trajectory.time[-1:]
+            deposit = replace(trajectory, positions=end, time=time, solid_impulse=None)
+            deposit.save(path.parents[1] / DEPOSITS / path.name)
         trajectory = thinned(trajectory, storage)
     trajectory.save(path)
-
-
-def last_frame(trajectory: Trajectory) -> Trajectory:
-    """The positions of all particles at the end of a trajectory of the MPM."""
-    return replace(trajectory, positions=trajectory.positions[-1:], time=trajectory.time[-1:], solid_impulse=None)
 
 
 def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
     """Some of the particles of a trajectory of the MPM, each with the volume of those that it stands for."""
     scene = trajectory.scene
-    stay = thin(
-        trajectory.positions[0],
-        trajectory.volumes,
-        cell=storage.cell,
-        kept=storage.kept,
-        rng=np.random.default_rng(scene.seed),
-    )
+    positions, rng = trajectory.positions, np.random.default_rng(scene.seed)
+    stay = thin(positions[0], trajectory.volumes, cell=storage.cell, kept=storage.kept, rng=rng)
     mass = np.repeat(np.arange(len(scene.masses)), mass_counts(scene))
     return replace(
         trajectory,
-        positions=trajectory.positions[:, stay.indices],
+        positions=positions[:, stay.indices],
         velocity0=trajectory.velocity0[stay.indices],
         friction=trajectory.friction[stay.indices],
         volume=stay.volumes,
@@ -183,14 +169,9 @@ def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
 
 def statistics_of(workers: Workers, paths: list[Path]) -> MotionStatistics:
     """The statistics of all trajectories together, added in their order whoever is ready first."""
-    each = tqdm(
-        workers.finished(statistics_of_one, [(path,) for path in paths]),
-        total=len(paths),
-        desc="statistics",
-        unit="trajectory",
-        dynamic_ncols=True,
-    )
-    found: dict[int, MotionStatistics] = dict(each)
+    each = workers.finished(statistics_of_one, [(path,) for path in paths])
+    bar = tqdm(each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True)
+    found: dict[int, MotionStatistics] = dict(bar)
     return reduce(MotionStatistics.__add__, (found[number] for number in range(len(paths))))
 
 

@@ -1,12 +1,4 @@
-"""Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads.
-
-    trajectory = simulate(read_scene("column-tall-42"))                          # every frame
-    deposit = simulate(read_scene("baffles-2"), record=LAST).positions[-1]       # the last one alone
-    flows = simulate_many(scenes, record=AT_REST, precision="f64")               # side by side, each until it rests
-    outcomes = simulate_each(scenes, record=LAST)                                # a WorkFailed for one that blew up
-
-What is recorded is a `mpm.Recording`: memory and compiled code are for that alone.
-"""
+"""Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -162,26 +154,21 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     for scene in scenes:
         warn_if_unresolved(scene)
     arch, record = options.get("arch", "cpu"), options.get("record", ALL)
-    precision = options.get("precision", "f32")
-    require_memory([footprint(scene, record=record, precision=precision, gpu=arch != "cpu") for scene in scenes])
+    precision, gpu = options.get("precision", "f32"), arch != "cpu"
+    require_memory([footprint(scene, record=record, precision=precision, gpu=gpu) for scene in scenes])
     runtime.start(precision, options.get("threads"), arch)
     particles = particles_of(scenes)
     groups: dict[Features, list[int]] = {}
     for index, scene in enumerate(scenes):
-        features = features_of([scene], precision, record=record, gpu=arch != "cpu")
+        features = features_of([scene], precision, record=record, gpu=gpu)
         groups.setdefault(features, []).append(index)
     outcomes: dict[int, Trajectory | WorkFailed] = {}
     wall_s = compile_s = 0.0
     frames = sum(max(scenes[index].frames for index in group) - 1 for group in groups.values())
     with progress_bar(frames, 0, options) as bar:
         for group in groups.values():
-            batch = Batch(
-                [scenes[index] for index in group],
-                precision=precision,
-                record=record,
-                gpu=arch != "cpu",
-                particles=[particles[index] for index in group],
-            )
+            own, begun = [scenes[index] for index in group], [particles[index] for index in group]
+            batch = Batch(own, precision=precision, record=record, gpu=gpu, particles=begun)
             seconds = run_batch(batch, arch, bar, lambda: False)
             wall_s, compile_s = wall_s + seconds[0], compile_s + seconds[1]
             for number, index in enumerate(group):

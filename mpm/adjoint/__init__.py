@@ -1,8 +1,5 @@
 """The solver's own adjoint: the exact derivative of a run with respect to everything that it begins with.
 
-    J, slope = gradient(scene, objective)       # objective(positions, velocities) gives J and its derivatives
-    slope.velocities, slope.material("friction_deg"), slope.setting("floor_friction"), slope.along(scene_at, 0.0)
-
 The adjoint of a quantity x is its bar, dJ/dx, in names `x_bar` (Griewank & Walther, Evaluating derivatives, 2008).
 
     pullback                    what is local to a particle (stress, plastic return, cracks, gaps, softening, tractions,

@@ -37,15 +37,7 @@ def wall_reverse(bar, v_star, node, cells, scene, arrays: ti.template()):
             along = v
             along[axis] = 0.0
             bar[axis] = 0.0
-            speed = along.norm()
-            limit_bar = 0.0 * speed
-            if speed > friction * normal:
-                across = along.dot(bar) / speed
-                limit_bar = 0.0 - across
-                lost = friction * normal / speed
-                bar = bar - lost * (bar - (across / speed) * along)
-            else:
-                bar = 0.0 * bar
+            bar, limit_bar = with_friction_reverse(bar, along, friction * normal)
             bar[axis] = friction * limit_bar * (v[axis] / normal)
             if side == 2:
                 floor_bar += normal * limit_bar

@@ -17,7 +17,6 @@ from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import depends, found_reverse
 from mpm.adjoint.pullback import Pullback
-from mpm.adjoint.transfer import gather_moments
 from mpm.arrays.layout import Contact, Property, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
@@ -113,42 +112,13 @@ def gather_impulse_adjoints(block, scratch, worker, arrays: ti.template()):
 
 
 @ti.func
-def jump_before(
-    grid,
-    block,
-    scratch,
-    affine: ti.template(),
-    stress: ti.template(),
-    contact: ti.template(),
-    dt,
-    strides: ti.template(),
-    arrays: ti.template(),
-):
-    """As `mpm.physics.contact.jump_at_contact`; leaves the motion of the grid in the first sums of `scratch`."""
-    gather_moments(grid, block, scratch, strides, arrays)
-    velocity = grid_motion(scratch, arrays)
-    return jump_at_contact(velocity, affine, stress, contact, dt, arrays.features.dimension)
-
-
-@ti.func
 def grid_motion(scratch, arrays: ti.template()):
     """The grid's velocity at each particle of a block, from the first sums of `scratch`; D of them."""
     return [arrays.scratch[scratch + arrays.layout.sums + i] for i in ti.static(range(arrays.features.dimension))]
 
 
 @ti.func
-def slip_reverse(
-    worker,
-    scene,
-    block,
-    scratch,
-    after,
-    affine: ti.template(),
-    contact: ti.template(),
-    shear,
-    dt,
-    arrays: ti.template(),
-):
+def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.template()):
     """From the bars of what a step leaves of contact to those of its stress, of C and of the contact before it.
 
     Those of the grid's velocity come in `scratch` from `layout.foot`. Returns that of the shear modulus.
@@ -157,7 +127,9 @@ def slip_reverse(
     size = ti.static(features.dimension)
     own = block * layout.width
     stress = [arrays.history[after + features.stress + k] for k in ti.static(range(features.stresses))]
-    numbers = ti.static((grid_motion(scratch, arrays), affine, stress, contact, shear))
+    affine = [arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
+    contact = contact_of(block, arrays)
+    numbers = ti.static(((grid_motion(scratch, arrays), affine), stress, contact, shear))
     sheared = ti.static([Pullback(sheared_traction, numbers, (dt, size))])[0]
     before = scratch + layout.before
     for k in ti.static(range(size)):
@@ -179,10 +151,10 @@ def slip_reverse(
     q_bar = [arrays.adjoints[shear_at + k] for k in ti.static(range(size))]
     for k in ti.static(range(size)):
         arrays.adjoints[shear_at + k] = 0.0 * q_bar[k]
-    velocity_bar, affine_bar, stress_bar, contacts_bar, shear_bar = ti.static(sheared(q_bar))
+    motion_bar, stress_bar, contacts_bar, shear_bar = ti.static(sheared(q_bar))
     for k in ti.static(range(size)):
-        arrays.scratch[scratch + layout.foot + k] = velocity_bar[k]
-    add_bars(own + features.affine, affine_bar, arrays)
+        arrays.scratch[scratch + layout.foot + k] = motion_bar[0][k]
+    add_bars(own + features.affine, motion_bar[1], arrays)
     add_bars(own + features.stress, stress_bar, arrays)
     add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
     return shear_bar
@@ -190,28 +162,19 @@ def slip_reverse(
 
 @ti.func
 def jump_reverse(
-    block,
-    scratch,
-    affine: ti.template(),
-    stress: ti.template(),
-    contact: ti.template(),
-    dt,
-    bar,
-    arrays: ti.template(),
+    block, scratch, affine: ti.template(), stress: ti.template(), contact: ti.template(), dt, bar, arrays: ti.template()
 ):
-    """From the bar of `jump_before` to those of the grid's velocity, in `scratch`, of C and of contact."""
+    """From the bar of `jump_at_contact` to those of the grid's velocity, in `scratch`, of C and of contact.
+
+    It depends on the stress by its sign alone.
+    """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    numbers = ti.static((grid_motion(scratch, arrays), affine, contact))
-    jump = ti.static([Pullback(jump_of, numbers, (stress, dt, size))])[0]
-    velocity_bar, affine_bar, contacts_bar = ti.static(jump([bar]))
+    numbers = ti.static(((grid_motion(scratch, arrays), affine), contact))
+    jump = ti.static([Pullback(jump_at_contact, numbers, (stress, dt, size))])[0]
+    motion_bar, contacts_bar = ti.static(jump([bar]))
     for k in ti.static(range(size)):
         at = scratch + layout.foot + k
-        arrays.scratch[at] = arrays.scratch[at] + velocity_bar[k]
-    add_bars(block * layout.width + features.affine, affine_bar, arrays)
+        arrays.scratch[at] = arrays.scratch[at] + motion_bar[0][k]
+    add_bars(block * layout.width + features.affine, motion_bar[1], arrays)
     add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
-
-
-def jump_of(velocity, affine, contact, stress, dt, dimension):
-    """`jump_at_contact`, which depends on the stress by its sign alone; traced."""
-    return jump_at_contact(velocity, affine, stress, contact, dt, dimension)

@@ -17,12 +17,11 @@ from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import lane_numbers, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting, Worker
 from mpm.arrays.properties import GAP_CUTOFF
-from mpm.solids.face_lookup import foot_on_segment, foot_on_triangle, solid_of
+from mpm.physics.contact import contact_at
+from mpm.solids.face_lookup import TINY, foot_on_segment, foot_on_triangle, solid_of
 
 PUT_BACK = 1.0e-6
 """Distance from a face [cells] within which a particle has been put back onto it."""
-TINY = 1.0e-20
-"""Keeps quotients finite, as in the step."""
 
 
 @ti.func
@@ -43,10 +42,8 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
         then = after * lanes + lane
         contact = then + features.contacts * lanes
         delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
-        x_bar, v_bar = (
-            lane_numbers(arrays.adjoint_lanes, own * lanes + lane, arrays),
-            lane_numbers(arrays.adjoint_lanes, (own + features.velocity) * lanes + lane, arrays),
-        )
+        x_bar = lane_numbers(arrays.adjoint_lanes, own * lanes + lane, arrays)
+        v_bar = lane_numbers(arrays.adjoint_lanes, (own + features.velocity) * lanes + lane, arrays)
         shear_to = (Contact.NORMAL + size) * lanes
         q_bar = lane_numbers(arrays.adjoint_lanes, at + shear_to, arrays)
         mass_bar = 0.0 * present
@@ -59,9 +56,9 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
             n_bar = lane_numbers(arrays.adjoint_lanes, at + Contact.NORMAL * lanes, arrays)
             friction_bar = arrays.adjoint_lanes[at + Contact.FRICTION * lanes]
             share = ti.min(distance / width, 1.0)
-            d_bar = arrays.adjoint_lanes[at + Contact.DISTANCE * lanes] + arrays.adjoint_lanes[
-                at + Contact.DELTA * lanes
-            ] * (12.0 / (width * width)) * share * (share - 1.0)
+            delta_bar = arrays.adjoint_lanes[at + Contact.DELTA * lanes]
+            d_bar = arrays.adjoint_lanes[at + Contact.DISTANCE * lanes]
+            d_bar += delta_bar * (12.0 / (width * width)) * share * (share - 1.0)
             back = False
             if ti.static(put_back):
                 before = lane_numbers(arrays.scratch_lanes, (scratch + layout.before) * lanes + lane, arrays)
@@ -75,9 +72,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
                     if before.dot(n) < 0.0:
                         momentum_bar = 0.0 * v_bar
                         if ti.static(layout.impulses):
-                            mass = arrays.lanes[
-                                (block * features.block + features.contacts + Contact.IMPULSE) * lanes + lane
-                            ]
+                            mass = arrays.lanes[contact_at(block, Contact.IMPULSE, arrays) * lanes + lane]
                             first = arrays.workers[worker, Worker.IMPULSE] + solid_of(face, arrays) * size
                             stopped = lane_numbers(arrays.history_lanes, then + features.velocity * lanes, arrays)
                             for k in ti.static(range(size)):

@@ -27,6 +27,7 @@ from datasets.scene import Scene
 from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_of, settings_row
+from mpm.initial.stress import initial_tractions
 from mpm.solids.obstacles import obstacles_in
 
 Floats = NDArray[np.float64]
@@ -123,7 +124,7 @@ class Gradient:
                 particles.positions,
                 particles.velocities,
                 particles.velocity_gradients,
-                initial_stress(scene, particles),
+                initial_tractions(scene, particles)[0],
                 properties_of(particles)[:, : self.properties.shape[1]],
                 np.array(settings_row(scene, particles)),
                 *(solids_of(scene, self.scene) if len(self.faces) else ()),
@@ -143,16 +144,6 @@ class Gradient:
         flat = np.concatenate([bar.ravel() for bar in adjoints])
         # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
         return float(flat[flat != 0.0] @ slopes[flat != 0.0])
-
-
-def initial_stress(scene: Scene, particles: Particles) -> Floats:
-    """Initial stress of the particles [Pa], shape [N, 4 or 6]; 0 but where a mass has a K0."""
-    if all(mass.k0 is None for mass in scene.masses):
-        return np.zeros((len(particles.positions), 4 if scene.dimension == 2 else 6))
-    # Imported here: most runs begin without stress and need no sparse solver.
-    from mpm.initial.stress import initial_tractions
-
-    return initial_tractions(scene, particles, particles.positions)[0]
 
 
 def solids_of(scene: Scene, base: Scene) -> tuple[Floats, Floats]:

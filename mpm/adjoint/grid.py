@@ -25,11 +25,22 @@ import taichi as ti
 
 from mpm.adjoint.boundary import before_wall, wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
-from mpm.arrays.access import box_cells, node_strides
-from mpm.arrays.layout import Offset, Setting, Worker
+from mpm.arrays.access import box_cells
+from mpm.arrays.layout import Setting, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.contact import after_solid
-from mpm.physics.grid import SLOW, TINY, node_of, own_box, put_node, shares_row
+from mpm.physics.grid import (
+    SLOW,
+    TINY,
+    acceleration,
+    damping_terms,
+    geometry_node,
+    node_of,
+    own_box,
+    put_node,
+    shares_row,
+    velocity_before,
+)
 
 SUMS = 6
 """Bars that nodes share: of the two components of gravity, floor and wall friction, damping and kappa."""
@@ -68,20 +79,13 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
     dimension = ti.static(features.dimension)
     per_mass = 1.0 / node[dimension]
     zero = 0.0 * per_mass
-    v = ti.Vector([node[axis] * per_mass for axis in ti.static(range(dimension))])
-    gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0]
-    a = ti.Vector([gravity[axis] + zero for axis in ti.static(range(dimension))])
-    force = ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(dimension))])
-    a = a + force
+    v = velocity_before(node, arrays)
+    a, force = acceleration(node, scene, arrays)
     damped = a
     size, alpha, sign, slow = zero, zero, 0.0 * a, zero
     if ti.static(features.damped):
         alpha = arrays.settings[scene, Setting.DAMPING]
-        size = a.norm()
-        slow = SLOW * SLOW * ti.abs(gravity[1]) * arrays.settings[scene, Setting.CELL] + TINY
-        for axis in ti.static(range(dimension)):
-            square = v[axis] * v[axis] + slow
-            sign[axis] = v[axis] / ti.sqrt(square)
+        size, sign, slow = damping_terms(v, a, scene, arrays)
         damped = a - alpha * size * sign
     change_bar = ti.Vector([bar[features.change + axis] for axis in ti.static(range(dimension))])
     new_bar = ti.Vector([bar[axis] for axis in ti.static(range(dimension))]) + change_bar
@@ -94,8 +98,7 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
         new_bar = apply_barriers(new_bar, index, scene, dt, arrays)
     mass_bar, side_bar = zero, zero
     if ti.static(features.contact or features.channel):
-        strides = node_strides(scene, arrays)
-        n = arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
+        n = geometry_node(i, j, k, scene, arrays)
         stopped = before_wall(v_star, index, box_cells(scene, arrays), dimension, scene, arrays)
         if ti.static(features.channel):
             braked = stopped
@@ -127,7 +130,8 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
     gravity_y_bar = a_bar[1]
     if ti.static(features.damped):
         # v_s^2 grows with gravity.
-        gravity_y_bar += slow_bar * SLOW * SLOW * arrays.settings[scene, Setting.CELL] * ti.math.sign(gravity[1])
+        sign_y = ti.math.sign(arrays.settings[scene, Setting.GRAVITY_Y])
+        gravity_y_bar += slow_bar * SLOW * SLOW * arrays.settings[scene, Setting.CELL] * sign_y
     result = 0.0 * node
     # With volume correction particles see the mass of nodes itself.
     result[dimension] = mass_bar + bar[dimension]

@@ -4,9 +4,8 @@
     reverse    s_k' = (ds_{k+1} / ds_k)^T s_{k+1}',  k = n - 1, ..., 0
 
 A reverse step computes the grid of its step anew from s_k, because that is cheaper than to keep it: particles to grid,
-velocities of the nodes, then bars of particles to bars of nodes, of nodes before
-their forces, and of particles (`mpm.adjoint.particles`). Scenes and threads are those of `mpm.kernel`: many scenes on a
-thread each, or one large scene on all threads.
+velocities of the nodes, then bars of particles to bars of nodes, of nodes before their forces, and of particles
+(`mpm.adjoint.particles`). Scenes and threads are those of `mpm.kernel`.
 """
 
 from collections.abc import Callable
@@ -147,7 +146,5 @@ def walk(arrays: ti.template(), first, last, direction: ti.template()):
 
 @cache
 def kernel(layout: Layout) -> Callable[..., None]:
-    """The kernel for scenes with `features`: the arrays that a step reads, those of `mpm.adjoint.tape.Tape`, then
-    `first`, `last` and the pass.
-    """
+    """The kernel: it takes the arrays `STEP` and `ADJOINT`, then `first`, `last` and the pass."""
     return kernel_of(STEP | ADJOINT, walk, layout.features, layout=layout)

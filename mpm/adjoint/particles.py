@@ -14,12 +14,12 @@ from mpm.adjoint.contact import push_reverse
 from mpm.adjoint.grid import add_kappa_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
-from mpm.adjoint.transfer import affine_reverse, gather_moments, gather_reverse, prepare_weights, scatter_reverse
+from mpm.adjoint.transfer import affine_reverse, gather_moments, prepare_weights, transfer_reverse
 from mpm.arrays.access import lane_sum, no_overflow
-from mpm.arrays.layout import PADDING, Offset, Property, Setting
+from mpm.arrays.layout import Offset, Property, Setting
 from mpm.physics.boundary import is_wall
 from mpm.physics.channel import side_friction
-from mpm.physics.transfer import contributions, prepare_contributions, property_of, spline, volume_of
+from mpm.physics.transfer import contributions, prepare_contributions, property_of, volume_of, weights_of
 
 
 @ti.func
@@ -45,14 +45,7 @@ def update_block_reverse(
     if ti.static(features.channel):
         for k in ti.static(range(1 + size)):
             arrays.scratch[values + k * features.node + features.side_friction] = 0.0 * arrays.state[first]
-    f = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(size))]
-    for k in ti.static(range(size)):
-        low = ti.floor(f[k] - 0.5)
-        f[k] = f[k] - low
-        arrays.scratch[scratch + features.lowest + k] = low
-        w = spline(f[k])
-        for a in ti.static(range(3)):
-            arrays.scratch[scratch + 3 * k + a] = w[a]
+    f = weights_of(block, scratch, per_dx, arrays)
     prepare_weights(scene, block, scratch, arrays)
     if ti.static(features.volume_correction):
         gather_moments(grid, block, scratch, strides, arrays)
@@ -97,7 +90,7 @@ def update_block_reverse(
             value = value - slope * f[j]
             arrays.scratch[values + (1 + j) * features.node + size] = slope
         arrays.scratch[values + size] = value
-    scatter_reverse(grid, block, scratch, strides, arrays)
+    transfer_reverse(grid, block, scratch, True, strides, arrays)
     square = 4.0 * per_dx * per_dx
     for j in ti.static(range(size)):
         moved = arrays.adjoints[own + j] + arrays.scratch[scratch + layout.forces + j]
@@ -107,11 +100,8 @@ def update_block_reverse(
         for i in ti.static(range(size)):
             moved = moved - square * slope_bar[i * size + j] * arrays.scratch[scratch + layout.sums + i]
             if ti.static(features.volume_correction):
-                moved = (
-                    moved
-                    - square * change_bar[i * size + j] * arrays.scratch[scratch + layout.sums + features.change + i]
-                )
-            if ti.static(features.volume_correction):
+                change = arrays.scratch[scratch + layout.sums + features.change + i]
+                moved = moved - square * change_bar[i * size + j] * change
                 arrays.adjoints[own + features.affine + i * size + j] = affine_bar[i * size + j]
         arrays.adjoints[own + j] = moved
     add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
@@ -138,7 +128,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     first, own = no_overflow(block * features.block), block * layout.width
     prepare_contributions(scene, block, scratch, arrays)
     prepare_weights(scene, block, scratch, arrays)
-    gather_reverse(grid, block, scratch, strides, arrays)
+    transfer_reverse(grid, block, scratch, False, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx = 1.0 / dx
     volume, density = volume_of(scene, block, arrays), property_of(scene, block, Property.DENSITY, arrays)

@@ -19,11 +19,12 @@ orthonormal: Jacobi's rotations give such axes to rounding whatever the stress (
 import taichi as ti
 
 from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
-from mpm.adjoint.contact import jump_before, jump_reverse, slip_reverse, touched
+from mpm.adjoint.contact import grid_motion, jump_reverse, slip_reverse, touched
 from mpm.adjoint.pullback import Pullback
+from mpm.adjoint.transfer import gather_moments
 from mpm.arrays.access import lane_sum, magnitude, maximum, minimum, no_overflow
 from mpm.arrays.layout import Offset, Property, Setting, component
-from mpm.physics.contact import contact_of, with_jump
+from mpm.physics.contact import contact_of, jump_at_contact, with_jump
 from mpm.physics.mohr_coulomb import return_principal, softened, strengths_at_rate
 from mpm.physics.particles import peak_strength, residual_strength, strength_of
 from mpm.physics.principal import TINY
@@ -77,8 +78,9 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         for k in ti.static(range(size)):
             arrays.scratch[scratch + layout.foot + k] = zero
         if touching == 1:
-            jump = jump_before(grid, block, scratch, affine, stress, contact, dt, strides, arrays)
-            slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, affine, contact, shear, dt, arrays)
+            gather_moments(grid, block, scratch, strides, arrays)
+            jump = jump_at_contact((grid_motion(scratch, arrays), affine), contact, stress, dt, size)
+            slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays)
     gap = [arrays.state[first + features.gap] for _ in ti.static(range(corrected))]
     around = [arrays.scratch[scratch + features.density + k] for k in ti.static(range(corrected * (1 + size)))]
     x = [arrays.history[after + k] for k in ti.static(range(size))]
@@ -96,20 +98,9 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
         bar, elastic.values, strengths, lame, shear, strain_bar, opened_bar, features
     )
-    (
-        stress_bar,
-        affine_bar,
-        jump_bar,
-        contacts_bar,
-        limit_bar,
-        lame_bar,
-        shear_bar,
-        gap_bar,
-        rate_bar,
-        around_bar,
-        x_bar,
-        density_bar,
-    ) = ti.static(elastic(trial_bar))
+    bars = ti.static(elastic(trial_bar))
+    stress_bar, affine_bar, jump_bar, contacts_bar, limit_bar, lame_bar, shear_bar = ti.static(bars[:7])
+    gap_bar, rate_bar, around_bar, x_bar, density_bar = ti.static(bars[7:])
     for k in ti.static(range(features.stresses)):
         arrays.adjoints[own + features.stress + k] = stress_bar[k]
     add_bars(own + features.affine, affine_bar, arrays)

@@ -22,7 +22,7 @@ from mpm import runtime
 from mpm.adjoint.kernel import Pass
 from mpm.adjoint.kernel import kernel as adjoint_kernel
 from mpm.adjoint.layout import Layout
-from mpm.arrays.batch import Batch, aligned, particles_of
+from mpm.arrays.batch import Batch, aligned, particles_of, put_vectors
 from mpm.arrays.features import Features, features_of
 from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
 from mpm.arrays.table import ADJOINT, STEP, arguments
@@ -54,9 +54,8 @@ def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
     corrected = features.volume_correction and features.softens and features.cohesive
     unknown = {"volume_correction of a cohesive material that softens": corrected, "a gate": features.gates}
-    for what, there in unknown.items():
-        if there:
-            raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {what} yet", key="scene")
+    if what := next((name for name, there in unknown.items() if there), ""):
+        raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {what} yet", key="scene")
 
 
 def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
@@ -113,7 +112,7 @@ class Tape:
         workers = runtime.workers_for(len(particles[0].positions), threads) if len(scenes) == 1 else 1
         runtime.start(precision, threads, enough=max(workers, min(len(scenes), threads or len(scenes))))
         self.batch = Batch(scenes, precision=precision, workers=workers, record=LAST, particles=particles)
-        self.features = self.batch.features
+        self.features = features = self.batch.features
         self.layout = Layout(self.features, exact)
         # The reverse has more scratch vectors than a step.
         count = len(self.batch.workers)
@@ -263,9 +262,8 @@ class Tape:
         real, lanes = batch.state.dtype, features.lanes
         history = aligned((int(self.steps.max()) + 1, len(batch.state), layout.history, lanes), real)
         if history.size >= INDEX_LIMIT:
-            raise InputError(
-                f"expected fewer particles or observed frames: {history.size} numbers in a segment, of at most 2^30"
-            )
+            expected = "expected fewer particles or observed frames"
+            raise InputError(f"{expected}: {history.size} numbers in a segment, of at most 2^30")
         shared: dict[str, Any] = vars(batch) | {
             "kept": aligned(batch.grid.shape, real),
             "grid_adjoints": aligned(batch.grid.shape, real),
@@ -310,7 +308,11 @@ class Tape:
         shares = [own["cuts"][:, 1] / steps for own in objectives]
         for index, share in enumerate(np.max(shares, axis=0)):
             if share > MOST_CUT:
-                raise WorkFailed(self.unbounded(index, share))
+                step_fraction = batch.scenes[index].step_fraction
+                raise WorkFailed(
+                    f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints were "
+                    f"cut, of single particles that swing; try a step_fraction below {step_fraction:g}"
+                )
         for own, share in zip(objectives, shares, strict=True):
             own["cut"], own["settings"] = share, np.zeros((len(batch.scenes), len(Setting)))
             np.add.at(own["settings"], batch.workers[:, Worker.SCENE], own["sums"])
@@ -330,13 +332,6 @@ class Tape:
             found[index, 0] = np.inf if self.layout.exact else (CUT * usual) ** 2
         return found
 
-    def unbounded(self, index: int, share: float) -> str:
-        """What to say of a scene of whose bars a `share` was cut."""
-        return (
-            f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints were cut, of "
-            f"single particles that swing; try a step_fraction below {self.batch.scenes[index].step_fraction:g}"
-        )
-
     def add_adjoints(self, own: dict[str, Array], per_scene: Sequence[FlowAdjoints], slot: int) -> None:
         """Add to the bars of blocks and impulses those of what is observed at frame number `slot`."""
         for index, observed in enumerate(per_scene):
@@ -345,8 +340,7 @@ class Tape:
                 if values is not None:
                     flat = self.vectors(own["adjoints"], first)
                     flat[here] += values[slot]
-                    columns = np.moveaxis(flat.reshape(len(self.batch.state), self.features.lanes, -1), 1, 2)
-                    own["adjoints"][:, first : first + self.features.dimension] = columns
+                    put_vectors(own["adjoints"], first, flat)
             if observed.impulses is not None:
                 for worker in self.batch.workers[self.batch.workers[:, Worker.SCENE] == index]:
                     at = int(worker[Worker.IMPULSE])

@@ -41,38 +41,60 @@ def prepare_weights(scene, block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def scatter_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
-    """Add the values and slopes that a block has left in `scratch` to the bars of the nodes from `grid` on.
+def transfer_reverse(grid, block, scratch, scatters: ti.template(), strides: ti.template(), arrays: ti.template()):
+    """The reverse of one transfer, between a block and the nodes from `grid` on; leaves the `weight_forces`.
 
-    Leaves the sum of w_ip n_i of what lies at the nodes, and the `weight_forces`.
+    scatters: add the values and slopes that the block has left in `scratch` to the bars of the nodes, and leave the sum
+    of w_ip n_i of what lies at the nodes. Else leave Z, Y_j of each particle from the bars of the nodes.
     """
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     size = ti.static(features.dimension)
+    last = ti.static(size - 1)
+    # With volume correction the bar of the mass differs from node to node.
+    varies = ti.static(scatters and features.volume_correction)
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
-        slope = weight + layout.slopes * lanes
+        slope, lever = weight + layout.slopes * lanes, weight + layout.levers * lanes
         w = [three_vectors(arrays, weight + 3 * k * lanes) for k in ti.static(range(size))]
         d = [three_vectors(arrays, slope + 3 * k * lanes) for k in ti.static(range(size))]
-        value = node_adjoint(arrays, scratch, 0, lane)
-        steps = [node_adjoint(arrays, scratch, 1 + k, lane) for k in ti.static(range(size))]
-        around, forces = zero_node(arrays), [zero_node(arrays) for _ in ti.static(range(size))]
+        levers = [three_vectors(arrays, lever + 3 * k * lanes) for k in ti.static(range(size))]
+        value = node_vector(arrays, scratch, 0, lane, varies)
+        steps = [node_vector(arrays, scratch, 1 + k, lane, varies) for k in ti.static(range(size))]
+        sums = [zero_node(arrays) for _ in ti.static(range(1 + size))]
+        forces = [zero_node(arrays) for _ in ti.static(range(size))]
         for a in ti.static(range(3)):
             along = value
             for b in ti.static(range(3 if size == 3 else 1)):
-                at = no_overflow(n + a * strides[0] + b * strides[1] * ti.static(size - 2))
-                outer = outer_weights(w, d, a, b, size)
-                row, product, last = scatter_line(
-                    at, outer[0], w[size - 1], d[size - 1], along, steps[size - 1], arrays
-                )
-                around = around + outer[0] * row
-                for k in ti.static(range(size - 1)):
+                first = no_overflow(n + a * strides[0] + b * strides[1] * ti.static(size - 2))
+                outer, arm = outer_weights(w, d, a, b, size), outer_weights(w, levers, a, b, size)
+                row, lever_row, product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+                slope_product = zero_node(arrays)
+                here = along
+                for c in ti.static(range(3)):
+                    node = zero_node(arrays)
+                    if ti.static(scatters):
+                        node = arrays.grid[first + c]
+                        add(arrays.grid_adjoints, first + c, (outer[0] * w[last][c]) * here, arrays)
+                    else:
+                        node = arrays.grid_adjoints[first + c]
+                        lever_row = lever_row + levers[last][c] * node
+                    both = node * here
+                    row = row + w[last][c] * node
+                    product = product + w[last][c] * both
+                    slope_product = slope_product + d[last][c] * both
+                    here = here + steps[last]
+                sums[0] = sums[0] + outer[0] * row
+                for k in ti.static(range(last)):
+                    sums[1 + k] = sums[1 + k] + arm[1 + k] * row
                     forces[k] = forces[k] + outer[1 + k] * product
-                forces[size - 1] = forces[size - 1] + outer[0] * last
+                sums[size] = sums[size] + outer[0] * lever_row
+                forces[last] = forces[last] + outer[0] * slope_product
                 along = along + steps[1]
             value = value + steps[0]
         store_forces(forces, scratch, lane, arrays)
-        store_sum(around, 0, scratch, lane, arrays)
+        for k in ti.static(range(1 if scatters else 1 + size)):
+            store_sum(sums[k], k, scratch, lane, arrays)
 
 
 @ti.func
@@ -82,44 +104,6 @@ def outer_weights(w: ti.template(), d: ti.template(), a: ti.template(), b: ti.te
         return w[0][a], d[0][a]
     else:
         return w[0][a] * w[1][b], d[0][a] * w[1][b], w[0][a] * d[1][b]
-
-
-@ti.func
-def scatter_line(at, weight, w: ti.template(), slopes: ti.template(), given, step, arrays: ti.template()):
-    """Add what is `given` to three nodes along the last axis, growing by `step`, times `weight` w to their bars.
-
-    Returns sums of the nodes times w, and of their products with what is given times w, times the slopes of w.
-    """
-    row, product, slope_product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
-    here = given
-    for c in ti.static(range(3)):
-        node = arrays.grid[at + c]
-        add(arrays.grid_adjoints, at + c, (weight * w[c]) * here, arrays)
-        both = node * here
-        row = row + w[c] * node
-        product = product + w[c] * both
-        slope_product = slope_product + slopes[c] * both
-        here = here + step
-    return row, product, slope_product
-
-
-@ti.func
-def node_adjoint(arrays: ti.template(), scratch, group: ti.template(), lane):
-    """As `mpm.physics.transfer.node_vector` of what is added to the bars of nodes.
-
-    With volume correction that of the mass differs from node to node.
-    """
-    features = arrays.features
-    if ti.static(features.volume_correction):
-        first = scratch + features.values + group * features.node
-        return ti.Vector(
-            [
-                arrays.scratch_lanes[(first + k) * features.lanes + lane] if k < features.used else 0.0
-                for k in ti.static(range(features.node))
-            ]
-        )
-    else:
-        return node_vector(arrays, scratch, group, lane)
 
 
 @ti.func
@@ -150,62 +134,6 @@ def gather_moments(grid, block, scratch, strides: ti.template(), arrays: ti.temp
         store_sum(y_sum, 2, scratch, lane, arrays)
         if ti.static(size == 3):
             store_sum(z_sum, 3, scratch, lane, arrays)
-
-
-@ti.func
-def gather_reverse(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
-    """Leave Z, Y_j of each particle of a block and the `weight_forces` of what it gave, from the bars of the nodes."""
-    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
-    size = ti.static(features.dimension)
-    for lane in range(lanes):
-        n = lowest_node(arrays, scratch, lane, grid, strides)
-        weight = no_overflow(scratch * lanes + lane)
-        slope, lever = weight + layout.slopes * lanes, weight + layout.levers * lanes
-        w = [three_vectors(arrays, weight + 3 * k * lanes) for k in ti.static(range(size))]
-        d = [three_vectors(arrays, slope + 3 * k * lanes) for k in ti.static(range(size))]
-        levers = [three_vectors(arrays, lever + 3 * k * lanes) for k in ti.static(range(size))]
-        value = node_vector(arrays, scratch, 0, lane)
-        steps = [node_vector(arrays, scratch, 1 + k, lane) for k in ti.static(range(size))]
-        sums = [zero_node(arrays) for _ in ti.static(range(1 + size))]
-        forces = [zero_node(arrays) for _ in ti.static(range(size))]
-        for a in ti.static(range(3)):
-            along = value
-            for b in ti.static(range(3 if size == 3 else 1)):
-                at = no_overflow(n + a * strides[0] + b * strides[1] * ti.static(size - 2))
-                outer, arm = outer_weights(w, d, a, b, size), outer_weights(w, levers, a, b, size)
-                row, last_row, product, last = gather_line(
-                    at, w[size - 1], levers[size - 1], d[size - 1], along, steps[size - 1], arrays
-                )
-                sums[0] = sums[0] + outer[0] * row
-                for k in ti.static(range(size - 1)):
-                    sums[1 + k] = sums[1 + k] + arm[1 + k] * row
-                    forces[k] = forces[k] + outer[1 + k] * product
-                sums[size] = sums[size] + outer[0] * last_row
-                forces[size - 1] = forces[size - 1] + outer[0] * last
-                along = along + steps[1]
-            value = value + steps[0]
-        store_forces(forces, scratch, lane, arrays)
-        for k in ti.static(range(1 + size)):
-            store_sum(sums[k], k, scratch, lane, arrays)
-
-
-@ti.func
-def gather_line(at, w: ti.template(), levers: ti.template(), slopes: ti.template(), given, step, arrays: ti.template()):
-    """Of three nodes along the last axis: sums of their bars times w, times levers; of products with what is `given`
-
-    to them, growing by `step`, times w, times the slopes of w.
-    """
-    row, lever_row, product, slope_product = zero_node(arrays), zero_node(arrays), zero_node(arrays), zero_node(arrays)
-    here = given
-    for c in ti.static(range(3)):
-        node = arrays.grid_adjoints[at + c]
-        both = node * here
-        row = row + w[c] * node
-        lever_row = lever_row + levers[c] * node
-        product = product + w[c] * both
-        slope_product = slope_product + slopes[c] * both
-        here = here + step
-    return row, lever_row, product, slope_product
 
 
 @ti.func

@@ -40,20 +40,8 @@ def magnitude(a):
 
 
 @ti.func
-def lane_minimum(a, arrays: ti.template()):
-    """The smallest lane."""
-    return over_lanes(ti.min, a, arrays)
-
-
-@ti.func
-def lane_maximum(a, arrays: ti.template()):
-    """The largest lane."""
-    return over_lanes(ti.max, a, arrays)
-
-
-@ti.func
 def over_lanes(operation: ti.template(), a, arrays: ti.template()):
-    """What an operation of two numbers makes of all lanes, from the first on."""
+    """What an operation of two numbers, `ti.min` or `ti.max`, makes of all lanes, from the first on."""
     if ti.static(arrays.features.lanes == 1):
         return a
     else:

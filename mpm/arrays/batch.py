@@ -27,6 +27,7 @@ from mpm.arrays.layout import (
     Settling,
     StepControl,
     Worker,
+    node_shape,
 )
 from mpm.arrays.properties import (
     elastic_energy,
@@ -37,7 +38,7 @@ from mpm.arrays.properties import (
     substeps_per_frame,
 )
 from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
-from mpm.initial.barriers import barrier_tables, release_times
+from mpm.initial.barriers import barrier_tables
 from mpm.output.request import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, obstacles_of
 
@@ -87,11 +88,11 @@ class Batch:
         for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
             count = len(own.positions)
             blocks = -(-count // lanes)
-            cells = [round(length / scene.domain.cell) for length in scene.domain.size]
-            nodes = [c + 2 * PADDING + 1 for c in cells] + [1] * (3 - len(cells))
+            nodes = [*node_shape(scene.domain), 1][:3]
             offset[Offset.BLOCK], offset[Offset.PARTICLES] = block, count
             offset[Offset.RECORD] = recorded if self.in_kernel else -1
-            offset[Offset.CELLS_X : Offset.CELLS_X + len(cells)] = cells
+            for axis in range(scene.dimension):
+                offset[Offset.CELLS_X + axis] = nodes[axis] - 2 * PADDING - 1
             offset[Offset.ENERGY], offset[Offset.OBSTACLES] = line, len(scene.baffles) + len(scene.solids)
             offset[Offset.OPEN] = sum(1 << DOMAIN_SIDES.index(side) for side in scene.open_sides)
             offset[Offset.FRAMES], offset[Offset.IMPULSE] = scene.frames, recorded_impulse
@@ -177,8 +178,7 @@ class Batch:
         source = np.minimum(np.arange(state.shape[0] * features.lanes), count - 1)
 
         def put(first: int, values: Array) -> None:
-            columns = values[source].reshape(state.shape[0], features.lanes, -1)
-            state[:, first : first + columns.shape[2]] = np.moveaxis(columns, 1, 2)
+            put_vectors(state, first, values[source])
 
         put(0, particles.positions)
         if features.compensated:
@@ -294,19 +294,9 @@ class Batch:
         """Positions of one scene in the kept frames [m], shape [T, N, D]; a view."""
         return self.record[index]["positions"] if self.file is None else self.file.frames("positions")
 
-    def finite(self, index: int) -> bool:
-        """Whether the particles of one scene have positions and velocities that are numbers."""
-        return bool(np.isfinite(self.numbers(index)[: self.features.velocity + self.features.dimension]).all())
-
     def ended(self, frame: int) -> NDArray[np.bool_]:
         """Which scenes have ended before `frame`, shape [scenes]."""
         return np.asarray((self.offsets[:, Offset.FRAMES] <= frame) | (self.offsets[:, Offset.REST] > 0))
-
-    def release_times(self, index: int) -> list[float | None] | None:
-        """When each mass of one scene was let go [s]; see `mpm.initial.barriers.release_times`."""
-        first = self.offsets[index, Offset.RETAINED]
-        opened = self.retained[first : first + self.offsets[index, Offset.RETAINED_COUNT], Retained.OPENED]
-        return release_times(self.scenes[index], opened)
 
     def energies(self, index: int) -> NDArray[np.float64]:
         """What `Energy` lists of one scene, in all of its frames, kept or not, shape [frames, len(Energy)]; a view."""
@@ -319,18 +309,21 @@ class Batch:
         The solids in the order of the scene, baffles first; where asked for then the sides of the box, in the order of
         `datasets.scene.DOMAIN_SIDES`, and the barriers.
         """
-        scene, first, solids = (
-            self.scenes[index],
-            self.offsets[index, Offset.IMPULSE],
-            int(self.offsets[index, Offset.SOLIDS]),
-        )
-        recorded_impulse = self.recorded_impulse[first : first + scene.frames * solids]
-        return np.cumsum(recorded_impulse.reshape(scene.frames, solids, self.features.dimension), axis=0)
+        frames, first = self.scenes[index].frames, self.offsets[index, Offset.IMPULSE]
+        solids = int(self.offsets[index, Offset.SOLIDS])
+        recorded_impulse = self.recorded_impulse[first : first + frames * solids]
+        return np.cumsum(recorded_impulse.reshape(frames, solids, self.features.dimension), axis=0)
 
 
 def particles_of(scenes: Sequence[Scene]) -> list[Particles]:
     """The particles of each scene at the start."""
     return [initial_particles(scene) for scene in scenes]
+
+
+def put_vectors(blocks: Array, first: int, rows: Array) -> None:
+    """Put the K numbers of each lane, shape [blocks * lanes, K], in the vectors of its block from `first` on."""
+    columns = rows.reshape(len(blocks), blocks.shape[2], -1)
+    blocks[:, first : first + columns.shape[2]] = np.moveaxis(columns, 1, 2)
 
 
 def aligned(shape: tuple[int, ...], real: np.dtype[Any]) -> Array:

@@ -20,7 +20,7 @@ REGISTER = 64
 
 @dataclass(frozen=True, kw_only=True)
 class Features(Record):
-    """What the scenes of a batch need; the kernels are compiled for exactly this, and nothing else is in them."""
+    """What the scenes of a batch need; nothing else is in their kernels."""
 
     dimension: int
     precision: Precision
@@ -174,12 +174,7 @@ def begins(parts: Callable[[Features], list[dict[str, int]]], features: Features
 
 
 def features_of(
-    scenes: Sequence[Scene],
-    precision: Precision,
-    *,
-    record: Recording = ALL,
-    shared: bool = False,
-    gpu: bool = False,
+    scenes: Sequence[Scene], precision: Precision, *, record: Recording = ALL, shared: bool = False, gpu: bool = False
 ) -> Features:
     """What has to be compiled for these scenes, all of one dimension."""
     materials = [scene.material_of(mass) for scene in scenes for mass in scene.masses]

@@ -8,6 +8,8 @@ and from the grid address single lanes of the same memory through a second, scal
 from enum import IntEnum, auto
 from typing import Literal
 
+from datasets.scene import Domain
+
 Precision = Literal["f32", "f64"]
 
 INDEX_LIMIT = 2**30
@@ -31,8 +33,7 @@ class Setting(Column):
 
     CELL = auto()  # [m]
     FRAME_DT = auto()  # [s]
-    GRAVITY_X = auto()  # [m/s^2]
-    GRAVITY_Y = auto()  # [m/s^2]
+    GRAVITY_X, GRAVITY_Y = auto(), auto()  # [m/s^2]
     FLOOR_FRICTION = auto()  # [-]
     WALL_FRICTION = auto()  # [-]
     CONTACT_WIDTH = auto()  # over which contact with a solid is spread [m]
@@ -78,9 +79,7 @@ class Offset(Column):
 
     BLOCK = auto()  # its first block of particles
     PARTICLES = auto()  # how many
-    CELLS_X = auto()
-    CELLS_Y = auto()
-    CELLS_Z = auto()
+    CELLS_X, CELLS_Y, CELLS_Z = auto(), auto(), auto()
     RECORD = auto()  # the first of its particles in `positions`, -1 where the kernel records none
     WINDOW = auto()  # frames over which a deposit must have been at rest
     ENERGY = auto()  # its first line in `energy`
@@ -119,12 +118,8 @@ class Worker(Column):
     NODE = auto()  # the first node of its grid
     SCRATCH = auto()  # its first vector of `scratch`
     IMPULSE = auto()  # its first vector of `impulse`
-    LOW_X = auto()  # the nodes in the support of its particles: [low, high)
-    LOW_Y = auto()
-    LOW_Z = auto()
-    HIGH_X = auto()
-    HIGH_Y = auto()
-    HIGH_Z = auto()
+    LOW_X, LOW_Y, LOW_Z = auto(), auto(), auto()  # the nodes in the support of its particles: [low, high)
+    HIGH_X, HIGH_Y, HIGH_Z = auto(), auto(), auto()
 
 
 class StepControl(Column):
@@ -149,12 +144,8 @@ class Barrier(Column):
 
     RETAINED = auto()  # line of its mass in `retained`
     AXIS = auto()  # across which nodes are held; len(Barrier): they are damped
-    LOW_X = auto()
-    LOW_Y = auto()
-    LOW_Z = auto()
-    HIGH_X = auto()
-    HIGH_Y = auto()
-    HIGH_Z = auto()
+    LOW_X, LOW_Y, LOW_Z = auto(), auto(), auto()
+    HIGH_X, HIGH_Y, HIGH_Z = auto(), auto(), auto()
 
 
 class Retained(Column):
@@ -177,15 +168,16 @@ class Settling(Column):
     MOST_KINETIC = auto()  # of a settled mass [J, per metre of width in 2D]
     MOST_IMPULSE = auto()  # change of its momentum in a frame [N s]
     KINETIC = auto()  # in the frame that is recorded
-    MOMENTUM_X = auto()
-    MOMENTUM_Y = auto()
-    MOMENTUM_Z = auto()
-    EARLIER_X = auto()  # momentum in the frame before
-    EARLIER_Y = auto()
-    EARLIER_Z = auto()
+    MOMENTUM_X, MOMENTUM_Y, MOMENTUM_Z = auto(), auto(), auto()
+    EARLIER_X, EARLIER_Y, EARLIER_Z = auto(), auto(), auto()  # momentum in the frame before
     GATE_SPEED = auto()  # [m/s]; 0: the barriers are gone at once
     GATE_TIME = auto()  # its time constant [s]
     GATE_FOOT = auto()  # where it stands [m]
+
+
+def node_shape(domain: Domain) -> tuple[int, ...]:
+    """Nodes of the background grid along each axis, PADDING cells beyond every wall."""
+    return tuple(round(length / domain.cell) + 2 * PADDING + 1 for length in domain.size)
 
 
 def component(i: int, j: int, dimension: int) -> int:

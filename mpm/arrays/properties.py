@@ -22,8 +22,6 @@ GAP_RATE = 8.0
 """Rate at which a gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.physics.volume_correction`)."""
 GAP_CUTOFF = 1.7
 """Cells from a wall or a solid within which it hides mass from a particle."""
-
-
 CONTACT_WIDTH = 1.0
 """Width h of the contact with solids [cells] (`mpm.physics.contact`)."""
 

@@ -51,12 +51,7 @@ STEP = {
     "settling": Kind.DOUBLE_TABLE,
 }
 """What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
-RECORD = {
-    "order": Kind.INTEGER,
-    "positions": Kind.SINGLE,
-    "energy": Kind.DOUBLE,
-    "recorded_impulse": Kind.DOUBLE_TABLE,
-}
+RECORD = {"order": Kind.INTEGER, "positions": Kind.SINGLE, "energy": Kind.DOUBLE, "recorded_impulse": Kind.DOUBLE_TABLE}
 """What the end of a frame reads and writes besides."""
 DEVICE = {"owner": Kind.INTEGER, "step_control": Kind.REAL_TABLE}
 """What only a GPU reads and writes."""
@@ -137,10 +132,7 @@ def kernel_of(
     scope = {"ti": ti, "Arrays": Arrays, "body": body, "constants": {"features": features, **constants}}
     exec(compile(source, file, "exec"), scope)
     run: Any = scope["run"]
-    types = {
-        name: ti.types.ndarray(dtype=dtype, ndim=rank)
-        for name, (dtype, rank) in ((name, elements[kind]) for name, kind in arrays.items())
-    }
+    types = {name: ti.types.ndarray(*elements[kind]) for name, kind in arrays.items()}
     run.__annotations__ = types | {"first": ti.i32, "last": ti.i32, "phase": ti.template()}
     compiled: Callable[..., None] = ti.kernel(run)
     return compiled

@@ -5,8 +5,6 @@ have no velocity across it. These are all nodes beyond the face in the support o
 it passes. A face that lies on a wall of the box needs no barrier. Where the mass has a gate all of its barriers rise.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,29 +20,19 @@ Range = NDArray[np.int32]
 """Indices of nodes, [low, high) per axis, shape [2, D]."""
 
 
-@dataclass(frozen=True)
-class BarrierNodes:
-    """The nodes that a barrier holds."""
-
-    axis: int
-    """Across which it stands: 0 or 2."""
-    nodes: Range
-
-
-def barriers(scene: Scene, mass: Mass) -> list[BarrierNodes]:
-    """The barriers of `mass`, one for each lateral face that is not on a wall of the box."""
+def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:
+    """Axis across which it stands, and nodes that it holds, of a barrier at each lateral face of `mass` in the box."""
     found = []
     for axis in (0, 2)[: scene.dimension - 1]:
         low, high = mass.lower[axis], mass.lower[axis] + mass.size[axis]
-        around = nodes_around(scene, mass)
-        if low > TOLERANCE:
-            nodes = around.copy()
-            nodes[:, axis] = (face := floor_node(scene, low)) - BEYOND, face + 1
-            found.append(BarrierNodes(axis, nodes))
-        if high < scene.domain.size[axis] - TOLERANCE:
-            nodes = around.copy()
-            nodes[:, axis] = (face := ceiling_node(scene, high)), face + BEYOND + 1
-            found.append(BarrierNodes(axis, nodes))
+        first, last = floor_node(scene, low), ceiling_node(scene, high)
+        low_side = low > TOLERANCE, (first - BEYOND, first + 1)
+        high_side = high < scene.domain.size[axis] - TOLERANCE, (last, last + BEYOND + 1)
+        for stands, rows in (low_side, high_side):
+            if stands:
+                nodes = nodes_around(scene, mass)
+                nodes[:, axis] = rows
+                found.append((axis, nodes))
     return found
 
 
@@ -68,11 +56,6 @@ def ceiling_node(scene: Scene, length: float) -> int:
     return PADDING + int(np.ceil((length - TOLERANCE) / scene.domain.cell))
 
 
-def inside(nodes: Range, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of the nodes with `indices`, shape [n, D], are in a range; shape [n]."""
-    return np.asarray(((indices >= nodes[0]) & (indices < nodes[1])).all(axis=1))
-
-
 def barrier_tables(
     scene: Scene, particles: Particles, first: int
 ) -> tuple[list[list[int]], list[list[int]], list[list[float]]]:
@@ -84,7 +67,7 @@ def barrier_tables(
     retained: list[list[int]] = []
     settling: list[list[float]] = []
     for index, mass in retained_masses(scene).items():
-        found = [(barrier.axis, barrier.nodes) for barrier in barriers(scene, mass)]
+        found = barriers(scene, mass)
         if mass.release == "settled":
             low = [floor_node(scene, length) for length in mass.lower]
             high = [ceiling_node(scene, a + b) + 1 for a, b in zip(mass.lower, mass.size, strict=True)]

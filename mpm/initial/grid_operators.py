@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from datasets.particles import Particles
 from datasets.scene import Mass, Scene
-from mpm.arrays.layout import Contact
+from mpm.arrays.layout import Contact, node_shape
 from mpm.output.smoothing import support
 from mpm.solids.obstacles import initial_contacts, obstacles_in
 
@@ -99,10 +99,6 @@ class ContactOperator:
         """Nodal force [N], shape [n, D], of -sigma_nn n + q."""
         return np.asarray(self.foot.T @ (self.share[:, None] * (traction - normal_stress[:, None] * self.normal)))
 
-    def pushing(self, stress: Floats) -> Floats:
-        """sigma_nn [Pa] where it is a pressure, 0 where it is a tension, shape [M]."""
-        return np.minimum(self.normal_stress(stress), 0.0)
-
     def coulomb_limited(self, stress: Floats, traction: Floats) -> Floats:
         """Shear tractions [Pa], shape [M, D], within Coulomb's bound for the `stress` [Pa]."""
         bound = self.friction * np.maximum(-self.normal_stress(stress), 0.0)
@@ -115,16 +111,12 @@ class ContactOperator:
 
         that component; else all, for such a node lies deep and is in the support of the first row of particles alone.
         """
-        size = scene.dimension
-        solids = obstacles_in(scene)
-        shape = tuple(round(length / scene.domain.cell) + 7 for length in scene.domain.size)
-        line = solids.fixed_nodes[np.ravel_multi_index(tuple(nodes.T), shape)]
-        fixed_components = np.zeros(nodes.shape, bool)
-        selected = np.flatnonzero(line > 0)
-        normal = np.abs(solids.node_contacts[line[selected] - 1, :size])
+        solids, fixed = obstacles_in(scene), np.zeros(nodes.shape, bool)
+        line = solids.fixed_nodes[np.ravel_multi_index(tuple(nodes.T), node_shape(scene.domain))]
+        normal = np.abs(solids.node_contacts[line[line > 0] - 1, : scene.dimension])
         straight = normal.max(axis=1) > 1.0 - 1.0e-9
-        fixed_components[selected] = np.where(straight[:, None], normal > 0.5, True)
-        return fixed_components
+        fixed[line > 0] = np.where(straight[:, None], normal > 0.5, True)
+        return fixed
 
     def diagonal(self, lame: Floats, shear: Floats) -> Floats:
         """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""

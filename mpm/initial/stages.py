@@ -9,19 +9,16 @@ flow long, the kinetic energy was below REST of its largest since the stage befo
 """
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.particles import Particles
 from datasets.scene import TOLERANCE, Scene, Stage
+from mpm.arrays.batch import Batch, put_vectors
 from mpm.arrays.layout import INDEX_LIMIT, Energy, Offset, Setting
 from mpm.arrays.properties import properties_of
 from mpm.output.request import REST, window_frames
-
-if TYPE_CHECKING:
-    from mpm.arrays.batch import Batch
 
 
 def selected(stage: Stage, particles: Particles) -> NDArray[np.bool_]:
@@ -53,14 +50,14 @@ def particles_after(scene: Scene, particles: Particles, count: int) -> Particles
     return dataclasses.replace(particles, material=own, materials=tuple(materials), friction_deg=angle)
 
 
-def next_stage(batch: "Batch", index: int) -> Stage | None:
+def next_stage(batch: Batch, index: int) -> Stage | None:
     """The stage that scene `index` of a batch waits for; None where it waits for none, or has ended."""
     begun = np.count_nonzero(batch.staged[index])
     waits = begun < len(batch.scenes[index].stages) and not batch.ended(batch.computed + 1)[index]
     return batch.scenes[index].stages[begun] if waits else None
 
 
-def call_end(batch: "Batch", first: int) -> int:
+def call_end(batch: Batch, first: int) -> int:
     """The frame before which a call that begins with `first` must end, so that stages can begin.
 
     While a scene waits for one, and for a window of frames after the last, it is not at rest, whatever its speed.
@@ -80,7 +77,7 @@ def call_end(batch: "Batch", first: int) -> int:
     return end
 
 
-def begin_stages(batch: "Batch") -> None:
+def begin_stages(batch: Batch) -> None:
     """Begin the stages whose time has come with the last frame computed, and those of scenes that have settled."""
     for index, scene in enumerate(batch.scenes):
         stage = next_stage(batch, index)
@@ -94,12 +91,10 @@ def begin_stages(batch: "Batch") -> None:
             state, features = batch.state_of(index), batch.features
             first = batch.offsets[index, Offset.BLOCK] * features.lanes
             columns = rows[batch.order[first : first + len(state) * features.lanes], : features.columns]
-            state[:, features.properties : features.properties + features.columns] = np.moveaxis(
-                columns.reshape(len(state), features.lanes, -1), 1, 2
-            )
+            put_vectors(state, features.properties, columns)
 
 
-def settled(batch: "Batch", index: int) -> bool:
+def settled(batch: Batch, index: int) -> bool:
     """Whether nothing has moved in scene `index` over a window of frames, all of them after its last stage."""
     since, window = int(batch.staged[index].max()), window_frames(batch.scenes[index], batch.particles[index].materials)
     kinetic = batch.energies(index)[since + 1 : batch.computed + 1, Energy.KINETIC]

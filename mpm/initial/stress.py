@@ -43,7 +43,7 @@ from datasets.particles import Particles
 from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene, coefficient
 from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import properties_of
-from mpm.initial.barriers import barriers, inside
+from mpm.initial.barriers import barriers
 from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
 
 Floats = NDArray[np.float64]
@@ -95,7 +95,7 @@ def initial_tractions(scene: Scene, particles: Particles, positions: Floats | No
         rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
         problem = Equilibrium(scene, particles, rounded, np.flatnonzero(chosen))
         stress[chosen] = problem.solution(geostatic(scene, particles, rounded)[chosen])
-        shear[chosen] = problem.shear_traction
+        shear[np.flatnonzero(chosen)[problem.contact.touching]] = problem.contact.traction
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: 4 if dimension == 2 else 6]
     return np.stack([stress[:, i, j] for i, j in pairs], axis=1), shear
 
@@ -183,8 +183,9 @@ class Equilibrium:
             if clings(each) and self.friction > 0.0:
                 rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
             if each.k0 is not None and (each.release is not None or not clings(each)):
-                for barrier in barriers(scene, each):
-                    self.behind_barriers[inside(barrier.nodes, self.nodes), barrier.axis] = True
+                for axis, (low, high) in barriers(scene, each):
+                    inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
+                    self.behind_barriers[inside, axis] = True
         free[self.behind_barriers] = False
         free[rough] = False
         free[self.contact.fixed_components(scene, self.nodes)] = False
@@ -246,18 +247,15 @@ class Equilibrium:
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
         return float(loose + pulled + slips) / self.weight
 
-    @property
-    def shear_traction(self) -> Floats:
-        """Of the solids that the particles touch [Pa], shape [N, D]."""
-        every = np.zeros((len(self.volume), self.dimension))
-        every[self.contact.touching] = self.contact.traction
-        return every
-
     def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
         """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
-        push = self.contact.force(self.contact.pushing(stress), tractions)
+        push = self.contact.force(np.minimum(self.contact.normal_stress(stress), 0.0), tractions)
+        return np.asarray(self.gravity + push - self.divergence(stress))
+
+    def divergence(self, stress: Floats) -> Floats:
+        """sum_p w_ip V_p (4 / dx^2) sigma_p x_ip [N], shape [n, D]."""
         flux = (self.volume[:, None, None] * stress)[:, : self.dimension, : self.dimension]
-        return np.asarray(self.gravity + push - self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension))
+        return np.asarray(self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension))
 
     def elastic(self, displacements: Floats) -> Floats:
         """Change of stress [Pa], shape [N, 3, 3], by nodal displacements [m], shape [n, D]."""
@@ -272,10 +270,8 @@ class Equilibrium:
     def stiffness(self, displacements: Floats) -> Floats:
         """(K + inertia) u [N], shape [n, D], zero where a node is held."""
         change = self.elastic(displacements)
-        flux = (self.volume[:, None, None] * change)[:, : self.dimension, : self.dimension]
-        force = self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension)
         shear = self.contact.shear_traction(displacements, self.theta * self.shear)
-        force -= self.contact.force(self.contact.normal_stress(change), shear)
+        force = self.divergence(change) - self.contact.force(self.contact.normal_stress(change), shear)
         return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:

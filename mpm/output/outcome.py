@@ -13,7 +13,8 @@ from datasets.remarks import remarks
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
-from mpm.arrays.layout import Energy, Offset
+from mpm.arrays.layout import Energy, Offset, Retained
+from mpm.initial.barriers import release_times
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
@@ -22,10 +23,10 @@ from mpm.runtime import Arch
 def failure(batch: Batch, index: int) -> WorkFailed | None:
     """Why scene `index` of a batch blew up; None where it did not."""
     scene, features, frames = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
-    if frames == scene.frames and batch.finite(index):
+    motion = batch.numbers(index)[: features.velocity + features.dimension]
+    if frames == scene.frames and np.isfinite(motion).all():
         return None
-    velocities = batch.numbers(index)[features.velocity :][: features.dimension].T
-    return WorkFailed(explain(scene, batch.particles[index], velocities, frames - 1))
+    return WorkFailed(explain(scene, batch.particles[index], motion[features.velocity :].T, frames - 1))
 
 
 def outflow(batch: Batch, index: int) -> dict[str, float]:
@@ -98,7 +99,8 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         "arch": arch,
         "precision": batch.features.precision,
     }
-    if (released := batch.release_times(index)) is not None:
+    opened = batch.retained[offset[Offset.RETAINED] :, Retained.OPENED][: offset[Offset.RETAINED_COUNT]]
+    if (released := release_times(scene, opened)) is not None:
         summary["release_time"] = released
     if batch.recording.wall_forces:
         walls = impulses[:, solids:]

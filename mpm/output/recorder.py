@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_maximum, lane_sum, maximum
+from mpm.arrays.access import add, lane_sum, maximum, over_lanes
 from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
 from mpm.output.request import BALANCED, REST
 from mpm.physics.barriers import free_since, measure_retained, open_barriers
@@ -33,7 +33,7 @@ def steps_of_frame(scene, arrays: ti.template()):
     fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.block]
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
         fastest = maximum(fastest, squared_speed(block, arrays))
-    return steps_at_speed(scene, ti.sqrt(lane_maximum(fastest, arrays)), arrays)
+    return steps_at_speed(scene, ti.sqrt(over_lanes(ti.max, fastest, arrays)), arrays)
 
 
 @ti.func

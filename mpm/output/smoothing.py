@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from datasets.scene import Scene
-from mpm.arrays.layout import PADDING
+from mpm.arrays.layout import PADDING, node_shape
 
 PASSES = 2
 """How often stress and pressure go through the grid."""
@@ -52,8 +52,7 @@ def support(scene: Scene, positions: Floats) -> Support:
     weight = np.ones((len(positions), len(stencil)))
     for axis in range(dimension):
         weight *= spline[:, axis, :][:, stencil[:, axis]]
-    shape = tuple(round(length / cell) + 2 * PADDING + 1 for length in scene.domain.size)
-    index = low.astype(np.int64)[:, None, :] + stencil
+    shape, index = node_shape(scene.domain), low.astype(np.int64)[:, None, :] + stencil
     return Support(shape, np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape), weight, stencil - f[:, None])
 
 

@@ -18,6 +18,7 @@ it. It is smooth like them, and moves once a frame, by its place in the middle o
 
 import taichi as ti
 
+from mpm.arrays.access import add
 from mpm.arrays.layout import PADDING, Barrier, Offset, Retained, Setting, Settling
 
 ENERGY = 1.0e-6
@@ -79,17 +80,8 @@ def measure_retained(scene, block, arrays: ti.template()):
                     mass = arrays.settling[line, Settling.PARTICLE]
                     for k in ti.static(range(features.dimension)):
                         v = ti.cast(arrays.lanes[velocity + k * lanes + lane], ti.f64)
-                        add_to(arrays.settling, line, Settling.MOMENTUM_X + k, mass * v, arrays)
-                        add_to(arrays.settling, line, Settling.KINETIC, 0.5 * mass * v * v, arrays)
-
-
-@ti.func
-def add_to(table: ti.template(), row, column, value, arrays: ti.template()):
-    """table[row, column] += value; atomic on a GPU alone, as `mpm.arrays.access.add`."""
-    if ti.static(arrays.features.gpu):
-        ti.atomic_add(table[row, column], value)
-    else:
-        table[row, column] = table[row, column] + value
+                        add(arrays.settling, ti.Vector([line, Settling.MOMENTUM_X + k]), mass * v, arrays)
+                        add(arrays.settling, ti.Vector([line, Settling.KINETIC]), 0.5 * mass * v * v, arrays)
 
 
 @ti.func

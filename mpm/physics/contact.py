@@ -32,15 +32,13 @@ which could not keep it in balance; it is held like a node behind a wall of the 
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_maximum, lane_minimum, lane_numbers, maximum, minimum, put_lane_numbers
+from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting, Worker, component
 from mpm.physics.boundary import after_contact
-from mpm.solids.face_lookup import cell_of, face_vector, first_crossed, nearest_face, solid_of
+from mpm.solids.face_lookup import TINY, cell_of, face_vector, first_crossed, nearest_face, solid_of
 
 MAX_CROSSINGS = 3
 """Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
-TINY = 1.0e-20
-"""Keeps quotients finite."""
 
 
 @ti.func
@@ -58,7 +56,7 @@ def contact_of(block, arrays: ti.template()):
 @ti.func
 def touches(block, arrays: ti.template()):
     """Whether a particle of a block is within the width of the contact; most blocks have none."""
-    return lane_maximum(arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
+    return over_lanes(ti.max, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
 
 
 @ti.func
@@ -84,8 +82,9 @@ def surface_force(stress: ti.template(), contact: ti.template(), dimension: ti.t
 
 
 @ti.func
-def foot_velocity(velocity: ti.template(), affine: ti.template(), contact: ti.template(), dimension: ti.template()):
-    """v_f [m/s], of the material at the foot: from the grid's `velocity` at the particle and C; a list of D."""
+def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.template()):
+    """v_f [m/s], of the material at the foot: from `motion`, the grid's velocity at the particle and C; a list of D."""
+    velocity, affine = motion
     foot = [velocity[i] for i in ti.static(range(dimension))]
     for i in ti.static(range(dimension)):
         rotation = 0.0 * contact[Contact.NORMAL]
@@ -105,19 +104,12 @@ def opening_velocity(foot: ti.template(), contact: ti.template(), dimension: ti.
 
 
 @ti.func
-def jump_at_contact(
-    velocity: ti.template(),
-    affine: ti.template(),
-    stress: ti.template(),
-    contact: ti.template(),
-    dt,
-    dimension: ti.template(),
-):
+def jump_at_contact(motion: ti.template(), contact: ti.template(), stress: ti.template(), dt, dimension: ti.template()):
     """What contact adds along n to the strain increment of a particle, dt delta n . v_f [-].
 
     Sand without pressure leaves a surface without strain.
     """
-    opening = opening_velocity(foot_velocity(velocity, affine, contact, dimension), contact, dimension)
+    opening = opening_velocity(foot_velocity(motion, contact, dimension), contact, dimension)
     separated = (normal_stress(stress, contact, dimension) >= 0.0) & (opening > 0.0)
     return ti.select(separated, 0.0, dt * contact[Contact.DELTA] * opening)
 
@@ -133,16 +125,10 @@ def with_jump(increment: ti.template(), jump, contact: ti.template(), dimension:
 
 @ti.func
 def sheared_traction(
-    velocity: ti.template(),
-    affine: ti.template(),
-    stress: ti.template(),
-    contact: ti.template(),
-    shear,
-    dt,
-    dimension: ti.template(),
+    motion: ti.template(), stress: ti.template(), contact: ti.template(), shear, dt, dimension: ti.template()
 ):
     """The shear traction q [Pa] after a step, a list of D, within Coulomb's bound for the new `stress`."""
-    foot = foot_velocity(velocity, affine, contact, dimension)
+    foot = foot_velocity(motion, contact, dimension)
     opening, square = opening_velocity(foot, contact, dimension), TINY + 0.0 * foot[0]
     stiffness = dt * shear * contact[Contact.DELTA]
     q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
@@ -157,13 +143,13 @@ def sheared_traction(
 
 @ti.func
 def motion_and_stress(block, scratch, arrays: ti.template()):
-    """The grid's velocity at the particles of a block, their C and stress, a list of vectors each."""
+    """The motion of a block, the grid's velocity at its particles and their C, and their stress; lists of vectors."""
     features = arrays.features
     first, moved = block * features.block, scratch + features.lowest + features.dimension
     velocity = [arrays.scratch[moved + i] for i in ti.static(range(features.dimension))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    return velocity, affine, stress
+    return (velocity, affine), stress
 
 
 @ti.func
@@ -187,17 +173,17 @@ def strain_at_contact(block, scratch, dt, arrays: ti.template()):
     jump = scratch + arrays.features.push
     arrays.scratch[jump] = 0.0 * arrays.state[contact_at(block, Contact.DELTA, arrays)]
     if touches(block, arrays):
-        velocity, affine, stress = motion_and_stress(block, scratch, arrays)
+        motion, stress = motion_and_stress(block, scratch, arrays)
         contact = contact_of(block, arrays)
-        arrays.scratch[jump] = jump_at_contact(velocity, affine, stress, contact, dt, arrays.features.dimension)
+        arrays.scratch[jump] = jump_at_contact(motion, contact, stress, dt, arrays.features.dimension)
 
 
 @ti.func
 def shear_traction_step(block, scratch, dt, shear, arrays: ti.template()):
     """Bring the shear tractions q of a block forward by a step."""
     dimension = ti.static(arrays.features.dimension)
-    velocity, affine, stress = motion_and_stress(block, scratch, arrays)
-    q = sheared_traction(velocity, affine, stress, contact_of(block, arrays), shear, dt, dimension)
+    motion, stress = motion_and_stress(block, scratch, arrays)
+    q = sheared_traction(motion, stress, contact_of(block, arrays), shear, dt, dimension)
     for k in ti.static(range(dimension)):
         arrays.state[contact_at(block, Contact.NORMAL + dimension + k, arrays)] = q[k]
 
@@ -235,16 +221,12 @@ def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.templat
 def apply_solids(v, mass, n, worker, arrays: ti.template()):
     """Velocity `v` [m/s] after the solids of the node with the `mass` [kg] and the entry `n` in `fixed_nodes`, [D]."""
     features = arrays.features
-    line = arrays.fixed_nodes[n] - 1
+    stopped, line = after_solid(v, n, arrays), arrays.fixed_nodes[n] - 1
     if line >= 0:
-        normal = ti.Vector([arrays.node_contacts[line, k] for k in ti.static(range(features.dimension))])
-        if v.dot(normal) < 0.0:
-            stopped = after_contact(v, normal, arrays.node_contacts[line, features.dimension])
-            solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
-            for k in ti.static(range(features.dimension)):
-                add_impulse(solid, k, mass * (v[k] - stopped[k]), 0, worker, arrays)
-            v = stopped
-    return v
+        solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
+        for k in ti.static(range(features.dimension)):
+            add_impulse(solid, k, mass * (v[k] - stopped[k]), 0, worker, arrays)
+    return stopped
 
 
 @ti.func
@@ -274,7 +256,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
         square = square + moved * moved
     lower_bound = arrays.state[distance] - 1.001 * ti.sqrt(square)
     nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
-    if lane_minimum(lower_bound, arrays) >= nearby:
+    if over_lanes(ti.min, lower_bound, arrays) >= nearby:
         arrays.state[distance] = lower_bound
         arrays.state[contact_at(block, Contact.DELTA, arrays)] = 0.0 * lower_bound
     else:
@@ -299,10 +281,8 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     dimension = ti.static(features.dimension)
     first = block * features.block * lanes + lane
     contact = contact_at(block, 0, arrays) * lanes + lane
-    x, v = (
-        lane_numbers(arrays.lanes, first, arrays),
-        lane_numbers(arrays.lanes, first + features.velocity * lanes, arrays),
-    )
+    x = lane_numbers(arrays.lanes, first, arrays)
+    v = lane_numbers(arrays.lanes, first + features.velocity * lanes, arrays)
     velocity, solid, moved = v, -1, False
     cell = arrays.settings[scene, Setting.CELL]
     if bound <= 0.0:

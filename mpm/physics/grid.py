@@ -50,21 +50,24 @@ def update_grid(worker, scene, dt, kappa, strides, arrays: ti.template()):
                     n = i * strides[0] + j * strides[1] + k
                     node = node_of(arrays.grid, n, i, j, k, worker, arrays)
                     if node[features.dimension] > 0.0:
-                        old = velocity_before(node, arrays)
-                        new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
-                        node = with_velocity(node, new, old, kappa, arrays)
+                        node = moved_node(node, i, j, k, worker, scene, dt, kappa, arrays)
                         put_node(arrays.grid, node, n, i, j, k, worker, arrays)
 
 
 @ti.func
 def own_box(worker, arrays: ti.template()):
-    """The nodes in the support of a worker's particles, of those of all workers of a shared scene, [low, high)."""
+    """The nodes in the support of a worker's particles, of those of all workers of a shared scene; [low, high), [3]."""
+    first = worker
     if ti.static(arrays.features.shared):
-        return shared_box(arrays)
-    else:
-        low = ti.Vector([arrays.workers[worker, Worker.LOW_X + k] for k in ti.static(range(3))])
-        high = ti.Vector([arrays.workers[worker, Worker.HIGH_X + k] for k in ti.static(range(3))])
-        return low, high
+        first = 0
+    low = ti.Vector([arrays.workers[first, Worker.LOW_X + k] for k in ti.static(range(3))])
+    high = ti.Vector([arrays.workers[first, Worker.HIGH_X + k] for k in ti.static(range(3))])
+    if ti.static(arrays.features.shared):
+        for other in range(1, arrays.workers.shape[0]):
+            for k in ti.static(range(3)):
+                low[k] = ti.min(low[k], arrays.workers[other, Worker.LOW_X + k])
+                high[k] = ti.max(high[k], arrays.workers[other, Worker.HIGH_X + k])
+    return low, high
 
 
 @ti.func
@@ -80,7 +83,11 @@ def shares_row(i, worker, arrays: ti.template()):
 def node_of(array: ti.template(), n, i, j, k, worker, arrays: ti.template()):
     """Node (i, j, k), the n-th of a worker; of a shared scene the sum over the workers in whose support it is."""
     if ti.static(arrays.features.shared):
-        return summed_node(array, n, i, j, k, arrays)
+        node = ti.Vector([0.0 for _ in ti.static(range(arrays.features.node))])
+        for other in range(arrays.workers.shape[0]):
+            if covers(other, i, j, k, arrays):
+                node += array[arrays.workers[other, Worker.NODE] + n]
+        return node
     else:
         return array[arrays.workers[worker, Worker.NODE] + n]
 
@@ -94,28 +101,6 @@ def put_node(array: ti.template(), value, n, i, j, k, worker, arrays: ti.templat
                 array[arrays.workers[other, Worker.NODE] + n] = value
     else:
         array[arrays.workers[worker, Worker.NODE] + n] = value
-
-
-@ti.func
-def shared_box(arrays: ti.template()):
-    """The nodes in the support of the particles of all workers of a scene, [low, high), shape [3] each."""
-    low = ti.Vector([arrays.workers[0, Worker.LOW_X + k] for k in ti.static(range(3))])
-    high = ti.Vector([arrays.workers[0, Worker.HIGH_X + k] for k in ti.static(range(3))])
-    for other in range(1, arrays.workers.shape[0]):
-        for k in ti.static(range(3)):
-            low[k] = ti.min(low[k], arrays.workers[other, Worker.LOW_X + k])
-            high[k] = ti.max(high[k], arrays.workers[other, Worker.HIGH_X + k])
-    return low, high
-
-
-@ti.func
-def summed_node(grid: ti.template(), n, i, j, k, arrays: ti.template()):
-    """Sum of node (i, j, k), the n-th of each worker's part of `grid`, over the workers in whose support it is."""
-    node = ti.Vector([0.0 for _ in ti.static(range(arrays.features.node))])
-    for other in range(arrays.workers.shape[0]):
-        if covers(other, i, j, k, arrays):
-            node += grid[arrays.workers[other, Worker.NODE] + n]
-    return node
 
 
 @ti.func
@@ -133,9 +118,8 @@ def update_node(n, scene, arrays: ti.template()):
         n = arrays.workers[scene, Worker.NODE] + n
         node = arrays.grid[n]
         if node[arrays.features.dimension] > 0.0:
-            old = velocity_before(node, arrays)
-            new = velocity_after(node, old, i, j, k, scene, scene, dt, arrays)
-            arrays.grid[n] = with_velocity(node, new, old, relaxation_factor(scene, dt, arrays), arrays)
+            kappa = relaxation_factor(scene, dt, arrays)
+            arrays.grid[n] = moved_node(node, i, j, k, scene, scene, dt, kappa, arrays)
 
 
 @ti.func
@@ -157,9 +141,11 @@ def velocity_before(node, arrays: ti.template()):
 
 
 @ti.func
-def with_velocity(node, new, old, kappa, arrays: ti.template()):
-    """A node with its new velocity in place of its momentum and its change new - kept old."""
+def moved_node(node, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
+    """The node (i, j, k) with its new velocity in place of its momentum, and its change new - kept old."""
     features = arrays.features
+    old = velocity_before(node, arrays)
+    new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
     for axis in ti.static(range(features.dimension)):
         node[axis] = new[axis]
         node[features.change + axis] = new[axis] - kappa * old[axis]
@@ -173,26 +159,44 @@ def relaxation_factor(scene, dt, arrays: ti.template()):
 
 
 @ti.func
+def acceleration(node, scene, arrays: ti.template()):
+    """g + f_i / m_i of a node (momentum, mass, force), and f_i / m_i alone [m/s^2], shape [D] each."""
+    features = arrays.features
+    per_mass = 1.0 / node[features.dimension]
+    gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0 * per_mass]
+    force = ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(features.dimension))])
+    return ti.Vector([gravity[axis] for axis in ti.static(range(features.dimension))]) + force, force
+
+
+@ti.func
+def damping_terms(v, a, scene, arrays: ti.template()):
+    """|a| [m/s^2], s(v) [-], shape [D], and v_s^2 [m^2/s^2] of local damping."""
+    slow = SLOW * SLOW * ti.abs(arrays.settings[scene, Setting.GRAVITY_Y]) * arrays.settings[scene, Setting.CELL] + TINY
+    sign = [v[axis] / ti.sqrt(v[axis] * v[axis] + slow) for axis in ti.static(range(arrays.features.dimension))]
+    return a.norm(), ti.Vector(sign), slow
+
+
+@ti.func
+def geometry_node(i, j, k, scene, arrays: ti.template()):
+    """Index of node (i, j, k) in `fixed_nodes`."""
+    strides = node_strides(scene, arrays)
+    return arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
+
+
+@ti.func
 def velocity_after(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
     """The new velocity [m/s] of the node (momentum, mass, force) at (i, j, k), shape [D], from its old one `v`."""
     features = arrays.features
     mass = node[features.dimension]
-    gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0]
-    a = ti.Vector([gravity[axis] for axis in ti.static(range(features.dimension))])
-    per_mass = 1.0 / mass
-    a = a + ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(features.dimension))])
+    a, _ = acceleration(node, scene, arrays)
     if ti.static(features.damped):
-        drag = arrays.settings[scene, Setting.DAMPING] * a.norm()
-        slow = SLOW * SLOW * ti.abs(gravity[1]) * arrays.settings[scene, Setting.CELL]
-        sign = [v[axis] / ti.sqrt(v[axis] * v[axis] + slow + TINY) for axis in ti.static(range(features.dimension))]
-        a = a - drag * ti.Vector(sign)
+        size, sign, _ = damping_terms(v, a, scene, arrays)
+        a = a - arrays.settings[scene, Setting.DAMPING] * size * sign
     v_star = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(features.dimension))])
     v_star = apply_walls(v_star, index, box_cells(scene, arrays), mass, worker, scene, arrays)
     if ti.static(features.contact):
-        strides = node_strides(scene, arrays)
-        n = arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
-        v_star = apply_solids(v_star, mass, n, worker, arrays)
+        v_star = apply_solids(v_star, mass, geometry_node(i, j, k, scene, arrays), worker, arrays)
     if ti.static(features.channel):
         v_star = after_side_walls(v_star, node, dt, features)
     if ti.static(features.barriers):

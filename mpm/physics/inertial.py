@@ -65,11 +65,7 @@ def sin_phi_at_rate(
         b = ti.select(
             upper,
             bulk4 * sin_psi / (shear * (3.0 - sin_psi)) - 1.0 / 3.0,
-            ti.select(
-                lower,
-                bulk4 * sin_psi / (shear * (3.0 + sin_psi)) + 1.0 / 3.0,
-                (lame + shear) * sin_psi / shear,
-            ),
+            ti.select(lower, bulk4 * sin_psi / (shear * (3.0 + sin_psi)) + 1.0 / 3.0, (lame + shear) * sin_psi / shear),
         )
         stiffening = 1.0 + b * sin_phi
         rise = b / stiffening

@@ -88,7 +88,13 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
     if ti.static(upper):
         pair, single = s1 + s2, s3
     if ti.static(dilates):
-        total, _ = multipliers(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper)
+        # The sum of both multipliers; a, b: change of a plane's F per own and per other one.
+        second = s1 * (1.0 + sin_phi) - s2 * (1.0 - sin_phi) - strength
+        if ti.static(upper):
+            second = s2 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength
+        a = 4.0 * (shear + (lame + shear) * sin_phi * sin_psi)
+        b = 4.0 * lame * sin_phi * sin_psi + 2.0 * shear * (1.0 - sign * sin_phi) * (1.0 - sign * sin_psi)
+        total = (excess + second) / (a + b)
         bulge = 2.0 * lame * sin_psi * total
         pair = pair - (2.0 * bulge + sign * 2.0 * shear * (1.0 + sign * sin_psi) * total)
         single = single - (bulge - sign * 2.0 * shear * (1.0 - sign * sin_psi) * total)
@@ -101,24 +107,8 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
 
 
 @ti.func
-def multipliers(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: ti.template()):
-    """Sum of the multipliers of the two planes of an edge, and the change of both F together per unit of it."""
-    sign = ti.static(1.0 if upper else -1.0)
-    second = s1 * (1.0 + sin_phi) - s2 * (1.0 - sin_phi) - strength
-    if ti.static(upper):
-        second = s2 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength
-    # a, b: change of a plane's F per own and per other multiplier.
-    a = 4.0 * (shear + (lame + shear) * sin_phi * sin_psi)
-    b = 4.0 * lame * sin_phi * sin_psi + 2.0 * shear * (1.0 - sign * sin_phi) * (1.0 - sign * sin_psi)
-    return (excess + second) / (a + b), a + b
-
-
-@ti.func
 def on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates: ti.template()):
-    """Return to Mohr-Coulomb's pyramid alone (A), beyond its apex as if it had none; elastic states are unchanged.
-
-    Then by how much the plane was violated, and whether the return is to the upper edge, or else to the lower one.
-    """
+    """Return to Mohr-Coulomb's pyramid alone (A), beyond its apex as if it had none; elastic states are unchanged."""
     excess = maximum(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
     t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
     low, twin_high = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, True, dilates)
@@ -128,9 +118,6 @@ def on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates: ti.
         ti.select(upper, twin_high, ti.select(lower, high, t1)),
         ti.select(upper, twin_high, ti.select(lower, twin_low, t2)),
         ti.select(upper, low, ti.select(lower, twin_low, t3)),
-        excess,
-        upper,
-        lower,
     )
 
 
@@ -185,7 +172,7 @@ def return_principal(s1, s2, s3, strengths: ti.template(), lame, shear, features
     dilates = ti.static(features.dilates)
     sin_phi, limit = strengths_at_rate(s1, s2, s3, strengths, lame, shear, features)
     sin_psi, strength = strengths[1], strengths[2]
-    t1, t2, t3, _, _, _ = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates)
+    t1, t2, t3 = on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates)
     open_ = t1 + t2 + t3 >= 0.0
     if ti.static(features.cohesive):
         open_ = t1 > limit
@@ -193,11 +180,7 @@ def return_principal(s1, s2, s3, strengths: ti.template(), lame, shear, features
         t1, t2, t3 = ti.select(open_, limit, t1), ti.select(open_, low2, t2), ti.select(open_, low3, t3)
     else:
         # Without cohesion the apex is 0; rounding must not leave a tension.
-        t1, t2, t3 = (
-            ti.select(open_, 0.0, minimum(t1, 0.0)),
-            ti.select(open_, 0.0, minimum(t2, 0.0)),
-            ti.select(open_, 0.0, minimum(t3, 0.0)),
-        )
+        t1, t2, t3 = [ti.select(open_, 0.0, minimum(t, 0.0)) for t in ti.static((t1, t2, t3))]
     d1, d2, d3 = s1 - t1, s2 - t2, s3 - t3
     opened = (d1 + d2 + d3) / 3.0
     if ti.static(dilates):

@@ -97,13 +97,7 @@ def rotated(stress: ti.template(), qx, qy, qz):
 
 @ti.func
 def stress_step(
-    old: ti.template(),
-    gradient: ti.template(),
-    opened,
-    strengths: ti.template(),
-    lame,
-    shear,
-    features: ti.template(),
+    old: ti.template(), gradient: ti.template(), opened, strengths: ti.template(), lame, shear, features: ti.template()
 ):
     """What `plastic_return` gives after the increment `gradient` [-] of the stress `old` [Pa].
 
@@ -123,10 +117,7 @@ def stress_step(
         for k in ti.static(range(3, features.stresses)):
             square = square + 2.0 * d[k] * d[k]
         strain = ti.sqrt(square / 6.0) / shear
-        if ti.static(features.dimension == 2):
-            return new[0], new[1], new[2], new[3], strain, new[5]
-        else:
-            return new[0], new[1], new[2], new[3], new[4], new[5], strain, new[7]
+        return [new[k] for k in ti.static(range(features.stresses))] + [strain, new[features.stresses + 1]]
     else:
         return new
 
@@ -167,16 +158,10 @@ def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.
             ryz = stress[4] + ti.select(three_vectors, 0.0, ti.select(two, 0.0 - pair * yz, one * (zx * xy - yz * xx)))
             rzx = stress[5] + ti.select(three_vectors, 0.0, ti.select(two, 0.0 - pair * zx, one * (xy * yz - zx * yy)))
             return rxx, ryy, rzz, rxy, ryz, rzx
-    elif ti.static(not features.volume_correction):
-        if ti.static(features.dimension == 2):
-            return stress[0], stress[1], stress[2], stress[3]
-        else:
-            return stress[0], stress[1], stress[2], stress[3], stress[4], stress[5]
+    elif ti.static(features.volume_correction):
+        return [stress[k] + opened if k < 3 else stress[k] for k in ti.static(range(features.stresses))]
     else:
-        if ti.static(features.dimension == 2):
-            return stress[0] + opened, stress[1] + opened, stress[2] + opened, stress[3]
-        else:
-            return stress[0] + opened, stress[1] + opened, stress[2] + opened, stress[3], stress[4], stress[5]
+        return [stress[k] for k in ti.static(range(features.stresses))]
 
 
 @ti.func

@@ -78,17 +78,17 @@ def lowest_node(arrays: ti.template(), scratch, lane, grid, strides: ti.template
 
 
 @ti.func
-def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane):
+def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, varies: ti.template()):
     """What a block has left for the nodes of the particle in `lane`: value (group 0) or slope along an axis.
 
-    A particle gives each node the same mass and side friction but for the weight: their slopes are zero.
+    Unless `varies`, each node is given the same mass and side friction but for the weight: their slopes are zero.
     """
     features = arrays.features
     first = scratch + features.values + group * features.node
     return ti.Vector(
         [
             arrays.scratch_lanes[(first + k) * features.lanes + lane]
-            if k < features.used and (group == 0 or (k != features.dimension and k <= 2 * features.dimension))
+            if k < features.used and (group == 0 or varies or (k != features.dimension and k <= 2 * features.dimension))
             else 0.0
             for k in ti.static(range(features.node))
         ]
@@ -113,8 +113,8 @@ def block_to_grid(grid, scene, block, scratch, strides: ti.template(), arrays: t
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
         wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
-        value = node_vector(arrays, scratch, 0, lane)
-        slope_x, slope_y = node_vector(arrays, scratch, 1, lane), node_vector(arrays, scratch, 2, lane)
+        value = node_vector(arrays, scratch, 0, lane, False)
+        slope_x, slope_y = node_vector(arrays, scratch, 1, lane, False), node_vector(arrays, scratch, 2, lane, False)
         if ti.static(features.dimension == 2):
             for a in ti.static(range(3)):
                 at = no_overflow(n + a * stride_x)
@@ -124,7 +124,7 @@ def block_to_grid(grid, scene, block, scratch, strides: ti.template(), arrays: t
                     here = here + y_step
                 value = value + slope_x
         else:
-            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane)
+            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane, False)
             for a in ti.static(range(3)):
                 along, y_step, z_slope = wx[a] * value, wx[a] * slope_y, wx[a] * slope_z
                 for b in ti.static(range(3)):
@@ -138,6 +138,22 @@ def block_to_grid(grid, scene, block, scratch, strides: ti.template(), arrays: t
 
 
 @ti.func
+def weights_of(block, scratch, per_dx, arrays: ti.template()):
+    """Leave in `scratch` the weights and lowest nodes of a block; its places above these nodes [cells], D vectors."""
+    features = arrays.features
+    first = no_overflow(block * features.block)
+    f = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
+    for k in ti.static(range(features.dimension)):
+        low = ti.floor(f[k] - 0.5)
+        f[k] = f[k] - low
+        arrays.scratch[scratch + features.lowest + k] = low
+        w = spline(f[k])
+        for a in ti.static(range(3)):
+            arrays.scratch[scratch + 3 * k + a] = w[a]
+    return f
+
+
+@ti.func
 def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     """Leave in `scratch` the weights, lowest nodes, values and slopes of a block."""
     features = arrays.features
@@ -146,14 +162,7 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     per_dx, volume = 1.0 / dx, volume_of(scene, block, arrays)
     zero = 0.0 * arrays.state[first]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + zero
-    x_cells = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
-    low = [ti.floor(p - 0.5) for p in ti.static(x_cells)]
-    f = [x_cells[k] - low[k] for k in ti.static(range(features.dimension))]
-    for k in ti.static(range(features.dimension)):
-        arrays.scratch[scratch + features.lowest + k] = low[k]
-        w = spline(f[k])
-        for a in ti.static(range(3)):
-            arrays.scratch[scratch + 3 * k + a] = w[a]
+    f = weights_of(block, scratch, per_dx, arrays)
     values = scratch + features.values
     pushed = [zero for _ in ti.static(range(2 * features.dimension))]
     if ti.static(features.contact):
@@ -231,18 +240,13 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
     """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.block)
+    size = ti.static(features.dimension)
     # Weights, and weights times distance, of three nodes along each axis.
+    f = weights_of(block, scratch, per_dx, arrays)
     for k in ti.static(range(features.dimension)):
-        x_cells = arrays.state[first + k] * per_dx + PADDING
-        low = ti.floor(x_cells - 0.5)
-        f = x_cells - low
-        w = spline(f)
-        arrays.scratch[scratch + features.lowest + k] = low
         for a in ti.static(range(3)):
-            arrays.scratch[scratch + 3 * k + a] = w[a]
-            arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (
-                (4.0 * per_dx) * w[a] * (ti.static(float(a)) - f)
-            )
+            w, apart = arrays.scratch[scratch + 3 * k + a], ti.static(float(a)) - f[k]
+            arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (4.0 * per_dx) * w * apart
     stride_x, stride_y = strides[0], strides[1]
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, strides)
@@ -250,42 +254,36 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
         lever = weight + 3 * features.dimension * lanes
         wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
         lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
-        v, x_slope, y_slope = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+        v, x_slope, y_slope, z_slope = zero_node(arrays), zero_node(arrays), zero_node(arrays), zero_node(arrays)
         # Sums along the last axis first: they share the weights of the others.
-        if ti.static(features.dimension == 2):
-            for a in ti.static(range(3)):
-                at = no_overflow(n + a * stride_x)
-                p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
-                u = wy[0] * p + wy[1] * q + wy[2] * r
-                s = ly[0] * p + ly[1] * q + ly[2] * r
-                v = v + wx[a] * u
-                x_slope = x_slope + lx[a] * u
-                y_slope = y_slope + wx[a] * s
-            store_velocity(v, scratch, lane, arrays)
-            if ti.static(features.volume_correction):
-                store_grid_mass(v[2], (x_slope[2], y_slope[2]), scratch, lane, arrays)
-            store_affine((x_slope, y_slope), kappa, first, lane, arrays)
-        else:
-            wz, lz = three_vectors(arrays, weight + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
-            z_slope = zero_node(arrays)
-            for a in ti.static(range(3)):
-                u, s, t = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+        for a in ti.static(range(3)):
+            u, s, t = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+            if ti.static(size == 2):
+                u, s = line_sums(n + a * stride_x, wy, ly, arrays)
+            else:
+                wz, lz = three_vectors(arrays, weight + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
                 for b in ti.static(range(3)):
-                    at = no_overflow(n + a * stride_x + b * stride_y)
-                    p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
-                    along = wz[0] * p + wz[1] * q + wz[2] * r
-                    across = lz[0] * p + lz[1] * q + lz[2] * r
+                    along, across = line_sums(n + a * stride_x + b * stride_y, wz, lz, arrays)
                     u = u + wy[b] * along
                     s = s + ly[b] * along
                     t = t + wy[b] * across
-                v = v + wx[a] * u
-                x_slope = x_slope + lx[a] * u
-                y_slope = y_slope + wx[a] * s
-                z_slope = z_slope + wx[a] * t
-            store_velocity(v, scratch, lane, arrays)
-            if ti.static(features.volume_correction):
-                store_grid_mass(v[3], (x_slope[3], y_slope[3], z_slope[3]), scratch, lane, arrays)
-            store_affine((x_slope, y_slope, z_slope), kappa, first, lane, arrays)
+            v = v + wx[a] * u
+            x_slope = x_slope + lx[a] * u
+            y_slope = y_slope + wx[a] * s
+            z_slope = z_slope + wx[a] * t
+        slopes = ti.static([x_slope, y_slope, z_slope][:size])
+        store_velocity(v, scratch, lane, arrays)
+        if ti.static(features.volume_correction):
+            store_grid_mass(v[size], [slope[size] for slope in ti.static(slopes)], scratch, lane, arrays)
+        store_affine(slopes, kappa, first, lane, arrays)
+
+
+@ti.func
+def line_sums(first, w: ti.template(), levers: ti.template(), arrays: ti.template()):
+    """Sums of three nodes along the last axis, times weights and times levers."""
+    at = no_overflow(first)
+    p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
+    return w[0] * p + w[1] * q + w[2] * r, levers[0] * p + levers[1] * q + levers[2] * r
 
 
 @ti.func
@@ -315,6 +313,7 @@ def store_affine(slopes: ti.template(), kappa, first, lane, arrays: ti.template(
     size = ti.static(features.dimension)
     particle = no_overflow(first * lanes + lane)
     affine = particle + features.affine * lanes
+    excess = 0.0 * kappa
     if ti.static(features.volume_correction):
         before_squared, now_squared = 0.0 * kappa, 0.0 * kappa
         for i in ti.static(range(size)):
@@ -327,17 +326,15 @@ def store_affine(slopes: ti.template(), kappa, first, lane, arrays: ti.template(
         for k in ti.static(range(3)):
             bears += ti.abs(arrays.lanes[particle + (features.stress + k) * lanes])
         loose = arrays.lanes[particle + features.gap * lanes] > 0.0 or bears == 0.0
-        excess = 0.0 * kappa
         if loose and now_squared > before_squared:
             excess = 1.0 - ti.sqrt(before_squared / now_squared)
-        for i in ti.static(range(size)):
-            for j in ti.static(range(size)):
-                new = slopes[j][i] - slopes[j][features.change + i]
-                arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i] - excess * new
-    else:
-        for i in ti.static(range(size)):
-            for j in ti.static(range(size)):
-                arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i]
+    for i in ti.static(range(size)):
+        for j in ti.static(range(size)):
+            at = affine + (size * i + j) * lanes
+            if ti.static(features.volume_correction):
+                arrays.lanes[at] = slopes[j][i] - excess * (slopes[j][i] - slopes[j][features.change + i])
+            else:
+                arrays.lanes[at] = slopes[j][i]
 
 
 @ti.func

@@ -27,11 +27,10 @@ import taichi as ti
 from mpm.arrays.access import maximum
 from mpm.arrays.layout import Contact
 from mpm.arrays.properties import GAP_CUTOFF
+from mpm.physics.principal import TINY
 
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
-TINY = 1.0e-30
-"""Keeps the quotient finite for lanes without mass."""
 
 
 @ti.func
@@ -49,6 +48,7 @@ def grid_gap(
     grid: sum_i w_ip m_i [kg] and its D slopes [kg/m]; contact: `mpm.physics.contact.contact_of`, where solids stand in
     the box; cells: of the box along each axis.
     """
+    # Lanes without mass keep a finite quotient.
     mass = maximum(grid[0], TINY)
     full = density * dx**features.dimension + 0.0 * mass
     square, across = 0.0 * mass, 0.0 * mass

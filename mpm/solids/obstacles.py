@@ -8,6 +8,7 @@ cutoff + h), `smallest` being the distance of c from its nearest face, and a seg
 the cell can cut F only where d(c, F) <= h + travel.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,7 +20,8 @@ from numpy.typing import NDArray
 from datasets.geometry.nearest import Search, feet, nearest
 from datasets.geometry.surface import Surface, surface_of
 from datasets.scene import NO_SLIP, Domain, Scene
-from mpm.arrays.layout import PADDING, Contact
+from mpm.arrays.features import features_of
+from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import CONTACT_WIDTH, search_distance
 
 Array = NDArray[Any]
@@ -36,7 +38,7 @@ class Obstacles:
 
     faces: Array
     """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], number
-    of its solid; see `mpm.arrays.layout.Features.face_normal` and what follows it; shape [F, columns]."""
+    of its solid; see `mpm.arrays.features.parts`; shape [F, columns]."""
     cell_faces: Array
     """Where the list of each cell begins in `near_faces`, shape [C + 1]."""
     near_faces: Array
@@ -55,22 +57,14 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers, Integers
     parts = [obstacles_in(scene) for scene in scenes]
     counts = [(len(part.cell_faces), len(part.faces), len(part.near_faces), len(part.node_contacts)) for part in parts]
     firsts = np.cumsum([(0, 0, 0, 0), *counts], axis=0)[:-1].tolist()
-    together = Obstacles(
-        faces=np.concatenate([part.faces for part in parts]),
-        cell_faces=np.concatenate(
-            [part.cell_faces + near for part, (_, _, near, _) in zip(parts, firsts, strict=True)]
-        ),
-        near_faces=np.concatenate(
-            [part.near_faces + face for part, (_, face, _, _) in zip(parts, firsts, strict=True)]
-        ),
-        fixed_nodes=np.concatenate(
-            [
-                np.where(part.fixed_nodes > 0, part.fixed_nodes + node, 0)
-                for part, (_, _, _, node) in zip(parts, firsts, strict=True)
-            ]
-        ),
-        node_contacts=np.concatenate([part.node_contacts for part in parts]),
-    )
+    lists: dict[str, list[Array]] = {field.name: [] for field in dataclasses.fields(Obstacles)}
+    for part, (_, face, near, node) in zip(parts, firsts, strict=True):
+        lists["faces"].append(part.faces)
+        lists["cell_faces"].append(part.cell_faces + near)
+        lists["near_faces"].append(part.near_faces + face)
+        lists["fixed_nodes"].append(np.where(part.fixed_nodes > 0, part.fixed_nodes + node, 0))
+        lists["node_contacts"].append(part.node_contacts)
+    together = Obstacles(**{name: np.concatenate(each) for name, each in lists.items()})
     return together, np.array([cell for cell, *_ in firsts]), np.array([face for _, face, *_ in firsts])
 
 
@@ -81,9 +75,9 @@ def obstacles_in(scene: Scene) -> Obstacles:
     """
     surface = surface_of(scene)
     if surface is None:
-        columns, none = face_columns(scene.dimension), np.zeros(int(np.prod(node_shape(scene.domain))) + 1, np.int32)
+        none = np.zeros(int(np.prod(node_shape(scene.domain))) + 1, np.int32)
         return Obstacles(
-            faces=np.zeros((0, columns)),
+            faces=np.zeros((0, features_of([scene], "f32").face_columns)),
             cell_faces=none,
             near_faces=none[:0],
             fixed_nodes=none,
@@ -106,19 +100,10 @@ def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles
     _, _, weights = feet(surface.corners[face], node_positions(domain, nodes))
     corners = np.minimum(surface.friction, NO_SLIP)[face]
     friction = np.where((corners == NO_SLIP).any(axis=1), NO_SLIP, (weights * corners).sum(axis=1))
-    count = len(surface.corners)
+    count, normals = len(surface.corners), (surface.normals, surface.corner_normals, surface.edge_normals)
+    described = surface.corners, *normals, np.minimum(surface.friction, NO_SLIP), surface.solid
     return Obstacles(
-        faces=np.concatenate(
-            [
-                *(
-                    part.reshape(count, -1)
-                    for part in (surface.corners, surface.normals, surface.corner_normals, surface.edge_normals)
-                ),
-                np.minimum(surface.friction, NO_SLIP),
-                surface.solid[:, None],
-            ],
-            axis=1,
-        ),
+        faces=np.concatenate([each.reshape(count, -1) for each in described], axis=1),
         cell_faces=cell_faces,
         near_faces=near_faces,
         fixed_nodes=fixed,
@@ -161,34 +146,20 @@ def near_pairs(domain: Domain, surface: Surface, limit: float) -> tuple[Integers
         around[tuple(map(slice, first, last))] = True
     numbers = np.flatnonzero(around)
     centres = node_positions(domain, numbers) + 0.5 * domain.cell
-    found: list[tuple[Integers, Integers, Floats]] = []
+    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
     for point, face in Search(surface).pairs(centres, np.full(len(centres), limit)):
         _, distance, _ = feet(surface.corners[face], centres[point])
         near = distance <= limit
         found.append((numbers[point[near]], face[near], distance[near]))
-    none = np.zeros(0, np.int64)
-    cells = np.concatenate([none, *(part[0] for part in found)])
-    faces = np.concatenate([none, *(part[1] for part in found)])
-    distance = np.concatenate([np.zeros(0), *(part[2] for part in found)])
+    cells, faces, distance = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.lexsort((faces, cells))
     return cells[order], faces[order], distance[order]
-
-
-def node_shape(domain: Domain) -> tuple[int, ...]:
-    """Nodes of the background grid along each axis, PADDING cells beyond every wall."""
-    return tuple(round(length / domain.cell) + 2 * PADDING + 1 for length in domain.size)
 
 
 def node_positions(domain: Domain, nodes: Integers) -> Floats:
     """Positions of nodes by their numbers [m], shape [N, D]."""
     index = np.stack(np.unravel_index(nodes, node_shape(domain)), axis=-1)
     return np.asarray((index - PADDING) * domain.cell)
-
-
-def face_columns(dimension: int) -> int:
-    """Numbers in a line of `Obstacles.faces`."""
-    normals = 1 + dimension + (3 if dimension == 3 else 0)
-    return dimension * (dimension + normals + 1) + 2
 
 
 def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np.float64]:
