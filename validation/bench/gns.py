@@ -89,6 +89,10 @@ class Model:
         """Errors of the profiles [-]."""
         return [each.rollout.profile for each in self.of_kind(kind)]
 
+    def depths(self, kind: str = ALL) -> list[float]:
+        """Errors of the depths before the baffles of those scenes that have some [-]."""
+        return [each.rollout.depth for each in self.of_kind(kind) if each.rollout.depth is not None]
+
     @property
     def points(self) -> dict[int, tuple[float, float]]:
         """`point` of the coarse MPM, by its cells across the body."""
@@ -249,7 +253,8 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
     result.text("""
         Front: the end of the deposit that the flow has moved farther, which 99.5 % of the particles are behind;
         without the scenes where the wall ahead holds it. Profile: rms distance along x of equal shares of the two
-        deposits. Both over the deposit's extent: mean of the amounts and, in brackets, the worst.
+        deposits. Both over the deposit's extent: mean of the amounts and, in brackets, the worst. Depth before
+        baffles: mean over a baffle's width and, upstream, its height; rms over the baffles of a scene, relative.
     """)
     for each in found:
         kinds = [*dict.fromkeys(one.kind for one in each.compared), ALL]
@@ -283,14 +288,14 @@ def kind_row(model: Model, kind: str) -> Row:
     def both(values: Sequence[float]) -> str:
         return f"{mean(values):.1%} ({signed(worst(values))})" if values else "-"
 
-    fronts, profiles = model.fronts(kind), model.profiles(kind)
+    fronts, profiles, depths = model.fronts(kind), model.profiles(kind), model.depths(kind)
     return {
         f"`{model.name}` on {model.family}": kind,
         "scenes": len(profiles),
         "at the wall": len(profiles) - len(fronts),
         "front": both(fronts),
         "profile": both(profiles),
-    }
+    } | ({"depth before baffles": both(depths)} if model.depths() else {})
 
 
 def self_row(model: Model) -> Row:

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.definitions import flow2d, obstacle3d, paper_families
+from datasets.measures import Positions
 from datasets.particles import initial_particles
 from datasets.scene import Domain, Scene
 from datasets.trajectory import Trajectory
@@ -81,17 +83,37 @@ class Measured:
     """On one thread, without compilation and without loading a model [s]."""
     front: float
     profile: float
+    depth: float | None = None
+    """Of the depths before the baffles: its rms over that of the reference's depths; None where nothing lies there."""
 
     @staticmethod
     def of_flow(flow: Trajectory, reference: Deposit) -> "Measured":
         """That of a flow of the same scene."""
         front, profile = reference.errors(flow.positions[-1], flow.volumes)
-        return Measured(seconds=flow.summary["wall_s"], front=front, profile=profile)
+        shown = depths(flow.scene, flow.positions[-1], flow.volumes)
+        known = depths(flow.scene, reference.positions, reference.volume)
+        depth = float(np.linalg.norm(shown - known) / np.linalg.norm(known)) if known.any() else None
+        return Measured(seconds=flow.summary["wall_s"], front=front, profile=profile, depth=depth)
 
     @property
     def largest(self) -> float:
         """The larger of the two errors."""
         return max(abs(self.front), self.profile)
+
+
+def depths(scene: Scene, positions: Positions, volume: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Mean depth of a deposit before each of the baffles, as if none were turned [m], shape [B].
+
+    Over its width, and as far upstream as it is high.
+    """
+    found = np.zeros(len(scene.baffles))
+    for index, each in enumerate(scene.baffles):
+        _, height, *width = each.size
+        low, size = np.array([each.lower[0] - height, *each.lower[2:]]), np.array([height, *width])
+        plan = positions[:, [0, *range(2, positions.shape[1])]]
+        inside = np.all((plan >= low) & (plan < low + size), axis=1)
+        found[index] = volume[inside].sum() / size.prod()
+    return found
 
 
 def creep(rollout: Trajectory) -> float:

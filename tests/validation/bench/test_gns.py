@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from datasets.particles import initial_particles
-from datasets.scene import Mass, Scene
+from datasets.scene import Baffle, Mass, Scene
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from tests.scenes import scene_of
 from validation.bench.__main__ import main
 from validation.bench.gns import Compared, Model, draw, mpm_seconds, page
-from validation.bench.held_out import Measured, at_wall, deposit_of
+from validation.bench.held_out import Measured, at_wall, deposit_of, depths
 from validation.report import plots
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
@@ -41,6 +41,15 @@ def test_errors_of_deposits_of_known_length() -> None:
     assert Measured.of_flow(stretched(BLOCK, 2.0), truth) == Measured(seconds=1.0, front=0.0, profile=0.0)
     assert not at_wall(truth, BLOCK)
     assert at_wall(deposit_of(stretched(BLOCK, 4.5)), BLOCK)
+
+
+def test_the_depth_before_a_baffle() -> None:
+    scene = dataclasses.replace(BLOCK, baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),))
+    flow, doubled = (stretched(scene, by) for by in (1.0, 0.5))
+    assert depths(scene, flow.positions[0], flow.volumes) == pytest.approx([0.2], rel=0.01)
+    assert Measured.of_flow(flow, deposit_of(flow)).depth == 0.0
+    # Half as long, the block ends where the baffle's stretch begins.
+    assert Measured.of_flow(doubled, deposit_of(flow)).depth == pytest.approx(1.0)
 
 
 def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Model:
