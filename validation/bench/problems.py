@@ -278,15 +278,13 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
     sentences.append(f"A problem takes {between(runs, '.0f')} MPM runs and {between(seconds, '.0f')} s.")
     if both := both_ways(outcomes, lambda result: len(result["mpm_runs"])):
         with_it, without = ([each[asked] for each in both] for asked in (True, False))
-        sentences.append(
+        text = (
             f"Where both ways were gone, it takes {between(with_it, '.0f')} MPM runs with a surrogate that leads, "
-            f"{between(without, '.0f')} without."
+            f"{between(without, '.0f')} without"
         )
-    if ratios := speed_up(outcomes):
-        sentences.append(
-            f"Where a run of the MPM is dear, the loop takes {between(ratios, '.0%')} of the seconds that it takes"
-            " without a surrogate."
-        )
+        if ratios := speed_up(outcomes):
+            text += f"; where a run of the MPM is dear, {between(ratios, '.0%')} of the seconds"
+        sentences.append(f"{text}.")
     return sentences
 
 

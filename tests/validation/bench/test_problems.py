@@ -98,7 +98,7 @@ def test_a_dear_problem_runs_without_a_surrogate_too(tmp_path: Path, loop: list[
     assert loop == [DEAR, DEAR]
     text = (tmp_path / "docs" / "problems.md").read_text()
     assert (
-        "Where a run of the MPM is dear, the loop takes 40% of the seconds that it takes without a surrogate." in text
+        "; where a run of the MPM is dear, 40% of the seconds." in text
     )
     assert text.count(f"| `{DEAR}`") == 2
 
