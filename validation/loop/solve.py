@@ -105,6 +105,8 @@ def run(
         led = inverted(forward, task.problem, task.target, task.scatter)
         state, confirmed = guided(task, led, before)
         outcome = concluded(state) if confirmed else judged(state)
+    elif model is not None:
+        print(f"the surrogate is not asked: {reason}", file=sys.stderr)
     if outcome is None:
         outcome = concluded(searched(first(task, known=before)))
     elif outcome.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):

@@ -97,9 +97,7 @@ def test_a_dear_problem_runs_without_a_surrogate_too(tmp_path: Path, loop: list[
     assert call(tmp_path, DEAR) == 0
     assert loop == [DEAR, DEAR]
     text = (tmp_path / "docs" / "problems.md").read_text()
-    assert (
-        "; where a run of the MPM is dear, 40% of the seconds." in text
-    )
+    assert "; where a run of the MPM is dear, 40% of the seconds." in text
     assert text.count(f"| `{DEAR}`") == 2
 
 

@@ -37,6 +37,7 @@ from tests.validation.loop.flows import (
 )
 from validation.loop import surrogate
 from validation.loop.search import first
+from validation.loop.solve import run
 from validation.loop.surrogate import choose, learned
 from validation.loop.task import Task
 from validation.loop.verdict import judged, nearer
@@ -234,3 +235,9 @@ def test_a_surrogate_is_asked_where_a_run_of_the_mpm_is_dear(tmp_path: Path, mon
     found, reason = choose(auto, model=None, load=load)
     assert found is not None
     assert "a run of the MPM takes" in reason
+
+
+def test_a_model_that_is_given_and_not_asked_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    auto = task(wedge(tmp_path), tmp_path, Surrogate.AUTO)
+    run(auto, model=tmp_path / "other", load=lambda *_: (None, "it is of flows in 3D"))
+    assert "the surrogate is not asked: it is of flows in 3D" in capsys.readouterr().err.splitlines()
