@@ -9,6 +9,8 @@ scattered to a coarse grid around the material, convolved there, and interpolate
 receptive field as wide as the flow for little more time (the idea of CoRGI, arXiv 2511.22938).
 """
 
+import math
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -167,9 +169,10 @@ class Decoder(nn.Module):
         self.mlp = mlp(settings.width, settings.dimension + known, settings)
         last = self.mlp[-1]
         assert isinstance(last, nn.Linear)
-        # An untrained model is free flight.
-        nn.init.normal_(last.weight, std=1.0e-3)
+        # An untrained model is free flight. Scaled, not drawn: to draw loads torch's compiler where a model is loaded.
         nn.init.zeros_(last.bias)
+        with torch.no_grad():
+            last.weight.mul_(1.0e-3 * math.sqrt(3.0 * settings.width))
 
     def forward(self, x: Tensor) -> Tensor:
         """[N, C] to [N, D + K]."""

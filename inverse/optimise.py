@@ -16,8 +16,9 @@ starts. From all of them together steps are made in lockstep that minimise, with
     g^T s + s^T J^T C^-1 J s
 
 with g = dL/dv, exact, of all starts by one backward pass through one batch: Gauss-Newton steps whose metric alone is an
-estimate, so that they end where the model's own misfit is stationary. Of a model without a gradient, the MPM without
-its adjoint, the slopes of the same emulator make g: each run corrects them. All predictions give the posterior.
+estimate, so that they end where the model's own misfit is stationary. Where there is no derivative (the MPM without its
+adjoint, a parameter that makes other particles) slopes of the same emulator make g: each prediction corrects them. All
+predictions give the posterior.
 """
 
 import dataclasses
@@ -272,9 +273,8 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
     box = state.problem.box
     if not isinstance(state.forward, Differentiable):
         state = state.asked(points)
-        numbers, (rises, outward) = state.numbers[-len(points) :], emulated_slopes(state, points)
-        weights = 2.0 * (numbers - state.target.values) @ state.precision @ outward.T
-        return state, numbers, np.stack([rise @ each for rise, each in zip(rises, weights, strict=True)])
+        numbers = state.numbers[-len(points) :]
+        return state, numbers, sloped(state, points, numbers)
     parameters = torch.tensor(box.lower + points * box.range, dtype=torch.float64, requires_grad=True)
     predicted = state.forward.predict(parameters)
     numbers = predicted.detach().numpy()
@@ -283,7 +283,11 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
     (gradient,) = torch.autograd.grad((predicted * torch.from_numpy(weights)).sum(), parameters)
     every = np.concatenate([state.points, points])
     state = dataclasses.replace(state, points=every, numbers=np.concatenate([state.numbers, numbers]))
-    return state, numbers, gradient.numpy() * box.range
+    slopes = gradient.numpy() * box.range
+    without = ~slopes.any(axis=0)
+    if without.any():
+        slopes[:, without] = sloped(state, points, numbers)[:, without]
+    return state, numbers, slopes
 
 
 def descended(state: Inversion, starts: Matrix) -> Inversion:
@@ -324,6 +328,13 @@ def metrics(state: Inversion, points: Matrix) -> Matrix:
     rises, outward = emulated_slopes(state, points)
     inner = outward @ state.precision @ outward.T
     return np.stack([rise @ inner @ rise.T for rise in rises])
+
+
+def sloped(state: Inversion, points: Matrix, numbers: Matrix) -> Matrix:
+    """dL/dv at points [k, U] where the model predicts `numbers` [k, m], by the emulator's slopes, shape [k, U]."""
+    rises, outward = emulated_slopes(state, points)
+    weights = 2.0 * (numbers - state.target.values) @ state.precision @ outward.T
+    return np.stack([rise @ each for rise, each in zip(rises, weights, strict=True)])
 
 
 def emulated_slopes(state: Inversion, points: Matrix) -> tuple[list[Matrix], Matrix]:

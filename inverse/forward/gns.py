@@ -39,8 +39,6 @@ MEMORY_GIB = 0.5
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
 NODES = 4_000
 """Particles of a batch without gradients, at most: more of them are no cheaper each."""
-DIFFERENCE = 0.2
-"""Step of a central difference, over the range of its parameter: over less, particles come and go in whole rows."""
 WAVES = 3
 """K."""
 NORMAL = 1.96
@@ -78,7 +76,7 @@ class GnsForward:
     """A rollout of the surrogate that is a differentiable function of the problem's parameters, in SI units.
 
     Unknowns that change the particles (thickness of a layer) are no inputs: each flow then begins with an initial state
-    of its own, one after the other, and derivatives in these unknowns are central differences.
+    of its own, one after the other, which has no derivative in them.
     """
 
     def __init__(
@@ -95,7 +93,7 @@ class GnsForward:
         """
         self.simulator = simulator.requires_grad_(False)
         self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()
-        self.other_particles = [index for index, kind in enumerate(self.kinds) if kind.input is None]
+        self.other_particles = any(kind.input is None for kind in self.kinds)
         self.initial = self._initial(problem.scene)
         self.flows = {} if flows is None else flows
         self.indices = self.initial.indices
@@ -109,10 +107,7 @@ class GnsForward:
         """
         if parameters.dim() == 1:
             return self.predict(parameters.unsqueeze(0))[0]
-        found = torch.stack([self._observed(*each) for each in self._flows(parameters)])
-        if not self.other_particles:
-            return found
-        return torch.stack([self._differentiable(*each) for each in zip(found, parameters, strict=True)])
+        return torch.stack([self._observed(*each) for each in self._flows(parameters)])
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The smooth observation [m] at each vector of parameters [U], in batches of at most `NODES` particles."""
@@ -185,19 +180,6 @@ class GnsForward:
         """Positions [m] at the times of the initial state of so many flows side by side, shape [T, flows n, D]."""
         kept = min(start.steps, self.kept_steps // flows)
         return unroll(self.simulator, start.state, start.conditions, start.steps, kept_steps=kept)
-
-    def _differentiable(self, found: Tensor, parameters: Tensor) -> Tensor:
-        """An observation [m] at parameters [U], differentiable in the unknowns that change the particles too."""
-        if not parameters.requires_grad:
-            return found
-        values, box = parameters.detach().numpy(), self.problem.box
-        for index in self.other_particles:
-            change = np.where(np.arange(len(values)) == index, DIFFERENCE * box.range, 0.0)
-            ends = [box.clip(values + change), box.clip(values - change)]
-            ahead, behind = self.observe(ends)
-            slope = torch.from_numpy((ahead - behind) / (ends[0] - ends[1])[index])
-            found = found + slope * (parameters[index] - parameters[index].detach())
-        return found
 
 
 def band_of(weights: Path, scene: Scene) -> Band:

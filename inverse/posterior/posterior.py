@@ -69,9 +69,14 @@ class Region:
             low, high = np.maximum(low, samples.mean - wide), np.minimum(high, samples.mean + wide)
         return Region(low=np.maximum(low, 0.0), high=np.minimum(high, 1.0))
 
-    def wider(self) -> "Region":
-        """Twice as wide."""
-        more = 0.5 * (self.high - self.low)
+    @property
+    def sampled(self) -> "Region":
+        """What samples may lie in: of more than `few_parameters` more than its runs fill."""
+        return self if len(self.low) <= CONSTANTS.few_parameters else self.wider(CONSTANTS.beyond_region)
+
+    def wider(self, factor: float = 2.0) -> "Region":
+        """So many times as wide."""
+        more = 0.5 * (factor - 1.0) * (self.high - self.low)
         return Region(low=np.maximum(self.low - more, 0.0), high=np.minimum(self.high + more, 1.0))
 
     def holds(self, points: Matrix) -> bool:
@@ -264,11 +269,13 @@ def posterior(
         regime=regime,
         within=within,
     )
-    samples = sample(likelihood, rng, low=region.low, high=region.high)
-    while not region.holds(samples.points):
+    while True:
+        box = region.sampled
+        samples = sample(likelihood, rng, low=box.low, high=box.high)
+        if box.holds(samples.points):
+            break
         # The wave before has excluded too much.
         region = region.wider()
-        samples = sample(likelihood, rng, low=region.low, high=region.high)
     return Posterior(
         reduction=reduced, likelihood=likelihood, samples=samples, region=region, near=near, explained=explained
     )

@@ -83,7 +83,9 @@ class Constants:
     few_parameters: int = 6
     """Parameters up to which runs go where the emulator's variance is largest; of more they fill the region evenly."""
     region_deviations: float = 2.5
-    """Standard deviations within which the next samples of more than `few_parameters` lie."""
+    """Standard deviations within which the next runs of more than `few_parameters` lie: ten of them hold 88 %."""
+    beyond_region: float = 1.2
+    """Extent of their samples over that of the runs: of a normal posterior of ten parameters 97 % lie within."""
     runs_per_coefficient: float = 2.0
     """Different runs in a region, for each coefficient of the trend, from which on they alone make its emulator."""
     checks: int = 4

@@ -47,6 +47,13 @@ class WithGradient(Formula):
         return self.formula(parameters)
 
 
+class WithOneSlope(WithGradient):
+    """As a parameter that makes other particles is none of torch's."""
+
+    def predict(self, parameters: Tensor) -> Tensor:
+        return super().predict(torch.cat([parameters[:, :1], parameters[:, 1:].detach()], dim=1))
+
+
 def inversion(problem: Problem, forward: Formula, truth: Floats) -> Inversion:
     (values,) = forward.observe([truth])
     observation = build(ObservationSettings(kind="toe"), problem.scene)
@@ -55,7 +62,7 @@ def inversion(problem: Problem, forward: Formula, truth: Floats) -> Inversion:
     return inverted(forward, problem, target, np.zeros(len(values)), rough=1.0)
 
 
-@pytest.mark.parametrize("made", [Formula, WithGradient])
+@pytest.mark.parametrize("made", [Formula, WithGradient, WithOneSlope])
 @pytest.mark.parametrize("share", [(0.2, 0.9), (0.7, 0.05)])
 def test_the_truth_in_few_runs(make_problem: Any, made: type[Formula], share: tuple[float, float]) -> None:
     problem = make_problem(2, *NAMES)

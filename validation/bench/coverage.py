@@ -225,9 +225,10 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     """Where the posterior of `result` has its truth."""
     found, box = result.posterior, result.problem.box
     assert found is not None, "of numbers"
+    where = found.region.sampled
     values = np.array([truth[name] for name in result.problem.names])
     point, samples = (values - box.lower) / box.range, found.samples
-    excluded = np.any((point < found.region.low) | (point > found.region.high))
+    excluded = np.any((point < where.low) | (point > where.high))
     density = -np.inf if excluded else float(found.likelihood(point[None])[0])
     off = [np.abs(values - each.parameters) / np.maximum(each.half_widths, 1e-300) for each in result.answers]
     return Twin(

@@ -31,7 +31,11 @@ class Search:
 
     task: Task
     guide: Inversion | None = None
-    """What the surrogate found: it confines the posterior to its region."""
+    """What the surrogate found: it confines the posterior to its region.
+
+    Of more than `few_parameters` only the first runs are confined to it: of so many runs their own emulator excludes
+    enough, and is right where the surrogate's band is too narrow.
+    """
     runs: tuple[MpmRun, ...] = ()
     known: tuple[MpmRun, ...] = ()
     """Runs that were made before, for other targets; no part of the budget."""
@@ -80,7 +84,7 @@ class Search:
         """With the posterior by all runs so far."""
         state = dataclasses.replace(self, **changes)
         points, numbers = state.points, state.numbers
-        guide = state.guide
+        guide, many = state.guide, points.shape[1] > CONSTANTS.few_parameters
         found = posterior(
             points,
             numbers,
@@ -91,7 +95,7 @@ class Search:
             factor=state.factor,
             discretisation=state.discretisation,
             trends=(linear,) if guide is None else (guide.trend, linear),
-            within=None if guide is None else guide.within,
+            within=None if guide is None or (many and state.waves) else guide.within,
         )
         box, problem = state.task.bounds, state.task.problem
         wave = {
@@ -123,7 +127,7 @@ class Search:
 
         As long as the emulator knows little they lie there too, which leads nowhere.
         """
-        if self.guide is None or not self.converged:
+        if self.guide is None or self.posterior.likelihood.within is None or not self.converged:
             return False
         samples = self.posterior.samples
         outermost = self.guide.beyond(samples.points) > -OUTERMOST * self.guide.fall
