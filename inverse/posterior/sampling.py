@@ -132,7 +132,7 @@ def moved(
             points[own[moves]], likelihood[own[moves]] = proposed[moves], there[moves]
             accepted += int(moves.sum())
             tried += len(own)
-        if accepted >= CONSTANTS.moves * size:
+        if accepted >= CONSTANTS.jumps * size:
             break
     return points, likelihood, accepted / tried
 

@@ -40,7 +40,7 @@ class Constants:
     """Of a population: the 95 % limits are known to about a tenth of a standard deviation."""
     effective: float = 0.5
     """Share of the samples that stays effective from one stage of tempering to the next."""
-    moves: int = 3
+    jumps: int = 3
     """Accepted moves of a sample at each stage, on average: enough that copies part."""
     max_sweeps: int = 40
     """Sweeps of a stage at most, where hardly any move is accepted."""
@@ -92,8 +92,10 @@ class Constants:
     """Runs at an answer, whose mean is compared with the target: halves the scatter."""
     known_checks: int = 2
     """The same where runs for other targets are known, whose scatter is that of these."""
+    moves: int = 2
+    """Times that an answer is checked where it has moved to."""
     rounds: int = 4
-    """Times that an answer may move after its checks."""
+    """Times that answers are checked in all."""
 
 
 CONSTANTS = Constants()

@@ -70,11 +70,12 @@ def nearer(led: Search, whole: Outcome) -> Outcome:
 def checked(state: Search, *, again: bool = True) -> tuple[Search, tuple[Answer, ...]]:
     """Runs at every answer, and once more where the answers have moved by what these showed.
 
-    again: so, too, where the MPM does not confirm the first of them.
+    Then an answer is where it was checked: in a long region it would move on. again: once more, too, where the MPM does
+    not confirm the first of them.
     """
-    for _ in range(CONSTANTS.rounds):
-        found = separate(state)
-        locations = [each.point for each in found if not is_checked(state, each)]
+    for turn in range(CONSTANTS.rounds):
+        found, close = separate(state), CLOSE if turn < CONSTANTS.moves else math.inf
+        locations = [each.point for each in found if not is_checked(state, each, close)]
         if not locations:
             answers = answers_of(state, found)
             if answers[0].confirmed or not again:
@@ -117,12 +118,12 @@ def checks_of(state: Search, part: Part) -> list[MpmRun]:
     return [each for each in own if np.array_equal(each.parameters, nearest)]
 
 
-def is_checked(state: Search, part: Part) -> bool:
-    """Whether its checks are close to its point; a part that is most of the box has none that is better than others."""
+def is_checked(state: Search, part: Part, close: float) -> bool:
+    """Whether its checks are so close to its point, in half-widths; of most of the box no point is better than others."""
     found = checks_of(state, part)
     if not found:
         return False
-    return bool(distances(state, found[:1], part)[0] <= CLOSE or part.half_widths.max() > IDENTIFIABLE)
+    return bool(distances(state, found[:1], part)[0] <= close or part.half_widths.max() > IDENTIFIABLE)
 
 
 def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
