@@ -56,18 +56,12 @@ class Stencil:
     def scatter(self, values: Tensor) -> Tensor:
         """Sum values of particles [N, C] into the nodes [B * nodes, C]."""
         grid = values.new_zeros(self.samples * math.prod(self.shape), values.shape[1])
-        for node, weight in zip(self.nodes, self.weights, strict=True):
-            grid = grid.index_add(0, node, values * weight.unsqueeze(1))
-        return grid
+        return grid.index_add_(0, self.nodes.flatten(), (self.weights.unsqueeze(2) * values).flatten(0, 1))
 
     def gather(self, grid: Tensor) -> Tensor:
         """Interpolate values of nodes [B * nodes, C] at the particles [N, C]."""
-        return torch.stack(
-            [
-                grid.index_select(0, node) * weight.unsqueeze(1)
-                for node, weight in zip(self.nodes, self.weights, strict=True)
-            ]
-        ).sum(dim=0)
+        around = grid.index_select(0, self.nodes.flatten()).view(*self.nodes.shape, -1)
+        return (self.weights.unsqueeze(2) * around).sum(dim=0)
 
     def coordinates(self, like: Tensor) -> list[Tensor]:
         """Positions of the nodes along each axis [m], each of shape [B, nodes along it], of the type of `like`."""

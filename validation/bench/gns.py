@@ -33,7 +33,7 @@ from validation.report.page import GNS, MPM, Page, Row, rms, signed
 from validation.report.plots import BLUE, INK, ORANGE, figure, pane
 from validation.runs import Run, RunStore
 
-SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 9, "obstacle3d": 4}}
+SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d": 4}}
 """Held-out scenes of each family, one of every kind after the other, by dimension; references in 3D are dear."""
 CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
 """Of the coarse MPM, across the smallest side of the body, by dimension."""
@@ -254,7 +254,8 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
         Front: the end of the deposit that the flow has moved farther, which 99.5 % of the particles are behind;
         without the scenes where the wall ahead holds it. Profile: rms distance along x of equal shares of the two
         deposits. Both over the deposit's extent: mean of the amounts and, in brackets, the worst. Depth before
-        baffles: mean over a baffle's width and, upstream, its height; rms over the baffles of a scene, relative.
+        baffles: mean over a baffle's width and, upstream, its height, each particle a cube of its volume; rms over
+        the baffles of a scene, relative.
     """)
     for each in found:
         kinds = [*dict.fromkeys(one.kind for one in each.compared), ALL]

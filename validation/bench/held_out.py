@@ -104,15 +104,15 @@ class Measured:
 def depths(scene: Scene, positions: Positions, volume: NDArray[np.floating]) -> NDArray[np.float64]:
     """Mean depth of a deposit before each of the baffles, as if none were turned [m], shape [B].
 
-    Over its width, and as far upstream as it is high.
+    Over its width, and as far upstream as it is high; each particle is a cube of its volume.
     """
-    found = np.zeros(len(scene.baffles))
+    found, plan = np.zeros(len(scene.baffles)), positions[:, [0, *range(2, positions.shape[1])]]
+    edge = volume[:, None] ** (1.0 / positions.shape[1])
     for index, each in enumerate(scene.baffles):
         _, height, *width = each.size
         low, size = np.array([each.lower[0] - height, *each.lower[2:]]), np.array([height, *width])
-        plan = positions[:, [0, *range(2, positions.shape[1])]]
-        inside = np.all((plan >= low) & (plan < low + size), axis=1)
-        found[index] = volume[inside].sum() / size.prod()
+        within = np.minimum(plan + 0.5 * edge, low + size) - np.maximum(plan - 0.5 * edge, low)
+        found[index] = (volume * (np.maximum(within, 0.0) / edge).prod(axis=1)).sum() / size.prod()
     return found
 
 
