@@ -190,13 +190,7 @@ def conditions_of(
         )
         ground = Ground(elevation=elevation, friction=roughness, spacing=spacing)
     return Conditions(
-        friction=friction,
-        cohesion=cohesion,
-        volume=volume,
-        batch=batch,
-        ground=ground,
-        units=units or Units(),
-        **parts,
+        friction=friction, cohesion=cohesion, volume=volume, batch=batch, ground=ground, units=units or Units(), **parts
     )
 
 

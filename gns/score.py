@@ -152,13 +152,7 @@ def table(scores: Sequence[Score]) -> str:
     return tabulate(rows, "keys", "github", disable_numparse=True) + "\n"
 
 
-def score(
-    *datasets: Path,
-    model: Path,
-    split: str = "test",
-    threads: int = 1,
-    keep: bool = False,
-) -> None:
+def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, keep: bool = False) -> None:
     """Score a model by whole rollouts.
 
     Parameters

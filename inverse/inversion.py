@@ -20,11 +20,7 @@ from mpm import simulate, simulate_many
 
 
 def invert(
-    problem: Problem,
-    *,
-    forward: ForwardModel | None = None,
-    model: Path | None = None,
-    out: Path | str | None = None,
+    problem: Problem, *, forward: ForwardModel | None = None, model: Path | None = None, out: Path | str | None = None
 ) -> Result:
     """Find the parameters of `problem` by one forward model; `validation.solve` asks the MPM for its word.
 

@@ -20,17 +20,11 @@ MAY_IMPORT = {
     "inverse": {"datasets", "mpm", "gns"},
     "validation": {"datasets", "mpm", "gns", "inverse"},
 }
-BANNED = {
-    "datasets": {"taichi", "torch"},
-    "mpm": {"torch"},
-    "gns": {"taichi"},
-}
+BANNED = {"datasets": {"taichi", "torch"}, "mpm": {"torch"}, "gns": {"taichi"}}
 PICKLERS = {"dill", "cloudpickle", "joblib", "shelve", "marshal"}
 PICKLE_ERRORS = {"PickleError", "UnpicklingError"}
 """The part of `pickle` that one may name: what torch raises for a file that is none of its own."""
-RESTRICTED = {
-    "datasets/exchange/geoelements.py": {"Unpickler", "allow_pickle=True"},
-}
+RESTRICTED = {"datasets/exchange/geoelements.py": {"Unpickler", "allow_pickle=True"}}
 """The module that may name more: an unpickler that can make arrays alone, and what writes pickled sets."""
 UNSAFE = {"allow_pickle=True", "weights_only=False"}
 """Arguments that would let a file run code; both are off by default."""

@@ -95,12 +95,7 @@ class Definition:
 
 
 def family(
-    name: str,
-    *,
-    kinds: tuple[Kind, ...],
-    variant: Callable[[Stream, Scene], Scene],
-    size: int,
-    storage: Storage,
+    name: str, *, kinds: tuple[Kind, ...], variant: Callable[[Stream, Scene], Scene], size: int, storage: Storage
 ) -> Definition:
     """A scene of each of the `kinds`, then a `variant` of each of these, and so on; drawn again where held out.
 

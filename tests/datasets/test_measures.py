@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 
 from datasets.library import read_scene
-from datasets.measures import (
-    FEWEST,
-    fitted_front,
-    front,
-    height_profile,
-    runout,
-    toe,
-    transport_distance,
-)
+from datasets.measures import FEWEST, fitted_front, front, height_profile, runout, toe, transport_distance
 from datasets.particles import initial_particles
 from datasets.remarks import remarks
 from datasets.scene import Scene

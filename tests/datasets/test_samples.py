@@ -11,16 +11,7 @@ import pytest
 from datasets.errors import InputError
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Scene, Solid
-from datasets.training.samples import (
-    Flow,
-    Sample,
-    Surroundings,
-    cut,
-    load_flows,
-    particle_cohesion,
-    reflected,
-    thin,
-)
+from datasets.training.samples import Flow, Sample, Surroundings, cut, load_flows, particle_cohesion, reflected, thin
 from datasets.training.statistics import MOVING_SPEED, MotionStatistics, motion_statistics
 from datasets.trajectory import Trajectory, open_trajectory
 from tests.scenes import scene_of

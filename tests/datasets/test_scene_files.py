@@ -114,10 +114,7 @@ SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=
     [
         ({"friction_deg": 0.52}, r"material\.friction_deg = 0\.52 degrees .* in radians it would be 29\.8 degrees"),
         ({"young": 200.0}, r"material\.young = 200 Pa is less than 10 rho g h = 7\.06e\+04 Pa"),
-        (
-            {"friction_limit_deg": 40.0, "grain_diameter": 0.7},
-            r"diameter = 0\.7 m .* in mm it would be 0\.0007 m",
-        ),
+        ({"friction_limit_deg": 40.0, "grain_diameter": 0.7}, r"diameter = 0\.7 m .* in mm it would be 0\.0007 m"),
     ],
 )
 def test_numbers_of_another_unit_are_warned_of(changes: dict[str, float], message: str) -> None:

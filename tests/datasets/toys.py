@@ -22,10 +22,7 @@ def toy_scene(dimension: int, seed: int) -> Scene:
     if dimension == 2:
         domain = Domain(size=(0.5, 0.25), cell=0.01)
         mass = Mass(lower=(0.05, 0.0), size=(0.1, 0.08), velocity=(1.0, 0.0))
-        baffles = (
-            Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)),
-            Baffle(lower=(0.373, 0.01), size=(0.004, 0.08)),
-        )
+        baffles = (Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), Baffle(lower=(0.373, 0.01), size=(0.004, 0.08)))
     else:
         domain = Domain(size=(0.4, 0.2, 0.16), cell=0.02)
         mass = Mass(lower=(0.0, 0.0, 0.02), size=(0.1, 0.08, 0.12), velocity=(1.0, 0.0, 0.0))

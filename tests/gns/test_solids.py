@@ -205,9 +205,7 @@ def bumpy(dimension: int, samples: int = 1) -> Ground:
     like = plane(dimension)
     shape = (samples, *like.elevation.shape[1:])
     return dataclasses.replace(
-        like,
-        elevation=0.15 * torch.rand(shape, generator=generator).double(),
-        friction=like.friction.expand(shape),
+        like, elevation=0.15 * torch.rand(shape, generator=generator).double(), friction=like.friction.expand(shape)
     )
 
 

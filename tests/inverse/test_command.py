@@ -47,11 +47,7 @@ TOE = ('kind = "toe"', "values = [0.12, 0.01]")
 
 
 @pytest.mark.parametrize("observed", [PASSED, TOE])
-def test_an_inversion(
-    tmp_path: Path,
-    make_simulator: Any,
-    observed: tuple[str, str],
-) -> None:
+def test_an_inversion(tmp_path: Path, make_simulator: Any, observed: tuple[str, str]) -> None:
     checkpoint.save(tmp_path / "tiny.safetensors", make_simulator(2).float(), {})
     (tmp_path / "scene.toml").write_text(SCENE)
     text = PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1])

@@ -40,10 +40,7 @@ def draw(stream: np.random.Generator, index: int) -> Scene:
 
 
 TINY = Definition(
-    name="tiny",
-    size=4,
-    split=lambda index: (Split.TRAIN, Split.VALID, Split.TEST, Split.TRAIN)[index],
-    draw=draw,
+    name="tiny", size=4, split=lambda index: (Split.TRAIN, Split.VALID, Split.TEST, Split.TRAIN)[index], draw=draw
 )
 
 FILES = ["test/tiny-0002.npz", "train/tiny-0000.npz", "train/tiny-0003.npz", "valid/tiny-0001.npz"]

@@ -35,9 +35,7 @@ def test_a_bed_dropped_on_two_threads_is_as_dense_as_before(monkeypatch: pytest.
     """Each of two grids holds a part of the mass: what is compared with the density is their sum."""
     monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
     flat = dataclasses.replace(
-        DROPPED,
-        domain=Domain(size=(0.25, 0.5), cell=0.025),
-        masses=(Mass(lower=(0.0, 0.15), size=(0.25, 0.15)),),
+        DROPPED, domain=Domain(size=(0.25, 0.5), cell=0.025), masses=(Mass(lower=(0.0, 0.15), size=(0.25, 0.15)),)
     )
     flow = simulate(flat, threads=2, record=LAST)
     assert flow.positions[-1, :, 1].mean() == pytest.approx(0.075, abs=0.25 * 0.025)
@@ -50,11 +48,7 @@ def test_the_floor_is_met_where_it_is(offset: float) -> None:
 
     Without volume correction its centre would stay two cells too high, and by the fraction more.
     """
-    scene = dataclasses.replace(
-        BED,
-        masses=(Mass(lower=(0.0, 0.02 * (3.0 + offset)), size=(0.4, 0.1)),),
-        duration=1.5,
-    )
+    scene = dataclasses.replace(BED, masses=(Mass(lower=(0.0, 0.02 * (3.0 + offset)), size=(0.4, 0.1)),), duration=1.5)
     flow = simulate(scene, precision="f64", threads=1, record=LAST)
     assert flow.positions[-1, :, 1].mean() == pytest.approx(0.05, abs=0.2 * 0.02)
 

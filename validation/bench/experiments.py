@@ -198,12 +198,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
                 # An inferred angle says nothing of the number that it was inferred from.
                 for measured in case.measured[0 if angles else 1 :]
             )
-    return Findings(
-        shipped=tuple(shipped),
-        scores=tuple(scores),
-        others=tuple(others),
-        inferred=tuple(inferred),
-    )
+    return Findings(shipped=tuple(shipped), scores=tuple(scores), others=tuple(others), inferred=tuple(inferred))
 
 
 def ladder(shipped: Shipped) -> list[Reading]:

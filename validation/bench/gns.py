@@ -18,17 +18,7 @@ from datasets.scene import Scene
 from gns import card
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
-from validation.bench.held_out import (
-    SEED,
-    Measured,
-    at_wall,
-    coarse,
-    creep,
-    deposit_of,
-    held_out,
-    mean,
-    worst,
-)
+from validation.bench.held_out import SEED, Measured, at_wall, coarse, creep, deposit_of, held_out, mean, worst
 from validation.report.page import GNS, MPM, Page, Row, rms, signed
 from validation.report.plots import BLUE, INK, ORANGE, figure, pane
 from validation.runs import Run, RunStore

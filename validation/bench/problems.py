@@ -259,7 +259,7 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
     truths = sum(len(each.errors) for each in known)
     sentences = [
         f"{expected} of {len(outcomes)} problems have the verdict that they should have; criteria are missed by "
-        f"{', '.join(missed) or 'none'}.",
+        f"{', '.join(missed) or 'none'}."
     ]
     if truths:
         inside = sum(each.inside for each in known)

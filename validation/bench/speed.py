@@ -249,12 +249,7 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
 
 
 def page(
-    rates: Rates,
-    prices: Sequence[Price],
-    networks: Sequence[Mapping[str, str]],
-    *,
-    command: str,
-    quick: bool = False,
+    rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping[str, str]], *, command: str, quick: bool = False
 ) -> Page:
     """The page, from what was measured."""
     text = Page(

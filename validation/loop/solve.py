@@ -86,11 +86,7 @@ def _solve(asked: Problem, out: Path, model: Path | None, simulate: Simulate, kn
 
 
 def run(
-    task: Task,
-    *,
-    model: Path | None = None,
-    load: surrogate.Load = surrogate.learned,
-    known: Sequence[Known] = (),
+    task: Task, *, model: Path | None = None, load: surrogate.Load = surrogate.learned, known: Sequence[Known] = ()
 ) -> Result:
     """Search, check the answers, judge; load: in place of the learned surrogate; known: runs for other targets."""
     began = time.perf_counter()

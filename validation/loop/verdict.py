@@ -119,7 +119,7 @@ def checks_of(state: Search, part: Part) -> list[MpmRun]:
 
 
 def is_checked(state: Search, part: Part, close: float) -> bool:
-    """Whether its checks are so close to its point, in half-widths; of most of the box no point is better than others."""
+    """Whether its checks are so close to its point, in half-widths; of most of the box no point is better."""
     found = checks_of(state, part)
     if not found:
         return False
@@ -135,11 +135,7 @@ def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
         widths = half_widths(part.points, part.shares, task.unit(location)) * task.bounds.range
         answers.append(
             Answer(
-                parameters=location,
-                half_widths=widths,
-                weight=part.weight,
-                checks=tuple(own),
-                fit=fitted(state, own),
+                parameters=location, half_widths=widths, weight=part.weight, checks=tuple(own), fit=fitted(state, own)
             )
         )
     return tuple(sorted(answers, key=lambda each: not each.confirmed))

@@ -9,11 +9,7 @@ import shapely
 
 from datasets.errors import InputError
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
-from datasets.particles import (
-    initial_particles,
-    mass_volumes,
-    particle_count,
-)
+from datasets.particles import initial_particles, mass_volumes, particle_count
 from datasets.scene import Mass, Scene, Solid
 from tests import scenes
 from tests.datasets.geometry.solids import as_rows, sphere
@@ -111,12 +107,7 @@ OPEN = dataclasses.replace(BALL, triangles=(BALL.triangles or ())[1:])
 SWAPPED = dataclasses.replace(BALL, triangles=((BALL.triangles or ())[0][::-1], *(BALL.triangles or ())[1:]))
 THIN = Solid(lower=(1.4, 0.3), size=(0.001, 0.1), turned_deg=10.0)
 REFUSED: list[tuple[int, list[Mass], list[Solid], str]] = [
-    (
-        2,
-        [polygon((0.1, 0.1), (0.5, 0.5), (0.5, 0.1), (0.1, 0.5))],
-        [],
-        "masses[0].vertices: expected a polygon that",
-    ),
+    (2, [polygon((0.1, 0.1), (0.5, 0.5), (0.5, 0.1), (0.1, 0.5))], [], "masses[0].vertices: expected a polygon that"),
     (2, [polygon((0.1, 0.1), (2.5, 0.1), (0.5, 0.5))], [], "masses[0]: expected a box inside the domain"),
     (2, [Mass(kind="layer", thickness=-1.0)], [], "masses[0].thickness: expected thicknesses in m of at least 0"),
     (2, [Mass(lower=(0.1, 0.1))], [], "masses[0].size: expected a value, the key is missing"),

@@ -89,9 +89,7 @@ def test_a_thickness_makes_other_particles_and_has_no_derivative(problem: Proble
     layer = Mass(kind="layer", thickness=0.06, outline=((0.0,), (0.08,)))
     thickness = Parameter(name="masses[0].thickness", initial=0.06, lower=0.025, upper=0.075)
     other = dataclasses.replace(
-        problem,
-        scene=dataclasses.replace(problem.scene, masses=(layer,)),
-        parameters=(*problem.parameters, thickness),
+        problem, scene=dataclasses.replace(problem.scene, masses=(layer,)), parameters=(*problem.parameters, thickness)
     )
     forward = forward_of(other)
     values = np.array([30.0, 0.05])

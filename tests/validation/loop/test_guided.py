@@ -94,10 +94,13 @@ def test_half_widths_by_few_runs_hold_the_truth_as_often_as_they_say(tmp_path: P
 
 
 @pytest.mark.slow
-def test_many_parameters_within_the_band_take_few_runs(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("factor", "band"), [(1.03, 0.05), (0.85, 0.02)])
+def test_many_parameters_take_few_runs_and_more_than_the_band_hides_none(
+    tmp_path: Path, factor: float, band: float
+) -> None:
     case = layers(tmp_path, count=7, scatter=0.001, bend=0.05)
     assert isinstance(case.mpm, Layers)
-    result = case.led(LayersFormula(case.target.observation, 1.03, mpm=case.mpm)).solve(tmp_path)
+    result = case.led(LayersFormula(case.target.observation, factor, band=band, mpm=case.mpm)).solve(tmp_path)
     assert result.verdict in (Verdict.CONFIRMED, Verdict.AMBIGUOUS)
     assert len(result.mpm_runs) <= 40
     assert len(result.inside) >= 6

@@ -48,10 +48,7 @@ def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None
     assert inside >= 26
 
 
-@pytest.mark.parametrize(
-    ("count", "seed", "widest"),
-    [(2, 3, 0.06), pytest.param(10, 4, 0.2, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize(("count", "seed", "widest"), [(2, 3, 0.06), pytest.param(10, 4, 0.2, marks=pytest.mark.slow)])
 def test_layers_that_overlap_are_identified(tmp_path: Path, count: int, seed: int, widest: float) -> None:
     """Over seeds of the target's jitter the widest half-width is 0.10 to 0.13 of the range at ten layers."""
     result = layers(tmp_path, count=count, scatter=0.002, bend=0.03, seed=seed).solve(tmp_path)

@@ -18,15 +18,7 @@ from datasets.errors import InputError
 from datasets.files import write_text
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm.resolution import (
-    COVERAGE,
-    MEASURED,
-    Measured,
-    Resolution,
-    read_measured,
-    resolved,
-    with_resolution,
-)
+from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
 from validation.bench.accuracy import columns
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.report.page import Page, percent
@@ -297,10 +289,7 @@ def trial_text(dimension: int, found: Errors, promised: Mapping[tuple[int, Resol
 
 
 def draw(
-    path: Path,
-    trials: Mapping[int, Errors],
-    promised: Mapping[tuple[int, Resolution], float],
-    fronts: columns.Fronts,
+    path: Path, trials: Mapping[int, Errors], promised: Mapping[tuple[int, Resolution], float], fronts: columns.Fronts
 ) -> None:
     """Error over seconds, a pane per dimension; fronts over the aspect ratio."""
     with figure(path, columns=len(trials) + 1, size=(4.2, 3.8)) as axes:
