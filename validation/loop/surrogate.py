@@ -33,6 +33,8 @@ PREDICTIONS = 5.0
 it saves."""
 JITTER = 0
 """Jitter seed of the flows that it predicts."""
+WIDEST = 0.2
+"""Share of a flow's extent, up to which its 95 % band may be: a wider one excludes little of a box."""
 QUICKEST = 0.1
 """Seconds of a prediction at least: where even that costs too much, no weights are read."""
 SPEED = {2: 35e6, 3: 15e6}
@@ -91,7 +93,10 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Surro
         return None, f"{weights.name} was not trained on such a flow: {'; '.join(unknown)}"
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
-    return GnsForward(simulator, problem, observation, band=band_of(weights, scene), flows=flows), ""
+    band = band_of(weights, scene)
+    if problem.surrogate is Requested.AUTO and model is None and band.front > WIDEST:
+        return None, f"its band is {band.front:.0%} of the extent, more than {WIDEST:.0%}"
+    return GnsForward(simulator, problem, observation, band=band, flows=flows), ""
 
 
 @lru_cache(maxsize=1)

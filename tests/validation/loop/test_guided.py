@@ -214,6 +214,16 @@ def test_whether_it_knows_the_flow_follows_from_the_problem(
     assert (expected or "") in reason
 
 
+def test_a_wide_band_does_not_lead(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = read_problem("friction-tall-42")
+    target = read_target(problem, FakeMpm().run)
+    monkeypatch.setattr(surrogate, "shipped", lambda dimension: model)
+    assert learned(problem, target, None)[0] is not None
+    monkeypatch.setattr(surrogate, "WIDEST", 0.03)
+    assert learned(problem, target, None) == (None, "its band is 4% of the extent, more than 3%")
+    assert learned(problem, target, model)[0] is not None
+
+
 def task(case: Case, out: Path, surrogate: Surrogate) -> Task:
     return dataclasses.replace(case, problem=dataclasses.replace(case.problem, surrogate=surrogate)).task(out)
 
