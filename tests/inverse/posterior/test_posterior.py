@@ -202,8 +202,8 @@ def test_a_steady_response_is_one_regime() -> None:
     assert np.array_equal(regime_of(values, points, near, np.array([0.2])), points[:, 0] < 0.5)
 
 
-@pytest.mark.parametrize(("unknowns", "reach"), [(6, 0.6), (7, 0.62)])
-def test_samples_of_many_parameters_lie_beyond_their_runs(unknowns: int, reach: float) -> None:
+@pytest.mark.parametrize(("unknowns", "edge"), [(6, 0.6), (7, 0.62)])
+def test_samples_of_many_parameters_lie_beyond_their_runs(unknowns: int, edge: float) -> None:
     region = Region(low=np.full(unknowns, 0.4), high=np.full(unknowns, 0.6))
-    np.testing.assert_allclose(region.sampled.high, reach)
+    np.testing.assert_allclose(region.sampled.high, edge)
     assert not Region.whole(unknowns).sampled.inside(np.full((1, unknowns), 1.01))[0]

@@ -45,11 +45,11 @@ def test_errors_of_deposits_of_known_length() -> None:
 
 def test_the_depth_before_a_baffle() -> None:
     scene = dataclasses.replace(BLOCK, baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),))
-    flow, doubled = (stretched(scene, by) for by in (1.0, 0.5))
+    flow, short = (stretched(scene, by) for by in (1.0, 0.4))
     assert depths(scene, flow.positions[0], flow.volumes) == pytest.approx([0.2], rel=0.01)
     assert Measured.of_flow(flow, deposit_of(flow)).depth == 0.0
-    # Half as long, the block ends where the baffle's stretch begins.
-    assert Measured.of_flow(doubled, deposit_of(flow)).depth == pytest.approx(1.0)
+    # Less than half as long, the block ends before the baffle's stretch begins.
+    assert Measured.of_flow(short, deposit_of(flow)).depth == pytest.approx(1.0)
 
 
 def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Model:
