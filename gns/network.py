@@ -169,7 +169,8 @@ class Decoder(nn.Module):
         self.mlp = mlp(settings.width, settings.dimension + known, settings)
         last = self.mlp[-1]
         assert isinstance(last, nn.Linear)
-        # An untrained model is free flight. Scaled, not drawn: to draw loads torch's compiler where a model is loaded.
+        # An untrained model is free flight: a standard deviation of 1e-3, from that of torch's own, (3 width)^(-1/2).
+        # To draw others would load torch's compiler wherever a model is loaded.
         nn.init.zeros_(last.bias)
         with torch.no_grad():
             last.weight.mul_(1.0e-3 * math.sqrt(3.0 * settings.width))

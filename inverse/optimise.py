@@ -284,6 +284,7 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
     every = np.concatenate([state.points, points])
     state = dataclasses.replace(state, points=every, numbers=np.concatenate([state.numbers, numbers]))
     slopes = gradient.numpy() * box.range
+    # In a parameter that makes other particles autograd finds none.
     without = ~slopes.any(axis=0)
     if without.any():
         slopes[:, without] = sloped(state, points, numbers)[:, without]

@@ -1,4 +1,4 @@
-"""Whether a learned surrogate is asked: where the scene is in its range and a run of the MPM is dear.
+"""Whether a learned surrogate is asked: where the scene is in its range, its band narrow and a run of the MPM dear.
 
 It inverts first (`inverse.optimise`); the MPM then runs where its answers are (`validation.loop.guided`).
 """
@@ -71,7 +71,7 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Surrogate | N
 
 
 def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Surrogate | None, str]:
-    """The learned surrogate, or None and the reason why it does not know the flow. Raises InputError."""
+    """The learned surrogate, or None and why it does not know the flow, or not well enough. Raises InputError."""
     observation = target.observation
     if without := [each.name for each in problem.parameters if not each.kind.predicted]:
         return None, f"{', '.join(without)} is no input of it"

@@ -119,7 +119,7 @@ def checks_of(state: Search, part: Part) -> list[MpmRun]:
 
 
 def is_checked(state: Search, part: Part, close: float) -> bool:
-    """Whether its checks are so close to its point, in half-widths; of most of the box no point is better."""
+    """Whether its checks are so close to its point, in half-widths, or it is most of the box."""
     found = checks_of(state, part)
     if not found:
         return False

@@ -11,7 +11,9 @@ from datasets.command_line import WorkFailed
 from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.found import Purpose, Verdict
+from inverse.posterior.settings import CONSTANTS
 from tests.validation.loop.flows import WIDTH, Coarse, Folded, layers, length, wedge
+from validation.loop import verdict
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
 
@@ -32,6 +34,15 @@ def test_the_truth_is_found_through_the_scatter_of_the_mpm(tmp_path: Path, kind:
     # Half-widths are 1.96 of it where the scatter is known; by a dozen runs that is known to a fifth.
     assert 1.2 * 0.002 / slope < result.certainty["friction_deg"] < 5.0 * 0.002 / slope
     assert abs(result.unknowns["friction_deg"] - truth) < 2.0 * result.certainty["friction_deg"]
+
+
+def test_an_answer_that_moves_after_every_check_is_checked_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verdict, "CLOSE", -1.0)
+    result = wedge(tmp_path, scatter=0.002).solve(tmp_path)
+    assert result.verdict is Verdict.CONFIRMED
+    assert [each.purpose for each in result.mpm_runs].count(Purpose.CHECK) == 2 * CONSTANTS.checks
 
 
 @pytest.mark.slow
