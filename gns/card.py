@@ -139,7 +139,7 @@ def describe(
     return Card(
         settings=settings,
         features=features(settings),
-        normalisation={name: float(value) for name, value in simulator.named_buffers()},
+        normalisation={name: float(value) for name, value in simulator.named_buffers(recurse=False)},
         training=Training(
             command=str(provenance.get("command", "")),
             seed=provenance.get("seed"),

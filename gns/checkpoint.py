@@ -70,7 +70,7 @@ def load(path: Path) -> Model:
         raise error.at(str(path)) from None
     # Built without memory: what it has is that of the tensors in the file.
     with reading(path, "weights of a model of these settings"), torch.device("meta"):
-        simulator = Simulator(settings, BLANK)
+        simulator = Simulator(settings, BLANK, corrected=any(name.startswith("correction.") for name in tensors))
         simulator.load_state_dict(tensors, assign=True)
     return Model(simulator=simulator.eval().requires_grad_(False), provenance=provenance)
 

@@ -1,24 +1,18 @@
-"""Data-parallel training of a model by multiple processes: `torchrun --nproc-per-node N -m gns.train ...`, `together`.
+"""Data-parallel training of a model by multiple processes: `torchrun --nproc-per-node N -m gns.train ...`.
 
 Each process draws its own samples; `DistributedDataParallel` arranges in its `forward` that the gradients are averaged,
-so a model must be called as a module, never by its methods. Without either there is one process, and nothing to do.
+so a model must be called as a module, never by its methods. Without it there is one process, and nothing to do.
 """
 
 import os
-import socket
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import get_context
-from typing import Any
 
 import torch
 from torch import distributed
 
-from datasets.errors import InputError, WorkFailed
-from datasets.processes import end_with_parent, without_main
-
-ENDING = 10.0
-"""Time that a process has to end after the first one [s]; it ends with it at the latest."""
+from datasets.errors import InputError
+from datasets.processes import end_with_parent
 
 
 def rank() -> int:
@@ -57,46 +51,3 @@ def joined(device: str | None) -> Iterator[torch.device]:
         yield where
     finally:
         distributed.destroy_process_group()
-
-
-def together(count: int, work: Callable[..., None], *arguments: Any) -> None:
-    """Call `work`, which joins (`joined`), here and in `count` - 1 processes beside this one, each on one thread.
-
-    `work` and its arguments are pickled. Raises what `work` raises here, and WorkFailed where another process ends.
-    """
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": str(count)}
-    own = common | {"RANK": "0"}
-    others = [
-        get_context("spawn").Process(target=beside, args=(common | {"RANK": str(number)}, work, arguments), daemon=True)
-        for number in range(1, count)
-    ]
-    with without_main():
-        for other in others:
-            other.start()
-    try:
-        os.environ.update(own)
-        work(*arguments)
-    except WorkFailed:
-        raise
-    except RuntimeError as error:
-        if all(other.exitcode in (None, 0) for other in others):
-            raise
-        raise WorkFailed("a process of the training has ended; the same command again goes on") from error
-    finally:
-        for name in own:
-            os.environ.pop(name)
-        for other in others:
-            other.join(ENDING)
-
-
-def beside(environment: Mapping[str, str], work: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    """Call `work` in a process of `together`: the first one says what there is to say."""
-    os.environ.update(environment)
-    torch.set_num_threads(1)
-    try:
-        work(*arguments)
-    except (KeyboardInterrupt, WorkFailed):
-        raise SystemExit(1) from None

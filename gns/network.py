@@ -10,6 +10,7 @@ receptive field as wide as the flow for little more time (the idea of CoRGI, arX
 """
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -19,6 +20,23 @@ from gns.graph import Graph, mean_envelope_sum
 from gns.grid import Stencil
 from gns.messages import messages
 from gns.settings import ModelSettings, column_count
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """What a network is given of a state of N particles."""
+
+    features: Tensor
+    """Shape [N, F]."""
+    constant: Tensor
+    """What is constant for a particle, shape [N, M]."""
+    graph: Graph
+    stencil: Stencil
+    """The particles on the background grid."""
+    fraction: Tensor
+    """Volume of each particle over that of a grid cell [-], shape [N, 1]."""
+    nodes: Tensor
+    """Channels of the grid's nodes, shape [B * nodes, `column_count`]."""
 
 
 def mlp(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
@@ -122,13 +140,10 @@ class GridContext(nn.Module):
         )
         self.from_grid = nn.Linear(count, settings.width)
 
-    def forward(self, x: Tensor, stencil: Stencil, fraction: Tensor, nodes: Tensor) -> Tensor:
-        """Scatter, convolve, interpolate.
-
-        x: latents [N, C]; fraction: volume of each particle over that of a grid cell [-], shape [N, 1];
-        nodes: input channels of the grid's nodes, [B * nodes, `column_count`].
-        """
-        inputs = torch.cat((stencil.scatter(self.to_grid(x) * fraction), nodes), dim=1)
+    def forward(self, x: Tensor, given: Inputs) -> Tensor:
+        """Scatter, convolve, interpolate; x: latents [N, C]."""
+        stencil = given.stencil
+        inputs = torch.cat((stencil.scatter(self.to_grid(x) * given.fraction), given.nodes), dim=1)
         field = masked(functional.silu(self.mix(inputs)).view(stencil.samples, *stencil.shape, -1), stencil)
         for layer in self.layers:
             field = masked(field + functional.silu(layer(field)), stencil)
@@ -148,15 +163,13 @@ class Processor(nn.Module):
         self.contexts = nn.ModuleList(GridContext(settings) for _ in range(settings.rounds))
         self.steps = nn.ModuleList(MessagePassingStep(settings, constant) for _ in range(settings.layers))
 
-    def forward(
-        self, x: Tensor, constant: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
-    ) -> Tensor:
-        """Latents [N, C] to latents [N, C]; for the other arguments see `Network`."""
+    def forward(self, x: Tensor, given: Inputs) -> Tensor:
+        """Latents [N, C] to latents [N, C]."""
         per_round = len(self.steps) // len(self.contexts)
         for index, context in enumerate(self.contexts):
-            x = x + context(x, stencil, fraction, nodes)
+            x = x + context(x, given)
             for step in self.steps[index * per_round : (index + 1) * per_round]:
-                x = step(x, constant, graph)
+                x = step(x, given.constant, given.graph)
         return x
 
 
@@ -191,15 +204,11 @@ class Network(nn.Module):
         self.processor = Processor(settings, constant)
         self.decoder = Decoder(known, settings)
 
-    def forward(
-        self, features: Tensor, constant: Tensor, graph: Graph, stencil: Stencil, fraction: Tensor, nodes: Tensor
-    ) -> Tensor:
-        """Features [N, F] to a and c [N, D + K].
-
-        constant: [N, M]; stencil, fraction, nodes: see `GridContext`.
-        """
+    def forward(self, given: Inputs) -> Tensor:
+        """Features of the particles to a and c [N, D + K]."""
+        features = given.features
         # Gradients of the steps of a rollout are summed in single precision: a weight is converted anew in each step.
         with torch.autocast(features.device.type, torch.bfloat16, enabled=self.half_precision, cache_enabled=False):
             x = self.encoder(features).to(features.dtype)
-            x = self.processor(x, constant, graph, stencil, fraction, nodes)
+            x = self.processor(x, given)
         return torch.as_tensor(self.decoder(x))

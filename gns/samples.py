@@ -1,5 +1,6 @@
 """Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `Batch`."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,9 +16,10 @@ from datasets.training.samples import Flow, Flows, Sample, cut, load_flows, refl
 from datasets.trajectory import open_trajectory
 from gns.initial import conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings
-from gns.simulator import Normalisation
+from gns.simulator import Normalisation, Simulator
 from gns.state import Conditions, State, Tensors
 from gns.units import Units
+from gns.unroll import unroll
 
 SHARE_EARLY = 0.12
 """Share of the samples not of the first frame that start just after it, with a history from the initial velocities."""
@@ -25,6 +27,8 @@ SHARE_MOVING = 0.70
 """Share of them that starts while the flow moves; the rest starts anywhere: deposits at rest must stay."""
 TRIES = 16
 """Random times among which one is chosen at which the flow moves."""
+MOMENTS = 3
+"""Times before the end of a rollout at which it may end as well."""
 SAMPLED_TIMES = 2048
 """Times in all over which the statistics run; where there are fewer, all."""
 
@@ -132,6 +136,66 @@ class Sampler:
             # The first that moves is a random one of those that move, and only two frames of each are read.
             return next((int(now) for now in anywhere if flow.moves(int(now))), int(anywhere[0]))
         return int(anywhere[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ends(Batch):
+    """Batch of rollouts by a model, from their starts to some end; the target is where the MPM's flow is then."""
+
+    end: State
+
+
+class Rollouts(Sampler):
+    """Draws ends of rollouts by a model as it is; each is rolled out once, where it is first drawn, and then kept."""
+
+    def __init__(
+        self,
+        datasets: Sequence[Sequence[Flow]],
+        settings: ModelSettings,
+        training: TrainingSettings,
+        simulator: Simulator,
+    ) -> None:
+        super().__init__(datasets, settings, training)
+        self._simulator = simulator
+        self._kept: dict[tuple[int, ...], list[tuple[Sample, State]]] = {}
+
+    def batch(self, steps: int, rng: np.random.Generator) -> Ends:
+        """Ends side by side: half of them the flow's own, the other at any time."""
+        drawn = [self._drawn(rng) for _ in range(self._training.batch)]
+        together = batched([sample for sample, _ in drawn], self._settings)
+        end = State(
+            positions=torch.cat([end.positions for _, end in drawn]),
+            displacements=torch.cat([end.displacements for _, end in drawn], dim=1),
+        )
+        return Ends(state=together.state, conditions=together.conditions, targets=together.targets, end=end)
+
+    def _drawn(self, rng: np.random.Generator) -> tuple[Sample, State]:
+        """One of the ends of a random rollout, the last of them as often as all others."""
+        dataset = int(rng.choice(len(self._datasets), p=self._shares))
+        key = dataset, int(rng.integers(len(self._datasets[dataset]))), int(rng.integers(self._training.rollouts))
+        if key not in self._kept:
+            self._kept[key] = self._rolled_out(self._datasets[dataset][key[1]], np.random.default_rng(key))
+        ends = self._kept[key]
+        return ends[-1] if rng.random() < 0.5 else ends[int(rng.integers(len(ends)))]
+
+    def _rolled_out(self, flow: Flow, rng: np.random.Generator) -> list[tuple[Sample, State]]:
+        """A rollout of the flow to its end, and `MOMENTS` before it: what it began with, with one target, and where
+        the model is then."""
+        settings, last = self._settings, len(flow.positions) - 1
+        now = self._start(flow, last - 1, rng)
+        sample = turned(stretch(flow, settings, now=now, steps=last - now, rng=rng), settings.cell, rng)
+        batch = batched([sample], settings).to(self._simulator.displacement_scale.device)
+        with torch.no_grad():
+            positions = unroll(self._simulator, batch.state, batch.conditions, last - now, corrected=False).cpu()
+        moments = sorted({last - now, *(int(each) for each in rng.integers(1, last - now + 1, size=MOMENTS))})
+        moved = torch.cat((batch.state.displacements.cpu(), positions[1:] - positions[:-1]))
+        return [
+            (
+                dataclasses.replace(sample, targets=sample.targets[step - 1 : step]),
+                State(positions=positions[step].clone(), displacements=moved[step : step + settings.history].clone()),
+            )
+            for step in moments
+        ]
 
 
 def turned(sample: Sample, spacing: float, rng: np.random.Generator) -> Sample:

@@ -113,6 +113,11 @@ def features(settings: ModelSettings) -> dict[str, int]:
 class TrainingSettings:
     """How a model is fitted, and how long."""
 
+    correct: bool = False
+    """Train the correction of whole rollouts alone (`gns.correction`); unroll, loss_scale and tail mean nothing."""
+    rollouts: int = 2
+    """Rollouts of each flow that a correction learns from: other particles of it, in another symmetry, from the start
+    or later on."""
     minutes: float = 60.0
     """Time to train [min], all parts of a resumed run together; unrolled steps and learning rate are laid over it."""
     updates: int | None = None
@@ -152,6 +157,7 @@ class TrainingSettings:
         positive = "minutes", "batch", "learning_rate", "loss_scale", "validations", "validate_flows", "memory_gib"
         for key in positive:
             require(self, key, getattr(self, key) > 0, "a positive number")
+        require(self, "rollouts", self.rollouts >= 1, "an integer of at least 1")
         require(self, "updates", self.updates is None or self.updates >= 1, "an integer of at least 1")
         require(self, "unroll", bool(self.unroll) and min(self.unroll) >= 1, "integers of at least 1")
         some = not self.shares or (min(self.shares) >= 0.0 and sum(self.shares) > 0.0)

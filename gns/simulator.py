@@ -7,10 +7,11 @@ import torch
 from torch import Tensor, nn
 
 from gns.contact import keep_out
+from gns.correction import Correction
 from gns.features import basal_friction, damped_motion, internal_forces, strength, traction_features
 from gns.graph import radius_graph
 from gns.grid import REFERENCE_HEIGHT, Stencil, column_features, occupancy, stencil_of
-from gns.network import Network
+from gns.network import Inputs, Network
 from gns.settings import GRAVITY, UP, ModelSettings, constant_count, features
 from gns.solids import solid_features
 from gns.state import Conditions, State
@@ -71,25 +72,21 @@ class Simulator(nn.Module):
     friction_mean: Tensor
     friction_std: Tensor
 
-    def __init__(self, settings: ModelSettings, normalisation: Normalisation) -> None:
+    def __init__(self, settings: ModelSettings, normalisation: Normalisation, *, corrected: bool = False) -> None:
+        """corrected: with a correction of its rollouts."""
         super().__init__()
         self.settings = settings
         for name, value in dataclasses.asdict(normalisation).items():
             self.register_buffer(name, torch.tensor(value, dtype=torch.get_default_dtype()))
         count = sum(features(settings).values())
         self.network = Network(count, constant_count(settings.dimension), FORCES, settings)
+        self.correction = Correction(settings) if corrected else None
 
     def forward(self, state: State, conditions: Conditions) -> State:
         """One step, all of it in the units of the model. Differentiable in the state and in all conditions."""
         settings, positions = self.settings, state.positions
-        graph = radius_graph(positions, settings.radius, conditions.batch)
-        stencil = stencil_of(positions, conditions.size, settings.grid_cell, conditions.batch)
-        columns = column_features(stencil, conditions.volume, conditions.size)
-        nodes = torch.cat((columns, occupancy(stencil, conditions)), dim=1)
-        fraction = (conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1)
-        constant = self._constant(conditions)
-        inputs, forces = self._features(state, conditions, constant, stencil, nodes)
-        outputs = self.network(inputs, constant, graph, stencil, fraction, nodes)
+        inputs, forces = self.inputs(state, conditions)
+        outputs = self.network(inputs)
         own, shares = outputs.split((settings.dimension, FORCES), dim=1)
         known = (shares.unsqueeze(1) @ forces).squeeze(1)
         contact = self.acceleration_scale * own + GRAVITY * settings.step**2 * known
@@ -104,6 +101,29 @@ class Simulator(nn.Module):
                 stopped = keep_out(stopped, positions, conditions)
         displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
         return State(positions=stopped, displacements=displacements)
+
+    def ahead(self, start: State, end: State, conditions: Conditions) -> Tensor:
+        """By how much its correction moves the end of a rollout [m], shape [N, D], all in units of the model."""
+        assert self.correction is not None
+        return torch.as_tensor(self.correction(start, end, self.inputs(end, conditions)[0], conditions))
+
+    def inputs(self, state: State, conditions: Conditions) -> tuple[Inputs, Tensor]:
+        """What the networks are given of a state, and known forces over the weight [N, K, D]."""
+        settings, positions = self.settings, state.positions
+        stencil = stencil_of(positions, conditions.size, settings.grid_cell, conditions.batch)
+        columns = column_features(stencil, conditions.volume, conditions.size)
+        nodes = torch.cat((columns, occupancy(stencil, conditions)), dim=1)
+        constant = self._constant(conditions)
+        features, forces = self._features(state, conditions, constant, stencil, nodes)
+        inputs = Inputs(
+            features=features,
+            constant=constant,
+            graph=radius_graph(positions, settings.radius, conditions.batch),
+            stencil=stencil,
+            fraction=(conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1),
+            nodes=nodes,
+        )
+        return inputs, forces
 
     def _constant(self, conditions: Conditions) -> Tensor:
         """Features of the material and the surroundings of each particle [N, M]."""

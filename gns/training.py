@@ -1,17 +1,9 @@
-"""The training: the unrolled loss, and the loop that lowers it within a budget of minutes or updates.
+"""The training: the loop that lowers a loss (`gns.losses`) within a budget of minutes or updates.
 
-    loss = mean_k h(|x_k - X_k| / (k s)) + h(|v_k - V_k| / s),   h(e) = e^2 / 2 below 1, e - 1/2 above
-
-over the steps k of a rollout. An error in the displacement grows k-fold in the position. Impacts that a step cannot
-resolve are far above s and count linearly only: they would drown the flow otherwise. Matrices are trained by Muon
-(Jordan et al. 2024), whose steps have singular values of about one, their length matched to Adam's (Liu et al. 2025,
-arXiv 2502.16982, section 2.2), so that both share a learning rate; all else by Adam. What is scored and shipped is a
-running average of the weights.
-
-| symbol | variable           | meaning                                    |
-| x, v   | `positions`        | of the model, and their differences        |
-| X, V   | `Batch.targets`    | of the MPM                                 |
-| s      | `scale`            | a share of the accelerations per step [m]  |
+Matrices are trained by Muon (Jordan et al. 2024), whose steps have singular values of about one, their length matched
+to Adam's (Liu et al. 2025, arXiv 2502.16982, section 2.2), so that both share a learning rate; all else by Adam. What
+is scored and shipped is a running average of the weights. Either the steps of a model are trained or, by whole rollouts
+of these as they are, its correction (`gns.correction`): where the steps change, an older correction is left out.
 """
 
 import dataclasses
@@ -29,12 +21,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.distributed import is_initialized
-from torch.nn import functional
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 from tqdm import tqdm
 
-from datasets import files, measures
+from datasets import files
 from datasets.errors import InputError, WorkFailed
 from datasets.files import reading
 from datasets.lock import locked
@@ -42,19 +33,19 @@ from datasets.processes import stopping
 from datasets.training.samples import Flow, Flows
 from gns import card, checkpoint
 from gns.checkpoint import Model
+from gns.correction import Correction
 from gns.distributed import joined, rank, sums
 from gns.library import BEST
-from gns.samples import Batch, Sampler, flows_of, statistics
+from gns.losses import EndLoss, UnrolledLoss
+from gns.samples import Rollouts, Sampler, flows_of, statistics
 from gns.score import evaluate, table, validation_score
-from gns.settings import UP, ModelSettings, TrainingSettings
+from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
-from gns.state import Conditions
-from gns.unroll import step_activation_bytes, unroll
 
 LAST = "last.pt"
 """The file of a run that --resume continues: weights, their average, optimisers, position."""
-MARGIN = 1.5
-"""Some batches have more neighbours a particle than the one whose memory was measured."""
+NORMALISED = 24
+"""Batches by which the features of a new correction are normalised."""
 RECENT = 100
 """Updates over which the shown loss is a mean."""
 BAR = "{desc} {bar} {percentage:.0f} % [{elapsed} < {remaining}]"
@@ -93,65 +84,6 @@ def share_of(training: TrainingSettings, seconds: float, updates: int) -> float:
     return seconds / (60.0 * training.minutes) if training.updates is None else updates / training.updates
 
 
-class UnrolledLoss(nn.Module):
-    """Batch to loss: the whole unroll is one `forward`, as DistributedDataParallel requires."""
-
-    def __init__(self, simulator: Simulator, training: TrainingSettings) -> None:
-        super().__init__()
-        self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
-        self.tail = training.tail
-        self._particle_bytes = 0.0
-        simulator.network.half_precision = bool(torch.cpu.get_capabilities().get("avx512_bf16", False))
-
-    def forward(self, batch: Batch) -> Tensor:
-        """The loss of unrolling `batch` to its last target."""
-        state, conditions, steps = batch.state, batch.conditions, len(batch.targets)
-        particles = len(state.positions)
-        if not self._particle_bytes:
-            self._particle_bytes = MARGIN * step_activation_bytes(self.simulator, state, conditions) / particles
-        kept = min(steps, int(self.memory / (self._particle_bytes * particles)))
-        positions = unroll(self.simulator, state, conditions, steps, kept_steps=kept)
-        scale = self.scale * self.simulator.acceleration_scale
-        loss = rollout_loss(positions, batch.targets, scale)
-        if self.tail > 0.0:
-            both = torch.stack((positions[-1], batch.targets[-1]))
-            loss = loss + self.tail * tail_loss(both, conditions, steps * scale)
-        return loss
-
-
-def tail_loss(positions: Tensor, conditions: Conditions, scale: float | Tensor) -> Tensor:
-    """h((e - E) / scale), the mean over samples and the ends e along their level axes (`measures.tail_weights`).
-
-    A mean over particles hardly sees the few that a front is made of, and a mean of sprays is no spray: it comes short.
-    positions: of the model and of the MPM at the same time [m], shape [2, N, D]; scale: [m].
-    """
-    batch = conditions.batch
-    samples = [slice(None)] if batch is None else [batch == each for each in range(len(conditions.size))]
-    ends = []
-    for own in samples:
-        volume = conditions.volume[own]
-        for axis in (axis for axis in range(positions.shape[2]) if axis != UP):
-            for side in (1.0, -1.0):
-                x, order = (side * positions[:, own, axis]).sort(dim=1)
-                weights = np.stack([measures.tail_weights(each.cpu().numpy()) for each in volume[order]])
-                ends.append((torch.from_numpy(weights).to(x) * x).sum(dim=1))
-    error = torch.stack(ends) / scale
-    return functional.smooth_l1_loss(error[:, 0], error[:, 1])
-
-
-def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
-    """The loss of a rollout.
-
-    positions: of the model at the start and after each step [m], shape [K + 1, N, D]; targets: [m], [K, N, D];
-    scale: s [m].
-    """
-    steps = torch.arange(1, len(targets) + 1, device=targets.device).view(-1, 1, 1)
-    error = (positions[1:] - targets) / scale
-    before = torch.cat((torch.zeros_like(error[:1]), error[:-1]))
-    zero = torch.zeros_like(error)
-    return functional.smooth_l1_loss(error / steps, zero) + functional.smooth_l1_loss(error - before, zero)
-
-
 def unrolled_steps(schedule: Sequence[int], progress: float) -> int:
     """Steps to train through at `progress` in [0, 1]: the entries of `schedule` share the budget equally."""
     return schedule[min(int(progress * len(schedule)), len(schedule) - 1)]
@@ -188,19 +120,20 @@ def fit(
             stack.enter_context(locked(out))
         flows, valid = load(datasets, model, training, progress=first)
         torch.manual_seed(seed)
-        simulator = Simulator(model, statistics(flows)) if begin is None else continued(begin, model)
+        if training.correct and begin is None:
+            raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
+        simulator = Simulator(model, statistics(flows)) if begin is None else continued(begin, model, training)
         simulator = simulator.to(where)
         average = AveragedModel(simulator, avg_fn=lambda old, new, count: averaged(old, new, int(count), training))
-        matrices = [weight for weight in simulator.parameters() if weight.dim() == 2]
-        others = [weight for weight in simulator.parameters() if weight.dim() != 2]
+        sampler, own_loss = lesson(simulator, flows, training)
+        free = [weight for weight in simulator.parameters() if weight.requires_grad]
+        matrices = [weight for weight in free if weight.dim() == 2]
+        others = [weight for weight in free if weight.dim() != 2]
         optimisers: tuple[torch.optim.Optimizer, ...] = (
             torch.optim.Muon(matrices, weight_decay=0.0, adjust_lr_fn="match_rms_adamw"),
             torch.optim.Adam(others),
         )
-        loss_of: nn.Module = UnrolledLoss(simulator, training)
-        if is_initialized():
-            loss_of = DistributedDataParallel(loss_of)
-        sampler = Sampler(flows, model, training)
+        loss_of: nn.Module = DistributedDataParallel(own_loss) if is_initialized() else own_loss
         parts = {"weights": simulator, "average": average, "muon": optimisers[0], "adam": optimisers[1]}
         position = restored(out / LAST, model, parts) if resume else Position()
         history = {
@@ -237,7 +170,7 @@ def fit(
             batch = sampler.batch(steps, np.random.default_rng([seed, rank(), position.updates]))
             loss = loss_of(batch.to(where))
             loss.backward()
-            norm = nn.utils.clip_grad_norm_(simulator.parameters(), training.clip)
+            norm = nn.utils.clip_grad_norm_(free, training.clip)
             if not math.isfinite(norm):
                 number = position.updates + 1
                 raise WorkFailed(f"the gradient of update {number} is not finite; {LAST} is older and whole")
@@ -259,6 +192,18 @@ def fit(
         bar.close()
         if first:
             print(described(out / BEST, datasets, (out / "scores.md").read_text()))
+
+
+def lesson(
+    simulator: Simulator, flows: Sequence[Flows], training: TrainingSettings
+) -> tuple[Sampler, UnrolledLoss | EndLoss]:
+    """What is drawn, and its loss: stretches of flows for the steps, ends of whole rollouts for the correction."""
+    if simulator.correction is None:
+        return Sampler(flows, simulator.settings, training), UnrolledLoss(simulator, training)
+    rollouts, loss = Rollouts(flows, simulator.settings, training, simulator), EndLoss(simulator)
+    if not simulator.correction.normalised:
+        loss.normalise(rollouts.batch(0, np.random.default_rng(number)) for number in range(NORMALISED))
+    return rollouts, loss
 
 
 def averaged(average: Tensor, current: Tensor, updates: int, training: TrainingSettings) -> Tensor:
@@ -288,7 +233,7 @@ def load(
     return train, [every[index * len(every) // count] for index in range(count)]
 
 
-def continued(model: Model, settings: ModelSettings) -> Simulator:
+def continued(model: Model, settings: ModelSettings, training: TrainingSettings) -> Simulator:
     """A model to train on. Raises InputError where its settings are others, but for the speed of rest."""
     simulator = model.simulator
     there = asdict(dataclasses.replace(simulator.settings, rest_speed=settings.rest_speed))
@@ -296,7 +241,14 @@ def continued(model: Model, settings: ModelSettings) -> Simulator:
         raise InputError(f"expected a model of the settings given, other is {', '.join(other)}", key="--begin")
     # No weight depends on it.
     simulator.settings = settings
-    return simulator.train().requires_grad_(True)
+    if not training.correct:
+        simulator.correction = None
+        return simulator.train().requires_grad_(True)
+    simulator.requires_grad_(False)
+    if simulator.correction is None:
+        simulator.correction = Correction(settings)
+    simulator.correction.train().requires_grad_(True)
+    return simulator
 
 
 def validate(

@@ -6,6 +6,7 @@ from torch.utils.checkpoint import checkpoint
 from tqdm import tqdm
 
 from datasets.memory import trimming
+from gns.correction import stretched
 from gns.simulator import Simulator
 from gns.state import Conditions, State
 
@@ -18,8 +19,11 @@ def unroll(
     *,
     kept_steps: int = 0,
     progress: bool = False,
+    corrected: bool = True,
 ) -> Tensor:
     """Positions [m] at the start and after each step, shape [steps + 1, N, D]; all of it in the units of the scene.
+
+    corrected: on the way to the end by the simulator's correction, where it has one (`gns.correction`).
 
     Where gradients are recorded, a step keeps only its state and is computed again in the backward pass (a
     state is a few kilobytes, the activations of a step are megabytes); the last `kept_steps` steps keep their
@@ -30,7 +34,7 @@ def unroll(
     lean = trimming(simulator)
     length = conditions.units.length
     state, conditions = start.over(length), conditions.in_model_units()
-    positions = [state.positions]
+    first, positions = state, [state.positions]
     for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
         if torch.is_grad_enabled() and step < steps - kept_steps:
             state = checkpoint(lean, state, conditions, use_reentrant=False, preserve_rng_state=False)
@@ -38,6 +42,8 @@ def unroll(
             state = simulator(state, conditions)
         positions.append(state.positions)
     moved = torch.stack(positions)
+    if corrected and simulator.correction is not None and steps > 0:
+        moved = stretched(moved, simulator.ahead(first, state, conditions), conditions)
     return moved if length == 1.0 else moved * length
 
 

@@ -27,12 +27,12 @@ def main(
     *,
     out: Path,
     runs: int = 64,
-    minutes: float = 5.0,
+    minutes: float = 2.0,
     model: Path | None = None,
     jobs: int | None = None,
     seed: int = 0,
 ) -> None:
-    """Run the MPM all over PROBLEM's box, and train a model further on these flows.
+    """Run the MPM all over PROBLEM's box, and correct a model by these flows.
 
     Leaves OUT/best.safetensors with its card OUT/best.json, scores and bands on flows that were held out, OUT/data.
     --model OUT then uses it in `validation.loop`, `inverse` and `gns.rollout`. Running the same command again finishes
@@ -51,7 +51,7 @@ def main(
     model
         The model to begin with, a file or a folder; unless given, the one that ships for 2D or for 3D.
     jobs
-        Processes side by side, of the MPM, and of the training two at most; one per processor unless given.
+        Processes of the MPM side by side; one per processor unless given.
     seed
         Seed of the parameters, of the jitters and of the samples.
     """

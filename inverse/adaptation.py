@@ -1,10 +1,11 @@
-"""Learn the problem at hand: the MPM's flows all over its box, and a model trained further on them.
+"""Learn the problem at hand: the MPM's flows all over its box, by which a model's rollouts are corrected.
 
 A shipped model interpolates between flows of many kinds. An inversion asks for one kind, with a few unknowns: some 64
-runs fill their box, and minutes of training on whole flows lower the error several times. Parameters are points of a
-Sobol sequence between the prior bounds (Sobol, On the distribution of points in a cube, USSR Comput. Math. Math. Phys.
-7 (1967) 86-112), each flow with a jitter seed of its own; every fifth is held out, for the scores and the band.
-Powers of two would not do: those of a Sobol sequence that are so many apart fill one slice of the box alone.
+runs fill their box, and a minute's training of the correction (`gns.correction`) lowers the error several times.
+Parameters are points of a Sobol sequence between the prior bounds (Sobol, On the distribution of points in a cube, USSR
+Comput. Math. Math. Phys. 7 (1967) 86-112), each flow with a jitter seed of its own; every fifth is held out, for the
+scores and the band. Powers of two would not do: those of a Sobol sequence that are so many apart fill one slice of the
+box alone.
 """
 
 import dataclasses
@@ -28,7 +29,6 @@ from datasets.scene import Scene
 from datasets.training.samples import Flow
 from datasets.trajectory import Trajectory, trajectory_files
 from gns import card, checkpoint
-from gns.distributed import together
 from gns.initial import check
 from gns.library import model_path, shipped
 from gns.samples import flows_of
@@ -48,8 +48,8 @@ DATA, PROBLEM = "data", "problem.json"
 """In the folder of a run: its flows, and what problem they are of."""
 HELD_OUT = 5
 """Of so many flows one is held out; odd, so that those lie all over the box."""
-BATCH = 2
-"""Samples of an update; as many processes share them at most."""
+ROLLOUTS = 3
+"""Of each flow, which are learned from."""
 FEWEST = 7
 """Flows at least, of which two are held out."""
 MOST_SCORED = 24
@@ -65,12 +65,12 @@ def adapt(
     out: Path | str,
     *,
     runs: int = 64,
-    minutes: float = 5.0,
+    minutes: float = 2.0,
     model: Path | str | None = None,
     jobs: int | None = None,
     seed: int = 0,
 ) -> Path:
-    """Train a model further on the flows of `problem`, and return the file of its weights, `out`/best.safetensors.
+    """Correct a model by the flows of `problem`, and return the file of its weights, `out`/best.safetensors.
 
     >>> from inverse import adapt
     >>> from validation import solve
@@ -90,10 +90,8 @@ def adapt(
         raise InputError(f"expected at least {FEWEST} runs, of which two are held out, got {runs}", key="--runs")
     flows = definition(asked, runs, settings, seed=seed)
     entries = flows.entries(seed=seed)
-    steps = min(entry.scene.frames for entry in entries) - 1
     jobs = processors() if jobs is None else jobs
-    count = min(jobs, BATCH)
-    training = training_settings(steps=steps, minutes=minutes, batch=BATCH // count)
+    training = training_settings(minutes)
     if (known := read_json(out / PROBLEM)) not in (None, identity(asked)):
         expected = f"expected a new folder, or one of {asked.name} on the same cells"
         raise InputError(f"{expected}, it is of another problem: {', '.join(known['unknowns'])}", where=str(out))
@@ -110,7 +108,8 @@ def adapt(
     print(f"{simulated}; {minutes:g} minutes of training begin")
     held_out = flows_of(out / DATA, Split.VALID, settings)
     before = scored(begun.simulator, held_out, weights.stem)
-    together(count, train, out, weights, training, seed)
+    resume = (out / LAST).exists()
+    fit([out / DATA], out, model=settings, training=training, begin=begun, resume=resume, seed=seed, command=COMMAND)
     best = model_path(out)
     after = scored(checkpoint.load(best).simulator, held_out, best.stem)
     described = card.read(best)
@@ -120,13 +119,6 @@ def adapt(
     errors = f"{change(before, after)} on {len(held_out)} held-out flows"
     print(f"{simulated}, {minutes:.1f} minutes of training, {errors}{scatter(deposits(out, asked), asked)}")
     return best
-
-
-def train(out: Path, weights: Path, training: TrainingSettings, seed: int) -> None:
-    """Train the model in `weights` further on the flows in `out`; where that has begun already, go on."""
-    begun, resume = checkpoint.load(weights), (out / LAST).exists()
-    settings = begun.simulator.settings
-    fit([out / DATA], out, model=settings, training=training, begin=begun, resume=resume, seed=seed, command=COMMAND)
 
 
 def identity(problem: Problem) -> dict[str, Any]:
@@ -161,18 +153,17 @@ def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: in
     )
 
 
-def training_settings(*, steps: int, minutes: float, batch: int) -> TrainingSettings:
-    """How a model is trained on flows of so many steps, by processes of which each has a batch."""
+def training_settings(minutes: float) -> TrainingSettings:
+    """How a correction is trained on the flows of one problem."""
     return TrainingSettings(
+        correct=True,
+        rollouts=ROLLOUTS,
         minutes=minutes,
-        batch=batch,
-        unroll=(max(1, steps // 3), max(1, 2 * steps // 3), steps),
-        learning_rate=5.0e-4,
-        warmup=10,
-        loss_scale=0.5,
-        tail=0.2,
-        first=0.7,
-        average=0.97,
+        unroll=(1,),
+        learning_rate=1.0e-3,
+        warmup=20,
+        first=0.8,
+        average=0.98,
         validations=1,
         validate_flows=MOST_SCORED,
     )

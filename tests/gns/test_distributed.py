@@ -1,5 +1,7 @@
 """Two processes train on the mean of their gradients."""
 
+import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -10,11 +12,12 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from datasets.training.samples import Sample, cut
-from gns.distributed import joined, rank, together
+from gns.distributed import joined, rank
+from gns.losses import UnrolledLoss
 from gns.samples import batched, flows_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
-from gns.training import LAST, UnrolledLoss
+from gns.training import LAST
 from tests.gns.conftest import TINY, rows
 
 ROOT = Path(__file__).parents[2]
@@ -32,8 +35,10 @@ def gradients(simulator: Simulator, samples: list[Sample]) -> dict[str, torch.Te
     return {name: value.grad for name, value in simulator.named_parameters() if value.grad is not None}
 
 
-def work(simulator: Simulator, parts: list[list[Sample]], out: Path) -> None:
+def work(number: int, port: str, simulator: Simulator, parts: list[list[Sample]], out: Path) -> None:
     """One of two processes."""
+    common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
+    os.environ.update(common | {"RANK": str(number)})
     with joined("cpu"):
         torch.save(gradients(simulator, parts[rank()]), out / f"{rank()}.pt")
 
@@ -48,7 +53,10 @@ def test_two_processes_give_the_mean_of_their_gradients(
         for flow, now in zip(flows, (0, 5, 9), strict=False)
     ]
     parts = [samples[:2], samples[2:]]
-    together(2, work, simulator, parts, tmp_path)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    torch.multiprocessing.start_processes(work, (port, simulator, parts, tmp_path), nprocs=2, start_method="fork")
     alone = [gradients(simulator, part) for part in parts]
     first, second = (torch.load(tmp_path / f"{rank}.pt", weights_only=True) for rank in (0, 1))
     assert alone[0].keys() == first.keys()

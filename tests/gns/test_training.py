@@ -15,11 +15,12 @@ from datasets import command_line, measures
 from datasets.scene import Baffle, Domain, Solid
 from datasets.trajectory import Trajectory
 from gns import card, checkpoint, training
+from gns.losses import UnrolledLoss, rollout_loss, tail_loss
 from gns.samples import Sampler, flows_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.train import train
-from gns.training import LAST, UnrolledLoss, rollout_loss, tail_loss
+from gns.training import LAST
 from tests.gns.conftest import NORMALISATION, TINY, Cloud, rows
 
 
@@ -120,7 +121,7 @@ def test_a_gradient_that_is_not_finite_ends_the_run_and_leaves_an_older_file(
 ) -> None:
     assert run(dataset, tmp_path, "--updates", "2", "--validations", "1") == 0
     before = (tmp_path / LAST).read_bytes()
-    monkeypatch.setattr(training, "rollout_loss", lambda positions, *_: (positions * torch.nan).sum())
+    monkeypatch.setattr("gns.losses.rollout_loss", lambda positions, *_: (positions * torch.nan).sum())
     assert run(dataset, tmp_path, "--updates", "3", "--resume") == 1
     assert "the gradient of update 3 is not finite; last.pt is older and whole" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before

@@ -1,0 +1,115 @@
+"""The correction: where a rollout ends, moved to where the MPM's flow does, by a network that learns whole rollouts.
+
+    x'_K = x_K + L C(start, x_K, conditions)        C: `gns.network.Network`, one pass a rollout
+    x'_k = x_k + w_k (x'_K - x_K),                  w_k = sum_{j <= k} |v_j|^2 / sum_{j <= K} |v_j|^2
+
+An error that the steps add up alike in each flow of a kind, as of a front that comes short, is hard for them to
+unlearn: a gradient through all of them costs as much as a hundred passes of C, which sees end, start and surroundings
+at once. K is any step, as it was in training; the way to it is stretched in proportion to the motion.
+
+| symbol | variable       | unit           |
+| L      | `body_length`  | m              |
+| x_k    | `positions[k]` | m              |
+| v_k    | their changes  | m per step     |
+"""
+
+import dataclasses
+
+import torch
+from torch import Tensor, nn
+
+from gns.contact import keep_out
+from gns.network import Inputs, Network
+from gns.settings import GRAVITY, ModelSettings, constant_count, features
+from gns.state import Conditions, State
+
+WIDTH = 64
+"""Of its latent vectors; a wider one learns its training flows by heart."""
+NOISE = 0.2
+"""Standard deviation of what is added to the normalised features of a whole flow while training [-]."""
+REACH = 0.1
+"""Displacement over L that an output of one means [-]."""
+SMALLEST = 1.0e-3
+"""Standard deviation of a flow over L, below which a division by it fades [-]."""
+LARGEST = 5.0
+"""Of a normalised feature, by amount [-]."""
+
+
+class Correction(nn.Module):
+    """C: what a network is given of the end, and of each particle its place in the flow as a whole, normalised."""
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, settings: ModelSettings) -> None:
+        super().__init__()
+        axes, self.settings = settings.dimension, settings
+        count = sum(features(settings).values()) + 9 * axes
+        self.register_buffer("mean", torch.zeros(count))
+        self.register_buffer("std", torch.ones(count))
+        self.network = Network(count, constant_count(axes), 0, dataclasses.replace(settings, width=WIDTH))
+
+    @property
+    def normalised(self) -> bool:
+        """Whether mean and standard deviation of the features are known."""
+        return bool((self.std != 1.0).any())
+
+    def forward(self, start: State, end: State, given: Inputs, conditions: Conditions) -> Tensor:
+        """x'_K - x_K [m], shape [N, D], before any contact; given: of the end, all in units of the model."""
+        found = (self.features(start, end, given, conditions) - self.mean) / self.std
+        if self.training:
+            # What is the same all over a flow would tell by heart which of the training it is.
+            noise = NOISE * torch.randn(len(conditions.size), found.shape[1], dtype=found.dtype, device=found.device)
+            found = found + conditions.of_particles(noise)
+        moved = self.network(dataclasses.replace(given, features=found.clamp(-LARGEST, LARGEST)))
+        return REACH * length_of(self.settings) * torch.as_tensor(moved)
+
+    def features(self, start: State, end: State, given: Inputs, conditions: Conditions) -> Tensor:
+        """Features [N, F]: those given, and over L and (g L)^(1/2) per step
+
+            x_K - x_0, x_0 - <x_0>, x_K - <x_K>, v_0, <v_0>, <x_K> - <x_0>, std(x_0), std(x_K), (x_K - <x_K>) / std(x_K)
+
+        with means <> and deviations over the volume of the flow.
+        """
+        length = length_of(self.settings)
+        speed = self.settings.step * (GRAVITY * length) ** 0.5
+        first, last, velocity = start.positions / length, end.positions / length, start.displacements[-1] / speed
+        whole = torch.cat((first, last, velocity), dim=1)
+        middle = average(whole, conditions)
+        here = whole - middle
+        spread = (average(here.square(), conditions) + SMALLEST**2).sqrt()
+        begun, ended, thrown = middle.chunk(3, dim=1)
+        own_first, own_last, _ = here.chunk(3, dim=1)
+        before, after, _ = spread.chunk(3, dim=1)
+        places = (last - first, own_first, own_last, velocity, thrown, ended - begun, before, after, own_last / after)
+        return torch.cat((given.features, *(each.expand_as(first) for each in places)), dim=1)
+
+
+def average(values: Tensor, conditions: Conditions) -> Tensor:
+    """Mean over the volume of each flow, for each of its particles: of values [N, C], shape [N or 1, C]."""
+    share, batch = conditions.volume.unsqueeze(1), conditions.batch
+    if batch is None:
+        return (share * values).sum(dim=0, keepdim=True) / share.sum()
+    sums = torch.zeros(len(conditions.size), values.shape[1] + 1, dtype=values.dtype, device=values.device)
+    sums = sums.index_add(0, batch, torch.cat((share * values, share), dim=1))
+    return (sums[:, :-1] / sums[:, -1:]).index_select(0, batch)
+
+
+def length_of(settings: ModelSettings) -> float:
+    """L [m]: the body's; of a model without one, a hundred radii are about ten columns."""
+    return settings.body_length or 10.0 * settings.radius
+
+
+def stretched(positions: Tensor, moved: Tensor, conditions: Conditions) -> Tensor:
+    """The way of a rollout [m], shape [K + 1, N, D], to an end that is moved by `moved` [m], shape [N, D]."""
+    steps = (positions[1:] - positions[:-1]).detach().square().sum(dim=2)
+    batch = conditions.batch
+    if batch is not None:
+        every = steps.new_zeros(len(steps), len(conditions.size)).index_add(1, batch, steps)
+        steps = every.index_select(1, batch)
+    else:
+        steps = steps.sum(dim=1, keepdim=True)
+    passed = steps.cumsum(dim=0)
+    shares = (passed / passed[-1].clamp(min=1.0e-12)).unsqueeze(2)
+    ways = [keep_out(at + share * moved, at, conditions) for at, share in zip(positions[1:], shares, strict=True)]
+    return torch.stack((positions[0], *ways))

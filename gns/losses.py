@@ -1,0 +1,162 @@
+"""What a training lowers: the error of unrolled steps, or that of corrected ends.
+
+    loss = mean_k h(|x_k - X_k| / (k s)) + h(|v_k - V_k| / s),   h(e) = e^2 / 2 below 1, e - 1/2 above
+
+over the steps k of a rollout. An error in the displacement grows k-fold in the position. Impacts that a step cannot
+resolve are far above s and count linearly only: they would drown the flow otherwise.
+
+| symbol | variable           | meaning                                    |
+| x, v   | `positions`        | of the model, and their differences        |
+| X, V   | `Batch.targets`    | of the MPM                                 |
+| s      | `scale`            | a share of the accelerations per step [m]  |
+"""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from datasets import measures
+from gns.correction import length_of
+from gns.samples import Batch, Ends
+from gns.settings import UP, TrainingSettings
+from gns.simulator import Simulator
+from gns.state import Conditions
+from gns.unroll import step_activation_bytes, unroll
+
+MARGIN = 1.5
+"""Some batches have more neighbours a particle than the one whose memory was measured."""
+PLACE, END, SHARE = 0.1, 0.03, 0.02
+"""Errors of a corrected end that count as one: of a particle over L, of the flow's ends and of equal shares of its
+volume over its extent."""
+OF_ENDS = 0.3
+"""Weight of each of the last two."""
+
+
+class UnrolledLoss(nn.Module):
+    """Batch to loss: the whole unroll is one `forward`, as DistributedDataParallel requires."""
+
+    def __init__(self, simulator: Simulator, training: TrainingSettings) -> None:
+        super().__init__()
+        self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
+        self.tail = training.tail
+        self._particle_bytes = 0.0
+        simulator.network.half_precision = half_precision()
+
+    def forward(self, batch: Batch) -> Tensor:
+        """The loss of unrolling `batch` to its last target."""
+        state, conditions, steps = batch.state, batch.conditions, len(batch.targets)
+        particles = len(state.positions)
+        if not self._particle_bytes:
+            self._particle_bytes = MARGIN * step_activation_bytes(self.simulator, state, conditions) / particles
+        kept = min(steps, int(self.memory / (self._particle_bytes * particles)))
+        positions = unroll(self.simulator, state, conditions, steps, kept_steps=kept)
+        scale = self.scale * self.simulator.acceleration_scale
+        loss = rollout_loss(positions, batch.targets, scale)
+        if self.tail > 0.0:
+            both = torch.stack((positions[-1], batch.targets[-1]))
+            loss = loss + self.tail * tail_loss(both, conditions, steps * scale)
+        return loss
+
+
+def tail_loss(positions: Tensor, conditions: Conditions, scale: float | Tensor) -> Tensor:
+    """h((e - E) / scale), the mean over samples and the ends e along their level axes (`measures.tail_weights`).
+
+    A mean over particles hardly sees the few that a front is made of, and a mean of sprays is no spray: it comes short.
+    positions: of the model and of the MPM at the same time [m], shape [2, N, D]; scale: [m].
+    """
+    error = torch.stack([ends(*each) / scale for each in lines(positions, conditions)])
+    return functional.smooth_l1_loss(error[:, 0], error[:, 1])
+
+
+def lines(positions: Tensor, conditions: Conditions) -> Iterator[tuple[Tensor, Tensor]]:
+    """Coordinates along each level axis [m], shape [2, n], and volumes [n] of the particles of each sample in turn."""
+    for sample in range(len(conditions.size)):
+        own = slice(None) if conditions.batch is None else conditions.batch == sample
+        for axis in (axis for axis in range(positions.shape[2]) if axis != UP):
+            yield positions[:, own, axis], conditions.volume[own]
+
+
+def ends(coordinates: Tensor, volume: Tensor) -> Tensor:
+    """Where particles end on either side along an axis [m], shape [2, 2]; coordinates: [m], shape [2, n]."""
+    found = []
+    for side in (1.0, -1.0):
+        x, order = (side * coordinates).sort(dim=1)
+        weights = np.stack([measures.tail_weights(each.cpu().numpy()) for each in volume[order]])
+        found.append((torch.from_numpy(weights).to(x) * x).sum(dim=1))
+    return torch.stack(found, dim=1)
+
+
+def equal_shares(coordinates: Tensor, volume: Tensor) -> Tensor:
+    """`measures.equal_shares`, differentiably: coordinates [m], shape [2, n], to [2, SHARES]."""
+    x, order = coordinates.sort(dim=1)
+    whole = volume[order]
+    passed = whole.cumsum(dim=1) - 0.5 * whole
+    share = (torch.arange(measures.SHARES).to(whole) + 0.5) / measures.SHARES * whole.sum(dim=1, keepdim=True)
+    after = torch.searchsorted(passed, share).clamp(1, x.shape[1] - 1)
+    first, last = passed.gather(1, after - 1), passed.gather(1, after)
+    part = ((share - first) / (last - first)).clamp(0.0, 1.0)
+    return torch.lerp(x.gather(1, after - 1), x.gather(1, after), part)
+
+
+def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
+    """The loss of a rollout.
+
+    positions: of the model at the start and after each step [m], shape [K + 1, N, D]; targets: [m], [K, N, D];
+    scale: s [m].
+    """
+    steps = torch.arange(1, len(targets) + 1, device=targets.device).view(-1, 1, 1)
+    error = (positions[1:] - targets) / scale
+    before = torch.cat((torch.zeros_like(error[:1]), error[:-1]))
+    zero = torch.zeros_like(error)
+    return functional.smooth_l1_loss(error / steps, zero) + functional.smooth_l1_loss(error - before, zero)
+
+
+class EndLoss(nn.Module):
+    """Ends of rollouts to the loss of their correction,
+
+        mean h(|x - X| / (c_x L)) + w (mean h((e - E) / (c_e l)) + mean h((q - Q) / (c_q l)))
+
+    over particles, the ends e and the places q of equal shares of the volume; l: extent of the MPM's flow.
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        super().__init__()
+        assert simulator.correction is not None
+        self.simulator, self.correction = simulator, simulator.correction
+        self.correction.network.half_precision = half_precision()
+
+    def normalise(self, batches: Iterable[Ends]) -> None:
+        """Mean and standard deviation of the correction's features, those of these batches."""
+        found = []
+        for each in batches:
+            given, _ = self.simulator.inputs(each.end, each.conditions)
+            found.append(self.correction.features(each.state, each.end, given, each.conditions))
+        every = torch.cat(found)
+        self.correction.mean.copy_(every.mean(dim=0))
+        # What is the same everywhere, as the friction of the walls may be, says nothing.
+        self.correction.std.copy_(every.std(dim=0).clamp(min=1.0e-3))
+
+    def forward(self, batch: Ends) -> Tensor:
+        """The loss of a batch."""
+        conditions, target = batch.conditions, batch.targets[-1]
+        moved = self.simulator.ahead(batch.state, batch.end, conditions)
+        both = torch.stack((batch.end.positions + moved, target))
+        error = (both[0] - both[1]) / (PLACE * length_of(self.correction.settings))
+        ends_off, shares_off = [], []
+        for x, volume in lines(both, conditions):
+            found, shares = ends(x, volume), equal_shares(x, volume)
+            extent = found[1].sum()
+            ends_off.append((found[0] - found[1]) / (END * extent))
+            shares_off.append((shares[0] - shares[1]) / (SHARE * extent))
+        loss = functional.smooth_l1_loss(error, torch.zeros_like(error))
+        for off in map(torch.stack, (ends_off, shares_off)):
+            loss = loss + OF_ENDS * functional.smooth_l1_loss(off, torch.zeros_like(off))
+        return loss
+
+
+def half_precision() -> bool:
+    """Whether products in bfloat16 are faster here."""
+    return bool(torch.cpu.get_capabilities().get("avx512_bf16", False))

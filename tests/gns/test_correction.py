@@ -1,0 +1,137 @@
+"""The correction of a rollout's end: what it keeps, what it learns, and where it is left out."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from datasets import command_line, measures
+from gns import checkpoint
+from gns.correction import Correction, stretched
+from gns.losses import EndLoss, equal_shares
+from gns.samples import Rollouts, flows_of
+from gns.settings import TrainingSettings
+from gns.simulator import Simulator
+from gns.state import State
+from gns.train import train
+from gns.unroll import unroll
+from tests.gns.conftest import TINY, Cloud, rows
+
+
+@pytest.fixture
+def corrected(lively: Simulator) -> Simulator:
+    """The tiny model in double precision, frozen, with a correction that matters."""
+    torch.manual_seed(2)
+    lively.correction = Correction(lively.settings)
+    with torch.no_grad():
+        lively.correction.network.decoder.mlp[-1].weight.normal_(std=0.1)
+    return lively.double().eval().requires_grad_(False)
+
+
+def test_the_end_is_moved_and_the_way_to_it_stretched(corrected: Simulator, cloud: Cloud) -> None:
+    state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.1, 0.0), velocity=(1.0, 0.0)))
+    raw = unroll(corrected, state, conditions, 12, corrected=False)
+    found = unroll(corrected, state, conditions, 12)
+    off = (found - raw).norm(dim=2)
+    assert not off[0].any()
+    assert off[-1].median() > 1e-4
+    # In proportion to the motion so far, but where the floor or a wall stops it.
+    free = (found[-1, :, 1] > 1e-3) & (found[-1, :, 0] > 1e-3)
+    share = (off[1:, free] / off[-1, free]).median(dim=1).values
+    assert (share.diff() >= -1e-12).all()
+    assert 0.0 < share[0] < 0.3
+    size = conditions.size[0]
+    assert ((found[1:] >= 0.0) & (found[1:] <= size)).all()
+
+
+def test_sand_that_has_not_moved_stays(corrected: Simulator, cloud: Cloud) -> None:
+    state, conditions = (each.to(dtype=torch.float64) for each in cloud())
+    still = state.positions.expand(4, -1, -1)
+    moved = stretched(still, torch.ones_like(state.positions), conditions)
+    torch.testing.assert_close(moved, still)
+
+
+def test_samples_side_by_side_are_corrected_as_alone(corrected: Simulator, cloud: Cloud) -> None:
+    flows = [cloud(lower=(0.1, 0.0), velocity=(speed, 0.0), seed=seed) for seed, speed in ((0, 1.0), (1, 0.3))]
+    flows = [(state.to(dtype=torch.float64), conditions.to(dtype=torch.float64)) for state, conditions in flows]
+    alone = torch.cat([unroll(corrected, *each, 6) for each in flows], dim=1)
+    state = State(
+        positions=torch.cat([state.positions for state, _ in flows]),
+        displacements=torch.cat([state.displacements for state, _ in flows], dim=1),
+    )
+    both = {
+        each.name: torch.cat([getattr(conditions, each.name) for _, conditions in flows])
+        for each in dataclasses.fields(flows[0][1])
+        if isinstance(getattr(flows[0][1], each.name), torch.Tensor)
+    }
+    number = torch.arange(2).repeat_interleave(len(flows[0][0].positions))
+    together = unroll(corrected, state, dataclasses.replace(flows[0][1], batch=number, **both), 6)
+    torch.testing.assert_close(together, alone, atol=1e-9, rtol=0.0)
+
+
+def test_the_gradient_of_a_corrected_end_is_that_of_differences(corrected: Simulator, cloud: Cloud) -> None:
+    state, conditions = (each.to(dtype=torch.float64) for each in cloud(lower=(0.3, 0.2), velocity=(0.5, 0.0)))
+
+    def mean_x(friction: torch.Tensor) -> torch.Tensor:
+        changed = dataclasses.replace(conditions, friction=conditions.friction + friction)
+        return unroll(corrected, state, changed, 5)[-1, :, 0].mean()
+
+    change, step = torch.zeros((), dtype=torch.float64, requires_grad=True), 1e-6
+    (slope,) = torch.autograd.grad(mean_x(change), change)
+    with torch.no_grad():
+        differences = (mean_x(change + step) - mean_x(change - step)) / (2.0 * step)
+    assert slope.item() == pytest.approx(differences.item(), rel=1e-4)
+
+
+def test_equal_shares_are_the_measured_ones() -> None:
+    rng = np.random.default_rng(0)
+    x, volume = rng.random((2, 300)), rng.random(300) + 0.1
+    found = equal_shares(torch.from_numpy(x), torch.from_numpy(volume))
+    for own, line in zip(found.numpy(), x, strict=True):
+        np.testing.assert_allclose(own, measures.equal_shares(line[:, None], volume), rtol=1e-12)
+
+
+def run(dataset: Path, out: Path, *flags: str) -> int:
+    """Train a tiny model; the exit status."""
+    return command_line.run(train, "train", [str(dataset), "--out", str(out), *flags])
+
+
+def test_a_correction_learns_and_is_left_out_where_the_steps_change(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(dataset, tmp_path / "steps", *TINY, "--updates", "2") == 0
+    begin = ("--begin", str(tmp_path / "steps" / "best.safetensors"), "--device", "cpu", "--unroll", "1")
+    more = ("--correct", "--validations", "2", "--learning-rate", "2e-2", "--warmup", "5", "--validate-flows", "1")
+    assert run(dataset, tmp_path / "ends", *begin, *more, "--updates", "120") == 0
+    before = float(rows(tmp_path / "steps")[-1]["score"])
+    assert float(rows(tmp_path / "ends")[-1]["score"]) < 0.8 * before
+    steps, ends = (checkpoint.load(tmp_path / each / "best.safetensors").simulator for each in ("steps", "ends"))
+    assert steps.correction is None
+    assert ends.correction is not None
+    for name, weights in steps.state_dict().items():
+        torch.testing.assert_close(ends.state_dict()[name], weights)
+    # The run goes on where it was, and another one that trains the steps begins without the correction.
+    assert run(dataset, tmp_path / "ends", *begin, *more, "--updates", "124", "--resume") == 0
+    begin = ("--begin", str(tmp_path / "ends" / "best.safetensors"), *begin[2:])
+    assert run(dataset, tmp_path / "again", *begin, "--updates", "1") == 0
+    assert checkpoint.load(tmp_path / "again" / "best.safetensors").simulator.correction is None
+    assert run(dataset, tmp_path / "none", *TINY, "--correct") == 2
+    assert "--begin: expected a model to begin with" in capsys.readouterr().err
+
+
+def test_ends_are_those_of_rollouts_and_kept(
+    dataset: Path, corrected: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulator = corrected.float()
+    flows = flows_of(dataset, "train", simulator.settings)
+    calls: list[int] = []
+    monkeypatch.setattr("gns.samples.unroll", lambda *given, **named: calls.append(given[3]) or unroll(*given, **named))
+    rollouts = Rollouts([flows], simulator.settings, TrainingSettings(batch=4, first=1.0), simulator)
+    drawn = [rollouts.batch(1, np.random.default_rng(number)) for number in range(200)]
+    assert len(calls) == 2 * len(flows)
+    assert set(calls) == {len(flows[0].positions) - 1}
+    for ends in drawn[:5]:
+        assert ends.targets.shape == (1, *ends.end.positions.shape)
+        assert EndLoss(simulator)(ends).isfinite()
