@@ -36,14 +36,15 @@ def guided(task: Task, found: Inversion, known: tuple[MpmRun, ...] = ()) -> tupl
     while True:
         while state.at_edge:
             state = state.wider()
-        left = state.left - task.checks
+        left, known_enough = state.left - task.checks, state.converged
         # The answers of several parameters move until their emulator knows enough: checks of them come last.
-        if unknowns == 1 or state.converged or left <= 0:
+        if unknowns == 1 or known_enough or left <= 0:
             state, corrected = checked(state, again=False)
             if state.at_edge:
                 continue
             left, confirmed = state.left - task.checks, corrected[0].confirmed
-            if not confirmed or state.converged or left <= 0:
+            # What was enough before the checks is so after them, though the scatter that they show may be smaller.
+            if not confirmed or known_enough or state.converged or left <= 0:
                 return state, confirmed
         points = next_points(state.posterior, min(size, left), task.generator(len(state.runs)))
         state = state.ran(points, Purpose.WAVE).inferred()
