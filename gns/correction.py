@@ -27,7 +27,7 @@ WIDTH = 64
 """Of its latent vectors; a wider one learns its training flows by heart."""
 NOISE = 0.2
 """Standard deviation of what is added to the normalised features of a whole flow while training [-]."""
-REACH = 0.1
+DISPLACEMENT = 0.1
 """Displacement over L that an output of one means [-]."""
 SMALLEST = 1.0e-3
 """Standard deviation of a flow over L, below which a division by it fades [-]."""
@@ -62,7 +62,7 @@ class Correction(nn.Module):
             noise = NOISE * torch.randn(len(conditions.size), found.shape[1], dtype=found.dtype, device=found.device)
             found = found + conditions.of_particles(noise)
         moved = self.network(dataclasses.replace(given, features=found.clamp(-LARGEST, LARGEST)))
-        return REACH * length_of(self.settings) * torch.as_tensor(moved)
+        return DISPLACEMENT * length_of(self.settings) * torch.as_tensor(moved)
 
     def features(self, start: State, end: State, given: Inputs, conditions: Conditions) -> Tensor:
         """Features [N, F]: those given, and over L and (g L)^(1/2) per step
