@@ -1,6 +1,6 @@
 """The correction: where a rollout ends, moved to where the MPM's flow does, by a network that learns whole rollouts.
 
-    x'_K = x_K + L C(start, x_K, conditions)        C: `gns.network.Network`, one pass a rollout
+    x'_K = x_K + L/10 C(start, x_K, conditions)     C: `gns.network.Network`, one pass a rollout
     x'_k = x_k + w_k (x'_K - x_K),                  w_k = sum_{j <= k} |v_j|^2 / sum_{j <= K} |v_j|^2
 
 An error that the steps add up alike in each flow of a kind, as of a front that comes short, is hard for them to
@@ -24,7 +24,7 @@ from gns.settings import GRAVITY, ModelSettings, constant_count, features
 from gns.state import Conditions, State
 
 WIDTH = 64
-"""Of its latent vectors; a wider one learns its training flows by heart."""
+"""Of its latent vectors; a wider one overfits."""
 NOISE = 0.2
 """Standard deviation of what is added to the normalised features of a whole flow while training [-]."""
 DISPLACEMENT = 0.1
@@ -58,7 +58,7 @@ class Correction(nn.Module):
         """x'_K - x_K [m], shape [N, D], before any contact; given: of the end, all in units of the model."""
         found = (self.features(start, end, given, conditions) - self.mean) / self.std
         if self.training:
-            # What is the same all over a flow would tell by heart which of the training it is.
+            # Features that are the same all over a flow identify it: without noise the network overfits.
             noise = NOISE * torch.randn(len(conditions.size), found.shape[1], dtype=found.dtype, device=found.device)
             found = found + conditions.of_particles(noise)
         moved = self.network(dataclasses.replace(given, features=found.clamp(-LARGEST, LARGEST)))
@@ -96,7 +96,7 @@ def average(values: Tensor, conditions: Conditions) -> Tensor:
 
 
 def length_of(settings: ModelSettings) -> float:
-    """L [m]: the body's; of a model without one, a hundred radii are about ten columns."""
+    """L [m]: the length of the released body; of a model that does not scale its scenes, ten cutoff radii."""
     return settings.body_length or 10.0 * settings.radius
 
 

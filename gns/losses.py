@@ -31,6 +31,8 @@ MARGIN = 1.5
 PLACE, END, SHARE = 0.1, 0.03, 0.02
 """Errors of a corrected end that count as one: of a particle over L, of the flow's ends and of equal shares of its
 volume over its extent."""
+CONSTANT = 1.0e-3
+"""Standard deviation of a feature below which it counts as constant [-]."""
 OF_ENDS = 0.3
 """Weight of each of the last two."""
 
@@ -136,13 +138,14 @@ class EndLoss(nn.Module):
             found.append(self.correction.features(each.state, each.end, given, each.conditions))
         every = torch.cat(found)
         self.correction.mean.copy_(every.mean(dim=0))
-        # What is the same everywhere, as the friction of the walls may be, says nothing.
-        self.correction.std.copy_(every.std(dim=0).clamp(min=1.0e-3))
+        # What hardly varies in training, as the friction of the walls may, is not enlarged.
+        deviation = every.std(dim=0)
+        self.correction.std.copy_(torch.where(deviation > CONSTANT, deviation, 1.0))
 
     def forward(self, batch: Ends) -> Tensor:
         """The loss of a batch."""
         conditions, target = batch.conditions, batch.targets[-1]
-        moved = self.simulator.ahead(batch.state, batch.end, conditions)
+        moved = self.simulator.end_correction(batch.state, batch.end, conditions)
         both = torch.stack((batch.end.positions + moved, target))
         error = (both[0] - both[1]) / (PLACE * length_of(self.correction.settings))
         ends_off, shares_off = [], []

@@ -144,6 +144,7 @@ def table(scores: Sequence[Score]) -> str:
                 "start": title,
                 "flows": len(group),
                 "front error, mean of absolute values": f"{np.abs(front).mean():.1f} %",
+                "their median": f"{np.median(np.abs(front)):.1f} %",
                 "mean": f"{front.mean():+.1f} %",
                 "worst": f"{front[np.abs(front).argmax()]:+.1f} %",
                 "profile error": f"{100.0 * np.mean([score.profile_error for score in group]):.1f} %",

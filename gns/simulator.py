@@ -102,7 +102,7 @@ class Simulator(nn.Module):
         displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
         return State(positions=stopped, displacements=displacements)
 
-    def ahead(self, start: State, end: State, conditions: Conditions) -> Tensor:
+    def end_correction(self, start: State, end: State, conditions: Conditions) -> Tensor:
         """By how much its correction moves the end of a rollout [m], shape [N, D], all in units of the model."""
         assert self.correction is not None
         return torch.as_tensor(self.correction(start, end, self.inputs(end, conditions)[0], conditions))

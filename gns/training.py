@@ -125,7 +125,7 @@ def fit(
         simulator = Simulator(model, statistics(flows)) if begin is None else continued(begin, model, training)
         simulator = simulator.to(where)
         average = AveragedModel(simulator, avg_fn=lambda old, new, count: averaged(old, new, int(count), training))
-        sampler, own_loss = lesson(simulator, flows, training)
+        sampler, own_loss = sampler_and_loss(simulator, flows, training)
         free = [weight for weight in simulator.parameters() if weight.requires_grad]
         matrices = [weight for weight in free if weight.dim() == 2]
         others = [weight for weight in free if weight.dim() != 2]
@@ -182,7 +182,8 @@ def fit(
             average.update_parameters(simulator)
             position.updates += 1
             losses.append(loss.item())
-            bar.set_description_str(f"{steps} steps, loss {np.mean(losses[-RECENT:]):.4f}", refresh=False)
+            shown = "ends" if training.correct else f"{steps} steps"
+            bar.set_description_str(f"{shown}, loss {np.mean(losses[-RECENT:]):.4f}", refresh=False)
             bar.update(100.0 * position.progress(training) - bar.n)
         if first:
             save(out / LAST, model, parts, position)
@@ -194,7 +195,7 @@ def fit(
             print(described(out / BEST, datasets, (out / "scores.md").read_text()))
 
 
-def lesson(
+def sampler_and_loss(
     simulator: Simulator, flows: Sequence[Flows], training: TrainingSettings
 ) -> tuple[Sampler, UnrolledLoss | EndLoss]:
     """What is drawn, and its loss: stretches of flows for the steps, ends of whole rollouts for the correction."""
@@ -223,7 +224,7 @@ def load(
     train, valid = (
         [flows_of(dataset, split, settings, progress=progress) for dataset in datasets] for split in ("train", "valid")
     )
-    frames = max(2 * settings.history + 1, *training.unroll)
+    frames = max(2 * settings.history + 1, 1 if training.correct else max(training.unroll))
     for flow in (flow for flows in (*train, *valid) for flow in flows):
         if len(flow.positions) <= frames:
             message = f"expected at least {frames} steps of {settings.step:g} s, got {len(flow.positions) - 1}"

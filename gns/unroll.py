@@ -43,7 +43,7 @@ def unroll(
         positions.append(state.positions)
     moved = torch.stack(positions)
     if corrected and simulator.correction is not None and steps > 0:
-        moved = stretched(moved, simulator.ahead(first, state, conditions), conditions)
+        moved = stretched(moved, simulator.end_correction(first, state, conditions), conditions)
     return moved if length == 1.0 else moved * length
 
 

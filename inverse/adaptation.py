@@ -159,7 +159,6 @@ def training_settings(minutes: float) -> TrainingSettings:
         correct=True,
         rollouts=ROLLOUTS,
         minutes=minutes,
-        unroll=(1,),
         learning_rate=1.0e-3,
         warmup=20,
         first=0.8,

@@ -133,11 +133,11 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
 
 
 def test_the_table_keeps_kinds_of_start_apart() -> None:
-    scores = [Score(released=True, front_error=error, profile_error=0.25) for error in (-0.03, 0.04)]
+    scores = [Score(released=True, front_error=error, profile_error=0.25) for error in (-0.01, 0.03, 0.08)]
     lines = table([*scores, Score(released=False, front_error=0.1, profile_error=0.25)]).splitlines()
     assert len(lines) == 4
     cells = [cell.strip() for cell in lines[2].strip("|").split("|")]
-    assert cells == ["released at rest", "2", "3.5 %", "+0.5 %", "+4.0 %", "25.0 %"]
+    assert cells == ["released at rest", "3", "4.0 %", "3.0 %", "+3.3 %", "+8.0 %", "25.0 %"]
 
 
 def test_the_command_prints_the_table(

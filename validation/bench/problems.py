@@ -196,6 +196,9 @@ def is_current(problem: Problem, folder: Path) -> bool:
 
 def ran(problem: Problem, folder: Path) -> bool:
     """Run the loop on a shipped problem in a process of its own; whether it came to its end."""
+    if (folder / KEY).exists():
+        # Made of another problem or other weights: runs that it kept would cost this one no seconds.
+        shutil.rmtree(folder)
     # An older result is not this one's, should this one fail.
     (folder / RESULT).unlink(missing_ok=True)
     arguments = ["-m", "validation.loop", problem.name, "--out", str(folder), "--surrogate", problem.surrogate]

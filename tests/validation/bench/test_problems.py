@@ -88,8 +88,11 @@ def test_results_are_gathered_once(tmp_path: Path, loop: list[str]) -> None:
     assert call(tmp_path, *names) == 0
     assert len(loop) == 5, "results are kept"
     (tmp_path / "runs" / names[0] / problems.KEY).write_text("of another problem")
+    kept = tmp_path / "runs" / names[0] / "kept.npz"
+    kept.touch()
     call(tmp_path, *names)
     assert loop[5:] == [names[0]]
+    assert not kept.exists(), "runs for another problem would cost this one no seconds"
     assert call(tmp_path, "nothing") == 2
 
 
