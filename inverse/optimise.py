@@ -30,6 +30,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.spatial import cKDTree
 from scipy.stats import chi2
@@ -91,6 +92,8 @@ class Inversion:
     """What it predicted there, shape [s, m]."""
     minima: Matrix
     """Where the steps from each start ended, shape [k, U]."""
+    settled: NDArray[np.bool_]
+    """Which of them no step leads on from, shape [k]."""
     seconds: float
     rough: float = ROUGH
     """Expected roughness of the numbers, over their standard deviations by C."""
@@ -222,6 +225,7 @@ def inverted(
         points=points,
         numbers=numbers,
         minima=points[:0],
+        settled=np.zeros(0, bool),
         seconds=0.0,
         rough=rough,
     )
@@ -238,7 +242,10 @@ def with_minima(state: Inversion) -> Inversion:
 
     What the surrogate cannot fit it errs by: Birge's ratio, as in `inverse.noise`.
     """
-    state = descended(state, np.stack([each.point for each in state.answers[:STARTS]]))
+    starts = [each.point for each in state.answers[:STARTS]]
+    starts = [each for each in starts if not (state.minima[state.settled] == each).all(axis=1).any()]
+    if starts:
+        state = descended(state, np.stack(starts))
     free = len(state.target.values) - state.points.shape[1]
     ratio = math.sqrt(float(state.losses(state.minima).min()) / free) if free > 0 else 0.0
     return state.wider(max(1.0, ratio))
@@ -292,7 +299,7 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
 
 
 def descended(state: Inversion, starts: Matrix) -> Inversion:
-    """With the minima of L that steps in lockstep from `starts` [k, U] lead to."""
+    """With the minima of L besides that steps in lockstep from `starts` [k, U] lead to."""
     count = len(starts)
     best, lowest, slopes = starts.copy(), np.full(count, np.inf), np.zeros_like(starts)
     radius, moving, trial = np.full(count, RADIUS), np.arange(count), starts
@@ -309,7 +316,8 @@ def descended(state: Inversion, starts: Matrix) -> Inversion:
         moving, trial = moving[going], (best[moving] + steps)[going]
         if not len(moving):
             break
-    return dataclasses.replace(state, minima=best)
+    settled = np.concatenate([state.settled, ~np.isin(np.arange(count), moving)])
+    return dataclasses.replace(state, minima=np.concatenate([state.minima, best]), settled=settled)
 
 
 def stepped(state: Inversion, points: Matrix, slopes: Matrix, radius: Values) -> tuple[Matrix, Values]:

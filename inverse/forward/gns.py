@@ -35,7 +35,7 @@ from inverse.parameters import Vector, in_order
 from inverse.problem import Problem
 from inverse.target import read_each
 
-MEMORY_GIB = 0.5
+MEMORY_GIB = 2.0
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
 NODES = 4_000
 """Particles of a batch without gradients, at most: more of them are no cheaper each."""

@@ -70,8 +70,8 @@ class Constants:
     """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
     converged_around: float = 0.5
     """The same around a surrogate's answers, and where runs for other targets are known: for half as many runs."""
-    first_checks: int = 3
-    """Runs at the one answer of a surrogate, one less at each of several."""
+    first_checks: int = 2
+    """Runs at each answer of a surrogate: as many as two processors make in the time of one."""
     lack_of_fit: float = 0.9
     """Quantile of the ratio of variances up to which the scatter about the emulator is that of repeated runs."""
     margin: float = 0.25

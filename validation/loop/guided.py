@@ -28,8 +28,7 @@ def guided(task: Task, found: Inversion, known: tuple[MpmRun, ...] = ()) -> tupl
     size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
     if len(known) < fewest_runs(unknowns):
         answers = np.stack([each.point for each in found.answers])
-        count = CONSTANTS.first_checks if len(answers) == 1 else CONSTANTS.first_checks - 1
-        state = state.ran(np.repeat(answers, count, axis=0), Purpose.CHECK)
+        state = state.ran(np.repeat(answers, CONSTANTS.first_checks, axis=0), Purpose.CHECK)
         found = found.compared(state.points, state.numbers)
         state = state.ran(found.around(size, task.generator(0)), Purpose.WAVE)
     state = dataclasses.replace(state, guide=found).inferred()
@@ -39,7 +38,7 @@ def guided(task: Task, found: Inversion, known: tuple[MpmRun, ...] = ()) -> tupl
         left, known_enough = state.left - task.checks, state.converged
         # The answers of several parameters move until their emulator knows enough: checks of them come last.
         if unknowns == 1 or known_enough or left <= 0:
-            state, corrected = checked(state, again=False)
+            state, corrected = checked(state, again=False, moves=1)
             if state.at_edge:
                 continue
             left, confirmed = state.left - task.checks, corrected[0].confirmed

@@ -100,7 +100,8 @@ def run(
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
         led = inverted(forward, task.problem, task.target, task.scatter)
         state, confirmed = guided(task, led, before)
-        outcome = concluded(state) if confirmed else judged(state)
+        # Runs are dear here, and its answers were checked.
+        outcome = concluded(state, moves=0) if confirmed else judged(state)
     elif model is not None:
         print(f"the surrogate is not asked: {reason}", file=sys.stderr)
     if outcome is None:

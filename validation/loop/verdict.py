@@ -35,15 +35,18 @@ class Outcome:
     verdict: Verdict
 
 
-def concluded(state: Search) -> Outcome:
-    """The answers, checked, with the discrepancy of the first one in their half-widths, and the verdict."""
+def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
+    """The answers, checked, with the discrepancy of the first one in their half-widths, and the verdict.
+
+    moves: see `checked`.
+    """
     if state.task.problem.target.minimise:
         return of_design(state)
     excluded = is_excluded(state)
-    state, found = checked(state)
+    state, found = checked(state, moves=moves)
     if coarse := on_coarse_cells(state.task, found[0]):
         change = np.mean([each.observation for each in coarse], axis=0) - found[0].observation
-        state, found = checked(state.inferred(coarse=coarse, discretisation=change))
+        state, found = checked(state.inferred(coarse=coarse, discretisation=change), moves=moves)
     factor = 1.0 if found[0].fit is None else found[0].fit.factor
     if factor > 1.0 and not excluded:
         state = state.inferred(factor=factor)
@@ -67,14 +70,16 @@ def nearer(led: Search, whole: Outcome) -> Outcome:
     return outcome if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
 
 
-def checked(state: Search, *, again: bool = True) -> tuple[Search, tuple[Answer, ...]]:
-    """Runs at every answer, and once more where the answers have moved by what these showed.
+def checked(
+    state: Search, *, again: bool = True, moves: int = CONSTANTS.moves
+) -> tuple[Search, tuple[Answer, ...]]:
+    """Runs at every answer, and where the answers move by what these show, so many times.
 
     Then an answer is where it was checked: in a long region it would move on. again: once more, too, where the MPM does
     not confirm the first of them.
     """
     for turn in range(CONSTANTS.rounds):
-        found, close = separate(state), CLOSE if turn < CONSTANTS.moves else math.inf
+        found, close = separate(state), CLOSE if turn < moves else math.inf
         locations = [each.point for each in found if not is_checked(state, each, close)]
         if not locations:
             answers = answers_of(state, found)

@@ -62,7 +62,7 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
     assert stored.keys() == {
         *("asked", "reason", "unknowns", "half_widths", "weight", "mpm_error", "answers", "seconds", "predictions")
     }
-    assert stored["mpm_error"]["misfit"] == pytest.approx(((factor - 1.0) * length(24.0)) ** 2, rel=0.8, abs=1e-4)
+    assert stored["mpm_error"]["misfit"] == pytest.approx(((factor - 1.0) * length(24.0)) ** 2, rel=0.9, abs=1e-4)
     assert "- The surrogate found `friction_deg` = " in (tmp_path / "out" / "report.md").read_text()
 
 
