@@ -67,6 +67,7 @@ def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Mod
         mpm=mpm,
         band=(0.01, 0.02) if bands else None,
         warned=False,
+        jittered=measured(2.0, 0.005),
     )
     second = dataclasses.replace(first, free=False, rollout=measured(0.5, 0.04), band=None, warned=True)
     return Model(name="tiny", family="flow2d", compared=[first, second], creeps=[-0.2])
@@ -83,7 +84,7 @@ def test_the_price_of_an_error_is_read_off_the_curve() -> None:
 def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = str(page([model()], quick=False))
     sentences = [line for line in text.splitlines() if line.startswith("- ")]
-    assert "flow2d 4.0% on average, worst -4.0 % of 1, profiles 1.0%." in sentences[0]
+    assert "flow2d 4.0% on average, worst -4.0 % of 1 (the MPM, jittered anew, 0.5%), profiles 1.0%." in sentences[0]
     assert "flow2d off by 4.0% in 0.5 s, a coarse MPM takes 0.25 s for the same error." in sentences[1]
     assert "95% bands hold 1 of 1 fronts (flow2d)." in sentences[2]
     assert "warn of 1 of 2 (flow2d) of these scenes, which" in sentences[3]
