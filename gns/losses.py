@@ -13,7 +13,6 @@ resolve are far above s and count linearly only: they would drown the flow other
 
 from collections.abc import Iterable, Iterator
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -43,7 +42,6 @@ class UnrolledLoss(nn.Module):
     def __init__(self, simulator: Simulator, training: TrainingSettings) -> None:
         super().__init__()
         self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
-        self.tail = training.tail
         self._particle_bytes = 0.0
         simulator.network.half_precision = half_precision()
 
@@ -56,51 +54,30 @@ class UnrolledLoss(nn.Module):
         kept = min(steps, int(self.memory / (self._particle_bytes * particles)))
         positions = unroll(self.simulator, state, conditions, steps, kept_steps=kept)
         scale = self.scale * self.simulator.acceleration_scale
-        loss = rollout_loss(positions, batch.targets, scale)
-        if self.tail > 0.0:
-            both = torch.stack((positions[-1], batch.targets[-1]))
-            loss = loss + self.tail * tail_loss(both, conditions, steps * scale)
-        return loss
-
-
-def tail_loss(positions: Tensor, conditions: Conditions, scale: float | Tensor) -> Tensor:
-    """h((e - E) / scale), the mean over samples and the ends e along their level axes (`measures.tail_weights`).
-
-    A mean over particles hardly sees the few that a front is made of, and a mean of sprays is no spray: it comes short.
-    positions: of the model and of the MPM at the same time [m], shape [2, N, D]; scale: [m].
-    """
-    error = torch.stack([ends(*each) / scale for each in lines(positions, conditions)])
-    return functional.smooth_l1_loss(error[:, 0], error[:, 1])
+        return rollout_loss(positions, batch.targets, scale)
 
 
 def lines(positions: Tensor, conditions: Conditions) -> Iterator[tuple[Tensor, Tensor]]:
-    """Coordinates along each level axis [m], shape [2, n], and volumes [n] of the particles of each sample in turn."""
+    """Coordinates along each level axis [m] and volumes of the particles of each sample in turn, shape [n]."""
     for sample in range(len(conditions.size)):
         own = slice(None) if conditions.batch is None else conditions.batch == sample
-        for axis in (axis for axis in range(positions.shape[2]) if axis != UP):
-            yield positions[:, own, axis], conditions.volume[own]
+        for axis in (axis for axis in range(positions.shape[1]) if axis != UP):
+            yield positions[own, axis], conditions.volume[own]
 
 
-def ends(coordinates: Tensor, volume: Tensor) -> Tensor:
-    """Where particles end on either side along an axis [m], shape [2, 2]; coordinates: [m], shape [2, n]."""
+def measured(x: Tensor, volume: Tensor) -> Tensor:
+    """`gns.samples.measured`, differentiably: of particles along one axis, x [m] and volume of shape [n]."""
+    whole, (ascending, order) = volume.sum(), x.sort()
+    passed = volume[order].cumsum(dim=0)
+    middle = passed - 0.5 * volume[order]
     found = []
-    for side in (1.0, -1.0):
-        x, order = (side * coordinates).sort(dim=1)
-        weights = np.stack([measures.tail_weights(each.cpu().numpy()) for each in volume[order]])
-        found.append((torch.from_numpy(weights).to(x) * x).sum(dim=1))
-    return torch.stack(found, dim=1)
-
-
-def equal_shares(coordinates: Tensor, volume: Tensor) -> Tensor:
-    """`measures.equal_shares`, differentiably: coordinates [m], shape [2, n], to [2, SHARES]."""
-    x, order = coordinates.sort(dim=1)
-    whole = volume[order]
-    passed = whole.cumsum(dim=1) - 0.5 * whole
-    share = (torch.arange(measures.SHARES).to(whole) + 0.5) / measures.SHARES * whole.sum(dim=1, keepdim=True)
-    after = torch.searchsorted(passed, share).clamp(1, x.shape[1] - 1)
-    first, last = passed.gather(1, after - 1), passed.gather(1, after)
-    part = ((share - first) / (last - first)).clamp(0.0, 1.0)
-    return torch.lerp(x.gather(1, after - 1), x.gather(1, after), part)
+    for side, turned in ((1.0, ascending), (-1.0, -ascending.flip(0))):
+        weights = measures.tail_weights(volume[order if side > 0.0 else order.flip(0)].cpu().numpy())
+        found.append(torch.from_numpy(weights).to(x) @ turned)
+    share = (torch.arange(measures.SHARES).to(volume) + 0.5) / measures.SHARES * whole
+    after = torch.searchsorted(middle, share).clamp(1, len(x) - 1)
+    part = ((share - middle[after - 1]) / (middle[after] - middle[after - 1])).clamp(0.0, 1.0)
+    return torch.cat((torch.stack(found), torch.lerp(ascending[after - 1], ascending[after], part)))
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
@@ -121,7 +98,8 @@ class EndLoss(nn.Module):
 
         mean h(|x - X| / (c_x L)) + w (mean h((e - E) / (c_e l)) + mean h((q - Q) / (c_q l)))
 
-    over particles, the ends e and the places q of equal shares of the volume; l: extent of the MPM's flow.
+    over particles, the ends e and the places q of equal shares of the volume; l: extent of the MPM's flow. E and Q are
+    of all its particles: of the few that a rollout follows, single ones are the front.
     """
 
     def __init__(self, simulator: Simulator) -> None:
@@ -144,19 +122,15 @@ class EndLoss(nn.Module):
 
     def forward(self, batch: Ends) -> Tensor:
         """The loss of a batch."""
-        conditions, target = batch.conditions, batch.targets[-1]
-        moved = self.simulator.end_correction(batch.state, batch.end, conditions)
-        both = torch.stack((batch.end.positions + moved, target))
-        error = (both[0] - both[1]) / (PLACE * length_of(self.correction.settings))
-        ends_off, shares_off = [], []
-        for x, volume in lines(both, conditions):
-            found, shares = ends(x, volume), equal_shares(x, volume)
-            extent = found[1].sum()
-            ends_off.append((found[0] - found[1]) / (END * extent))
-            shares_off.append((shares[0] - shares[1]) / (SHARE * extent))
+        conditions = batch.conditions
+        positions = batch.end.positions + self.simulator.end_correction(batch.state, batch.end, conditions)
+        error = (positions - batch.targets[-1]) / (PLACE * length_of(self.correction.settings))
+        known = batch.whole.flatten(0, 1)
+        off = torch.stack([measured(*line) for line in lines(positions, conditions)]) - known
+        off = off / known[:, :2].sum(dim=1, keepdim=True)
         loss = functional.smooth_l1_loss(error, torch.zeros_like(error))
-        for off in map(torch.stack, (ends_off, shares_off)):
-            loss = loss + OF_ENDS * functional.smooth_l1_loss(off, torch.zeros_like(off))
+        for part in (off[:, :2] / END, off[:, 2:] / SHARE):
+            loss = loss + OF_ENDS * functional.smooth_l1_loss(part, torch.zeros_like(part))
         return loss
 
 

@@ -11,9 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from datasets import measures
 from datasets.errors import InputError
 from datasets.training.samples import Flow, Flows, Sample, cut, load_flows, reflected
-from datasets.trajectory import open_trajectory
+from datasets.trajectory import Floats, open_trajectory
 from gns.initial import conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings
 from gns.simulator import Normalisation, Simulator
@@ -143,6 +144,8 @@ class Ends(Batch):
     """Batch of rollouts by a model, from their starts to some end; the target is where the MPM's flow is then."""
 
     end: State
+    whole: Tensor
+    """`measured` of all particles of the MPM's flow then, along each level axis [m], shape [B, A, 2 + SHARES]."""
 
 
 class Rollouts(Sampler):
@@ -157,19 +160,25 @@ class Rollouts(Sampler):
     ) -> None:
         super().__init__(datasets, settings, training)
         self._simulator = simulator
-        self._kept: dict[tuple[int, ...], list[tuple[Sample, State]]] = {}
+        self._kept: dict[tuple[int, ...], list[tuple[Sample, State, Tensor]]] = {}
 
     def batch(self, steps: int, rng: np.random.Generator) -> Ends:
         """Ends side by side: half of them the flow's own, the other at any time."""
         drawn = [self._drawn(rng) for _ in range(self._training.batch)]
-        together = batched([sample for sample, _ in drawn], self._settings)
+        together = batched([sample for sample, _, _ in drawn], self._settings)
         end = State(
-            positions=torch.cat([end.positions for _, end in drawn]),
-            displacements=torch.cat([end.displacements for _, end in drawn], dim=1),
+            positions=torch.cat([end.positions for _, end, _ in drawn]),
+            displacements=torch.cat([end.displacements for _, end, _ in drawn], dim=1),
         )
-        return Ends(state=together.state, conditions=together.conditions, targets=together.targets, end=end)
+        return Ends(
+            state=together.state,
+            conditions=together.conditions,
+            targets=together.targets,
+            end=end,
+            whole=torch.stack([whole for _, _, whole in drawn]),
+        )
 
-    def _drawn(self, rng: np.random.Generator) -> tuple[Sample, State]:
+    def _drawn(self, rng: np.random.Generator) -> tuple[Sample, State, Tensor]:
         """One of the ends of a random rollout, the last of them as often as all others."""
         dataset = int(rng.choice(len(self._datasets), p=self._shares))
         key = dataset, int(rng.integers(len(self._datasets[dataset]))), int(rng.integers(self._training.rollouts))
@@ -178,12 +187,16 @@ class Rollouts(Sampler):
         ends = self._kept[key]
         return ends[-1] if rng.random() < 0.5 else ends[int(rng.integers(len(ends)))]
 
-    def _rolled_out(self, flow: Flow, rng: np.random.Generator) -> list[tuple[Sample, State]]:
-        """A rollout of the flow to its end, and `MOMENTS` before it: what it began with, with one target, and where
-        the model is then."""
+    def _rolled_out(self, flow: Flow, rng: np.random.Generator) -> list[tuple[Sample, State, Tensor]]:
+        """A rollout of the flow to its end, and `MOMENTS` before it: what it began with, with one target, where the
+        model is then, and `measured` of the whole flow."""
         settings, last = self._settings, len(flow.positions) - 1
-        now = self._start(flow, last - 1, rng)
-        sample = turned(stretch(flow, settings, now=now, steps=last - now, rng=rng), settings.cell, rng)
+        now, seed = self._start(flow, last - 1, rng), rng.integers(2**32)
+        every = dataclasses.replace(settings, particles_per_cell=len(flow.volume))
+        sample, whole = (
+            turned(stretch(flow, each, now=now, steps=last - now, rng=rng), settings.cell, np.random.default_rng(seed))
+            for each in (settings, every)
+        )
         batch = batched([sample], settings).to(self._simulator.displacement_scale.device)
         with torch.no_grad():
             positions = unroll(self._simulator, batch.state, batch.conditions, last - now, corrected=False).cpu()
@@ -193,9 +206,21 @@ class Rollouts(Sampler):
             (
                 dataclasses.replace(sample, targets=sample.targets[step - 1 : step]),
                 State(positions=positions[step].clone(), displacements=moved[step : step + settings.history].clone()),
+                measured(whole.targets[step - 1], whole.volume),
             )
             for step in moments
         ]
+
+
+def measured(positions: Floats, volume: Floats) -> Tensor:
+    """Of a flow along each level axis: its upper end, its lower one downwards, and the middles of equal shares of its
+    volume [m], shape [A, 2 + SHARES]; positions: [m], [N, D]."""
+    found = []
+    for axis in (axis for axis in range(positions.shape[1]) if axis != UP):
+        line = positions[:, [axis]]
+        rear, front = measures.ends(line, volume)
+        found.append([front, -rear, *measures.equal_shares(line, volume)])
+    return torch.tensor(found, dtype=torch.get_default_dtype())
 
 
 def turned(sample: Sample, spacing: float, rng: np.random.Generator) -> Sample:

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from datasets import command_line, measures
-from gns import checkpoint
+from gns import checkpoint, losses, samples
 from gns.correction import Correction, stretched
-from gns.losses import EndLoss, equal_shares
+from gns.losses import EndLoss
 from gns.samples import Rollouts, flows_of
 from gns.settings import TrainingSettings
 from gns.simulator import Simulator
@@ -85,12 +85,14 @@ def test_the_gradient_of_a_corrected_end_is_that_of_differences(corrected: Simul
     assert slope.item() == pytest.approx(differences.item(), rel=1e-4)
 
 
-def test_equal_shares_are_the_measured_ones() -> None:
+def test_ends_and_equal_shares_are_the_measured_ones() -> None:
     rng = np.random.default_rng(0)
-    x, volume = rng.random((2, 300)), rng.random(300) + 0.1
-    found = equal_shares(torch.from_numpy(x), torch.from_numpy(volume))
-    for own, line in zip(found.numpy(), x, strict=True):
-        np.testing.assert_allclose(own, measures.equal_shares(line[:, None], volume), rtol=1e-12)
+    positions, volume = rng.random((300, 3)), rng.random(300) + 0.1
+    known = samples.measured(positions, volume)
+    assert known.shape == (2, 2 + measures.SHARES)
+    for axis, row in zip((0, 2), known, strict=True):
+        found = losses.measured(torch.from_numpy(positions[:, axis]), torch.from_numpy(volume))
+        torch.testing.assert_close(found, row.double(), rtol=1e-6, atol=1e-7)
 
 
 def run(dataset: Path, out: Path, *flags: str) -> int:
@@ -134,4 +136,5 @@ def test_ends_are_those_of_rollouts_and_kept(
     assert set(calls) == {len(flows[0].positions) - 1}
     for ends in drawn[:5]:
         assert ends.targets.shape == (1, *ends.end.positions.shape)
+        assert ends.whole.shape == (4, 1, 2 + measures.SHARES)
         assert EndLoss(simulator)(ends).isfinite()

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import command_line, measures
+from datasets import command_line
 from datasets.scene import Baffle, Domain, Solid
 from datasets.trajectory import Trajectory
 from gns import card, checkpoint, training
-from gns.losses import UnrolledLoss, rollout_loss, tail_loss
+from gns.losses import UnrolledLoss, rollout_loss
 from gns.samples import Sampler, flows_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.train import train
 from gns.training import LAST
-from tests.gns.conftest import NORMALISATION, TINY, Cloud, rows
+from tests.gns.conftest import NORMALISATION, TINY, rows
 
 
 def test_the_loss_measures_positions_and_displacements() -> None:
@@ -208,20 +208,3 @@ def test_a_run_of_another_model_or_a_broken_file_is_not_resumed(
         (tmp_path / LAST).write_bytes(broken)
         assert run(dataset, tmp_path, "--updates", "2", "--resume") == 2
         assert "last.pt: expected the last.pt of a run" in capsys.readouterr().err.splitlines()[-1]
-
-
-def test_the_tail_counts_the_fronts_of_each_sample(cloud: Cloud) -> None:
-    """Two flows side by side, of which one ends a tenth of a scale too far ahead: a quarter of the ends."""
-    state, conditions = cloud()
-    count, scale = len(state.positions), 0.01
-    truth = torch.cat((state.positions, state.positions + 1.0))
-    found = truth.clone()
-    found[:count, 0] = 0.5 + 1.1 * (found[:count, 0] - 0.5)
-    both = {name: getattr(conditions, name).repeat(2) for name in ("volume", "friction", "cohesion")}
-    batch = torch.arange(2).repeat_interleave(count)
-    conditions = dataclasses.replace(conditions, size=conditions.size.repeat(2, 1), batch=batch, **both)
-    loss = tail_loss(torch.stack((found, truth)), conditions, scale)
-    volume = conditions.volume[:count].numpy()
-    ends = [measures.ends(each[:count].numpy(), volume) for each in (found, truth)]
-    off = np.abs(np.subtract(*ends)) / scale
-    assert float(loss) == pytest.approx(np.where(off < 1.0, 0.5 * off**2, off - 0.5).sum() / 4.0, rel=1e-4)
