@@ -254,7 +254,7 @@ def judge(problem: Problem, answers: Sequence[Answer], *, excluded: bool = False
     """The verdict on the answers, in their order; excluded: no parameters between the bounds fit."""
     first = answers[0]
     if not first.confirmed:
-        share = (first.parameters - problem.box.lower) / problem.box.range
+        share = problem.box.shares(first.parameters)
         at_bound = bool(np.any((share < AT_BOUND) | (share > 1.0 - AT_BOUND)))
         return Verdict.UNREACHABLE if excluded and at_bound else Verdict.UNCONFIRMED
     return Verdict.AMBIGUOUS if len(answers) > 1 or unidentified(problem, first) else Verdict.CONFIRMED

@@ -123,8 +123,7 @@ class Result:
     def samples(self) -> NDArray[np.float64]:
         """Of the posterior, in the units of the parameters' names, shape [S, U]."""
         assert self.posterior is not None, "an optimiser has no samples"
-        box = self.problem.box
-        return box.lower + box.range * self.posterior.samples.points
+        return self.problem.box.at(self.posterior.samples.points)
 
     @cached_property
     def combinations(self) -> list[Combination]:

@@ -29,7 +29,7 @@ from inverse.observations import KINDS
 from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
 from inverse.target import read_target
-from mpm import simulate_many
+from mpm import simulate, simulate_many
 from validation.loop.solve import Known, solve
 
 RESULT = "result.json"
@@ -84,15 +84,11 @@ def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
     for path in files:
         try:
             found[path.stem] = each = of_deposit(problem, path)
-            read_target(each, lambda scene: flows_are_given())
+            # Nothing is simulated: a deposit is a file.
+            read_target(each, simulate)
         except InputError as error:
             raise error if str(path) in error.where else error.at(str(path)) from None
     return found
-
-
-def flows_are_given() -> Trajectory:
-    """No target of a series is simulated."""
-    raise AssertionError("a deposit is a file")
 
 
 def of_deposit(problem: Problem, path: Path) -> Problem:

@@ -25,7 +25,6 @@ from inverse.result import Result
 from inverse.target import read_target
 from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
-from validation.loop.guided import guided
 from validation.loop.search import Search, first, searched
 from validation.loop.task import Task
 from validation.loop.verdict import Outcome, concluded, judged, nearer
@@ -99,7 +98,7 @@ def run(
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
         led = inverted(forward, task.problem, task.target, task.scatter)
-        state, confirmed = guided(task, led, before)
+        state, confirmed = surrogate.guided(task, led, before)
         # Runs are dear here, and its answers were checked.
         outcome = concluded(state, moves=0) if confirmed else judged(state)
     elif model is not None:

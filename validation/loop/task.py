@@ -60,10 +60,6 @@ class Task:
         """What an observation requires of a run: the last frame, unless it is one over time."""
         return ALL if self.observation.over_time else LAST
 
-    def unit(self, parameters: Matrix) -> Matrix:
-        """Parameters [..., U] in fractions of their ranges."""
-        return np.asarray((parameters - self.bounds.lower) / self.bounds.range)
-
     def at(self, points: Matrix) -> list[Vector]:
         """Parameters at points [S, U] of the unit box, to a millionth of the range: a run is found again by them."""
         digits = 6 - np.ceil(np.log10(self.bounds.range)).astype(int)
@@ -71,7 +67,7 @@ class Task:
             self.bounds.clip(
                 np.array([round(float(each), int(count)) for each, count in zip(row, digits, strict=True)])
             )
-            for row in self.bounds.lower + points * self.bounds.range
+            for row in self.bounds.at(points)
         ]
 
     def run(self, points: Matrix, first: int, purpose: Purpose) -> tuple[MpmRun, ...]:
