@@ -189,11 +189,7 @@ class Inversion:
         fixed = found.likelihood.fixed / self.factor**2
         square = np.einsum("sr,rs->s", residual, np.linalg.solve(fixed, residual.T))
         factor = float(np.sqrt(square.max() / chi2.isf(0.05, residual.shape[1])))
-        return self if factor <= self.factor else self.wider(factor)
-
-    def wider(self, factor: float) -> "Inversion":
-        """With another factor."""
-        return dataclasses.replace(self, factor=factor)
+        return self if factor <= self.factor else dataclasses.replace(self, factor=factor)
 
 
 def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values, *, rough: float = ROUGH) -> Inversion:
@@ -236,7 +232,7 @@ def with_minima(state: Inversion) -> Inversion:
         state = descended(state, np.stack(starts))
     free = len(state.target.values) - state.points.shape[1]
     ratio = math.sqrt(float(state.losses(state.minima).min()) / free) if free > 0 else 0.0
-    return state.wider(max(1.0, ratio))
+    return dataclasses.replace(state, factor=max(1.0, ratio))
 
 
 def filled(state: Inversion, rng: np.random.Generator) -> Inversion:

@@ -193,7 +193,7 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     return page(gradients, compared, quick=quick).write(out / "efficiency.md")
 
 
-def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTERS) -> list[Gradient]:
+def gradients_of(problem: Problem, simulator: Simulator) -> list[Gradient]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     models = Models.build(problem, simulator)
     observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
@@ -206,7 +206,7 @@ def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTE
         found = evaluate(problem.initial)
         return found.seconds, slope_of(found)[chosen]
 
-    seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
+    seeds = [problem.scene.seed, *range(20_003, 20_002 + JITTERS)]
     seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
     moves = STEPS[unknowns] * np.eye(unknowns)[chosen]
     differences = [

@@ -141,7 +141,7 @@ class Search:
     def wider(self) -> "Search":
         """With the surrogate's region twice as wide."""
         assert self.guide is not None, "only its region has an edge"
-        return self.inferred(guide=self.guide.wider(2.0 * self.guide.factor))
+        return self.inferred(guide=dataclasses.replace(self.guide, factor=2.0 * self.guide.factor))
 
 
 def first(task: Task, runs: tuple[MpmRun, ...] = (), known: tuple[MpmRun, ...] = ()) -> Search:
