@@ -84,12 +84,6 @@ class Result:
         return widths | {name: 0.5 * band for name, band in bands.items()}
 
     @property
-    def misfit(self) -> float:
-        """At the first answer."""
-        values = self.target.values
-        return math.nan if len(values) != len(self.predicted) else self.target.misfit(self.predicted)
-
-    @property
     def inside(self) -> list[str]:
         """The numbers whose true value is known and lies within their half-width."""
         truth, widths = self.target.truth, self.answers[0].half_widths
@@ -163,7 +157,7 @@ class Result:
             "truth": self.target.truth,
             "error_pct": self.error_pct,
             "observation": {"target": plain(raw(self.target.values)), key: shown} | self.target.observation.record(),
-            "loss": {key: self.misfit if same else self.iterations[-1].get("loss")},
+            "loss": {key: self.target.misfit(self.predicted) if same else self.iterations[-1].get("loss")},
             "mpm_runs": [each.as_json(problem) for each in self.mpm_runs],
             "iterations": list(self.iterations),
             "surrogate": self.surrogate,

@@ -94,9 +94,8 @@ class Outcome:
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """Half-widths of the numbers; infinite where the file has none."""
-        found = self.result.get("certainty") or {}
-        return {name: math.inf if found.get(name) is None else found[name] for name in self.problem.names}
+        """Half-widths of the numbers."""
+        return {name: self.result["certainty"][name] for name in self.problem.names}
 
     @property
     def errors(self) -> dict[str, float]:

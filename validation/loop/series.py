@@ -35,7 +35,6 @@ from validation.loop.solve import Known, solve
 RESULT = "result.json"
 WIDTH = " +-"
 """What follows the name of an unknown, of the column of its half-widths."""
-CONFIRMED = (Verdict.CONFIRMED.value, Verdict.AMBIGUOUS.value)
 
 
 def solve_series(
@@ -149,7 +148,7 @@ def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count:
 
 def summary(rows: Sequence[Mapping[str, Any]], count: int) -> str:
     """What a series came to, in a sentence."""
-    confirmed = sum(each["verdict"] in CONFIRMED for each in rows)
+    confirmed = sum(Verdict(each["verdict"]).confirms for each in rows)
     runs, seconds = (np.mean([each[key] for each in rows]) for key in ("MPM runs", "seconds"))
     return (
         f"{len(rows)} of {count} deposits inverted, {confirmed} of them confirmed by the MPM; "
@@ -159,6 +158,6 @@ def summary(rows: Sequence[Mapping[str, Any]], count: int) -> str:
 
 def require_confirmed(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
     """Raise WorkFailed where the MPM has not confirmed every deposit's answer."""
-    others = [str(each["deposit"]) for each in rows if each["verdict"] not in CONFIRMED]
+    others = [str(each["deposit"]) for each in rows if not Verdict(each["verdict"]).confirms]
     if others:
         raise WorkFailed(f"not confirmed: {', '.join(others)}; see {out}/report.md")

@@ -105,7 +105,7 @@ def run(
         print(f"the surrogate is not asked: {reason}", file=sys.stderr)
     if outcome is None:
         outcome = concluded(searched(first(task, known=before)))
-    elif outcome.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):
+    elif not outcome.verdict.confirms:
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
         tried = tuple(dataclasses.replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
         outcome = nearer(outcome.state, concluded(searched(first(task, tried, before))))

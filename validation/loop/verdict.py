@@ -163,7 +163,7 @@ def on_coarse_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     particles, and where the box does not divide into such cells.
     """
     scene = task.problem.scene_at(answer.parameters)
-    if task.target.cell == scene.domain.cell or task.observation.every_particle:
+    if task.target.cell == scene.domain.cell or task.target.observation.every_particle:
         return ()
     try:
         domain = dataclasses.replace(scene.domain, cell=2.0 * scene.domain.cell)
