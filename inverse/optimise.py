@@ -167,14 +167,11 @@ class Inversion:
 
     def trend(self, points: Matrix) -> Matrix:
         """1 and its first U components at points [S, U], shape [S, 1 + U]: the trend of an emulator of the MPM."""
-        emulator = self.posterior.emulator
-        found = emulator.mean(points)[:, : points.shape[1]] / np.maximum(self._spread, 1e-300)
+        emulator, count = self.posterior.emulator, points.shape[1]
+        # In units of their standard deviation over the predictions.
+        spread = emulator.numbers[:, :count].std(axis=0)
+        found = emulator.mean(points)[:, :count] / np.maximum(spread, 1e-300)
         return np.concatenate([np.ones((len(points), 1)), found], axis=1)
-
-    @cached_property
-    def _spread(self) -> Values:
-        """Standard deviation of these components over the predictions."""
-        return np.asarray(self.posterior.emulator.numbers[:, : self.points.shape[1]].std(axis=0))
 
     def compared(self, points: Matrix, shown: Matrix) -> "Inversion":
         """Its region as wide as runs of the MPM at points [n, U] contradict it, that show numbers [n, M].
