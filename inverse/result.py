@@ -17,7 +17,6 @@ from inverse.found import Answer, Combination, FoundField, MpmRun, Verdict, peak
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior.answers import half_widths
-from inverse.posterior.information import Information
 from inverse.posterior.posterior import Posterior
 from inverse.problem import Problem
 from inverse.target import Target
@@ -52,8 +51,8 @@ class Result:
     mpm_runs: tuple[MpmRun, ...] = ()
     posterior: Posterior | None = None
     """Of numbers, over the whole box."""
-    further: tuple[Information, ...] = ()
-    """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
+    further: dict[str, float] = field(default_factory=dict)
+    """Where the answer is ambiguous: the measurements of a deposit that would decide most, with their information."""
     fields: tuple[FoundField, ...] = ()
     notes: tuple[str, ...] = ()
     """What else is to be known of the uncertainty, in sentences."""

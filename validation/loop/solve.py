@@ -19,7 +19,7 @@ from inverse.forward import Simulate
 from inverse.found import MpmRun, Purpose, Verdict
 from inverse.optimise import Inversion, inverted
 from inverse.parameters import Vector
-from inverse.posterior.information import Information, information, measurements
+from inverse.posterior.information import information, measurements
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.target import read_target
@@ -123,7 +123,7 @@ def run(
         iterations=state.waves,
         mpm_runs=runs,
         posterior=state.posterior,
-        further=tuple(further(outcome)),
+        further=further(outcome),
         notes=(statement(state),),
         surrogate={"asked": led is not None, "reason": reason} | ({} if led is None else of_surrogate(led, state)),
         seconds={"mpm": mpm_seconds, "total": time.perf_counter() - began},
@@ -163,10 +163,10 @@ def statement(state: Search) -> str:
     )
 
 
-def further(outcome: Outcome) -> list[Information]:
+def further(outcome: Outcome) -> dict[str, float]:
     """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
     if outcome.verdict is not Verdict.AMBIGUOUS:
-        return []
+        return {}
     state, scene = outcome.state, outcome.state.task.problem.scene
     near = state.posterior.near
     deposits = [run.trajectory.positions[-1] for run, each in zip(state.every, near, strict=True) if each]
@@ -181,4 +181,4 @@ def further(outcome: Outcome) -> list[Information]:
         cell=scene.domain.cell,
         rng=state.task.generator(len(state.runs)),
     )
-    return found[:SUGGESTED]
+    return dict([*found.items()][:SUGGESTED])
