@@ -138,7 +138,7 @@ def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: in
     """The flows of a problem: those of more `runs` begin with those of fewer."""
     box, length = problem.box, Units.of_model(problem.scene, settings).length
     sequence = qmc.Sobol(len(box.lower), rng=np.random.default_rng(seed))
-    places = box.lower + box.range * sequence.random_base2((runs - 1).bit_length())
+    places = box.at(sequence.random_base2((runs - 1).bit_length()))
 
     def draw(stream: Stream, index: int) -> Scene:
         scene = problem.scene_at(places[index], int(stream.integers(2**31)))
@@ -186,8 +186,7 @@ def scatter(runs: Sequence[tuple[Vector, Trajectory]], problem: Problem) -> str:
     """In words, how much the MPM's fronts scatter from jitter to jitter: no model of a flow errs less."""
     if len(runs) < fewest_runs(len(problem.numbers)):
         return ""
-    box = problem.box
-    points = np.stack([(values - box.lower) / box.range for values, _ in runs])
+    points = problem.box.shares(np.stack([values for values, _ in runs]))
     ends = np.array([measures.ends(flow.positions[-1], flow.volumes) for _, flow in runs])
     extent = float(np.mean(ends[:, 1] - ends[:, 0]))
     emulator = fitted(points, ends[:, 1:] / extent, np.array([EXPECTED_SCATTER]))

@@ -184,8 +184,7 @@ class WhiteFlow:
 
     def values(self, white: Floats) -> Floats:
         """The numbers, shape [U]."""
-        box = self.problem.box
-        return np.asarray(box.lower + box.range * ndtr(white[self.own]))
+        return self.problem.box.at(ndtr(white[self.own]))
 
     def scene_at(self, white: Floats, seed: int) -> Scene:
         """The scene at white numbers [W] with a jitter seed."""

@@ -42,6 +42,11 @@ class Verdict(StrEnum):
     UNREACHABLE = "unreachable"
     """It does so for no parameters between the bounds."""
 
+    @property
+    def confirms(self) -> bool:
+        """Whether the MPM confirms an answer, the only one or not."""
+        return self in (Verdict.CONFIRMED, Verdict.AMBIGUOUS)
+
 
 class Purpose(StrEnum):
     """Why an MPM run was made."""
@@ -81,11 +86,6 @@ class MpmRun:
         """Relative, with its sign; nan where the target has no front."""
         return self.target.front_error(self.trajectory.positions[-1])
 
-    @property
-    def misfit(self) -> float:
-        """From the target [unit^2]."""
-        return self.target.misfit(self.observation)
-
     def as_json(self, problem: Problem) -> dict[str, Any]:
         """As `result.json` has it."""
         return {
@@ -94,7 +94,7 @@ class MpmRun:
             "observation": plain(self.observation),
             "front": measures.front(self.trajectory.positions[-1]),
             "front_error_pct": 100.0 * self.front_error,
-            "loss": self.misfit,
+            "loss": self.target.misfit(self.observation),
             "seconds": self.seconds,
             "file": self.file,
         }
@@ -254,7 +254,7 @@ def judge(problem: Problem, answers: Sequence[Answer], *, excluded: bool = False
     """The verdict on the answers, in their order; excluded: no parameters between the bounds fit."""
     first = answers[0]
     if not first.confirmed:
-        share = (first.parameters - problem.box.lower) / problem.box.range
+        share = problem.box.shares(first.parameters)
         at_bound = bool(np.any((share < AT_BOUND) | (share > 1.0 - AT_BOUND)))
         return Verdict.UNREACHABLE if excluded and at_bound else Verdict.UNCONFIRMED
     return Verdict.AMBIGUOUS if len(answers) > 1 or unidentified(problem, first) else Verdict.CONFIRMED

@@ -74,9 +74,7 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
     scatter = target.observation.prior_scatter(target.values)
     found = inverted(forward, problem, target, scatter, rough=1.0 if by_mpm else ROUGH)
     answers = tuple(
-        Answer(
-            parameters=box.lower + box.range * each.point, half_widths=box.range * each.half_widths, weight=each.weight
-        )
+        Answer(parameters=box.at(each.point), half_widths=box.range * each.half_widths, weight=each.weight)
         for each in found.answers
     )
     misfits = [target.observation.misfit(each, found.target.values) for each in found.numbers]
@@ -94,7 +92,7 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
         predicted=predicted,
         deposit=deposit,
         iterations=[
-            {"unknowns": problem.named(box.lower + box.range * point), "loss": misfit}
+            {"unknowns": problem.named(box.at(point)), "loss": misfit}
             for point, misfit in zip(found.points, misfits, strict=True)
         ],
         posterior=found.posterior,

@@ -26,7 +26,6 @@ import math
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -37,7 +36,6 @@ from scipy.stats import chi2
 
 from inverse.forward import Differentiable, Forward
 from inverse.observations import Values
-from inverse.parameters import Vector
 from inverse.posterior import Matrix
 from inverse.posterior.answers import Part, half_widths, parts
 from inverse.posterior.emulator import fewest_runs, fitted
@@ -68,21 +66,11 @@ STEEP = 4.0
 """By how much the logarithm of the probability falls beyond the region, for each that the likelihood falls."""
 
 
-class Surrogate(Forward, Protocol):
-    """What predicts here, in place of the flow that was observed: the network, or the MPM by itself."""
-
-    def select(self, target: Values, /) -> Values:
-        """The part of exact numbers [M] that it predicts, shape [m]."""
-
-    def errors(self, parameters: Vector, /) -> Matrix:
-        """Its errors at parameters [U] by its band: columns e_k of their covariance, shape [K, m]."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Inversion:
     """What the forward model found."""
 
-    forward: Surrogate
+    forward: Forward
     problem: Problem
     target: Target
     """Its part of the target's numbers, with S and E in their covariance, shape [m]."""
@@ -128,10 +116,12 @@ class Inversion:
 
     def asked(self, points: Matrix) -> "Inversion":
         """With predictions at further points [k, U]."""
-        box = self.problem.box
-        more = np.stack(self.forward.observe(list(box.lower + points * box.range)))
-        every, numbers = np.concatenate([self.points, points]), np.concatenate([self.numbers, more])
-        return dataclasses.replace(self, points=every, numbers=numbers)
+        return self.seen(points, np.stack(self.forward.observe(list(self.problem.box.at(points)))))
+
+    def seen(self, points: Matrix, numbers: Matrix) -> "Inversion":
+        """With what was predicted at further points [k, U], shape [k, m]."""
+        every = np.concatenate([self.points, points])
+        return dataclasses.replace(self, points=every, numbers=np.concatenate([self.numbers, numbers]))
 
     def losses(self, points: Matrix) -> Values:
         """L at some of `points` [k, U], shape [k]."""
@@ -177,14 +167,11 @@ class Inversion:
 
     def trend(self, points: Matrix) -> Matrix:
         """1 and its first U components at points [S, U], shape [S, 1 + U]: the trend of an emulator of the MPM."""
-        emulator = self.posterior.emulator
-        found = emulator.mean(points)[:, : points.shape[1]] / np.maximum(self._spread, 1e-300)
+        emulator, count = self.posterior.emulator, points.shape[1]
+        # In units of their standard deviation over the predictions.
+        spread = emulator.numbers[:, :count].std(axis=0)
+        found = emulator.mean(points)[:, :count] / np.maximum(spread, 1e-300)
         return np.concatenate([np.ones((len(points), 1)), found], axis=1)
-
-    @cached_property
-    def _spread(self) -> Values:
-        """Standard deviation of these components over the predictions."""
-        return np.asarray(self.posterior.emulator.numbers[:, : self.points.shape[1]].std(axis=0))
 
     def compared(self, points: Matrix, shown: Matrix) -> "Inversion":
         """Its region as wide as runs of the MPM at points [n, U] contradict it, that show numbers [n, M].
@@ -199,25 +186,19 @@ class Inversion:
         fixed = found.likelihood.fixed / self.factor**2
         square = np.einsum("sr,rs->s", residual, np.linalg.solve(fixed, residual.T))
         factor = float(np.sqrt(square.max() / chi2.isf(0.05, residual.shape[1])))
-        return self if factor <= self.factor else self.wider(factor)
-
-    def wider(self, factor: float) -> "Inversion":
-        """With another factor."""
-        return dataclasses.replace(self, factor=factor)
+        return self if factor <= self.factor else dataclasses.replace(self, factor=factor)
 
 
-def inverted(
-    forward: Surrogate, problem: Problem, target: Target, scatter: Values, *, rough: float = ROUGH
-) -> Inversion:
+def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values, *, rough: float = ROUGH) -> Inversion:
     """Find the answers of `forward`; scatter: standard deviation of each number of `target` per flow of the MPM [M]."""
     began, unknowns = time.perf_counter(), len(problem.names)
     rng = np.random.default_rng([problem.optimiser.seed, 0])
     box = problem.box
     cube = Region.whole(unknowns).filled(FIRST + PER_UNKNOWN * unknowns - 1, rng)
-    points = np.concatenate([((problem.initial - box.lower) / box.range)[None], cube])
-    numbers = np.stack(forward.observe(list(box.lower + points * box.range)))
+    points = np.concatenate([box.shares(problem.initial)[None], cube])
+    numbers = np.stack(forward.observe(list(box.at(points))))
     nearest = int(np.argmin(((numbers - forward.select(target.values)) ** 2).mean(axis=1)))
-    seen = as_predicted(forward, target, scatter, forward.errors(box.lower + points[nearest] * box.range))
+    seen = as_predicted(forward, target, scatter, forward.errors(box.at(points[nearest])))
     state = Inversion(
         forward=forward,
         problem=problem,
@@ -248,7 +229,7 @@ def with_minima(state: Inversion) -> Inversion:
         state = descended(state, np.stack(starts))
     free = len(state.target.values) - state.points.shape[1]
     ratio = math.sqrt(float(state.losses(state.minima).min()) / free) if free > 0 else 0.0
-    return state.wider(max(1.0, ratio))
+    return dataclasses.replace(state, factor=max(1.0, ratio))
 
 
 def filled(state: Inversion, rng: np.random.Generator) -> Inversion:
@@ -260,7 +241,7 @@ def filled(state: Inversion, rng: np.random.Generator) -> Inversion:
     return dataclasses.replace(state.asked(region.filled(fewest_runs(unknowns), rng)), region=region)
 
 
-def as_predicted(forward: Surrogate, target: Target, scatter: Values, errors: Matrix) -> Target:
+def as_predicted(forward: Forward, target: Target, scatter: Values, errors: Matrix) -> Target:
     """What the surrogate predicts of `target`, with the errors that it may be off by."""
     own = target.covariance
     if own is None:
@@ -282,14 +263,13 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
         state = state.asked(points)
         numbers = state.numbers[-len(points) :]
         return state, numbers, sloped(state, points, numbers)
-    parameters = torch.tensor(box.lower + points * box.range, dtype=torch.float64, requires_grad=True)
+    parameters = torch.tensor(box.at(points), dtype=torch.float64, requires_grad=True)
     predicted = state.forward.predict(parameters)
     numbers = predicted.detach().numpy()
     weights = 2.0 * (numbers - state.target.values) @ state.precision
     # Of a sum: a tensor of weights makes torch load sympy.
     (gradient,) = torch.autograd.grad((predicted * torch.from_numpy(weights)).sum(), parameters)
-    every = np.concatenate([state.points, points])
-    state = dataclasses.replace(state, points=every, numbers=np.concatenate([state.numbers, numbers]))
+    state = state.seen(points, numbers)
     slopes = gradient.numpy() * box.range
     # In a parameter that makes other particles autograd finds none.
     without = ~slopes.any(axis=0)

@@ -48,6 +48,14 @@ class Bounds:
         """Width of the box, shape [U]."""
         return self.upper - self.lower
 
+    def at(self, shares: Vector) -> Vector:
+        """Parameters [..., U] at `shares` of the ranges, shape [..., U]."""
+        return np.asarray(self.lower + self.range * shares)
+
+    def shares(self, parameters: Vector) -> Vector:
+        """Parameters [..., U] in fractions of the ranges, shape [..., U]."""
+        return np.asarray((parameters - self.lower) / self.range)
+
     def clip(self, parameters: Vector) -> Vector:
         """The nearest point of the box."""
         return np.clip(parameters, self.lower, self.upper)

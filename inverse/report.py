@@ -46,7 +46,7 @@ def write(found: "Result", folder: Path, command: str) -> None:
         pictures.draw_posterior(folder / "posterior.png", found)
         parts.append("![prior and posterior](posterior.png)")
     if found.further:
-        gains = [{"measurement": each.name, "information [nat]": f"{each.gain:.2f}"} for each in found.further]
+        gains = [{"measurement": name, "information [nat]": f"{gain:.2f}"} for name, gain in found.further.items()]
         parts += [
             "## What a further measurement would decide",
             "Expected information of each about the parameters, beyond what was observed; 0.69 halves one interval.",
@@ -165,7 +165,7 @@ def equifinality(found: "Result") -> str:
         listed = ", ".join(f"`{name}`" for name in names)
         parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(known[:SUGGESTED]) or 'nothing'}")
     if found.further:
-        best = ", ".join(each.name for each in found.further[:SUGGESTED])
+        best = ", ".join([*found.further][:SUGGESTED])
         parts.append(f"most would be decided by {best}")
     return sentence(parts)
 

@@ -17,7 +17,6 @@ from inverse.found import Answer, Combination, FoundField, MpmRun, Verdict, peak
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior.answers import half_widths
-from inverse.posterior.information import Information
 from inverse.posterior.posterior import Posterior
 from inverse.problem import Problem
 from inverse.target import Target
@@ -52,8 +51,8 @@ class Result:
     mpm_runs: tuple[MpmRun, ...] = ()
     posterior: Posterior | None = None
     """Of numbers, over the whole box."""
-    further: tuple[Information, ...] = ()
-    """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
+    further: dict[str, float] = field(default_factory=dict)
+    """Where the answer is ambiguous: the measurements of a deposit that would decide most, with their information."""
     fields: tuple[FoundField, ...] = ()
     notes: tuple[str, ...] = ()
     """What else is to be known of the uncertainty, in sentences."""
@@ -82,12 +81,6 @@ class Result:
         bands = {each.name: each.average(each.arrays["upper"] - each.arrays["lower"]) for each in self.fields}
         widths = self.problem.named(self.answers[0].half_widths)
         return widths | {name: 0.5 * band for name, band in bands.items()}
-
-    @property
-    def misfit(self) -> float:
-        """At the first answer."""
-        values = self.target.values
-        return math.nan if len(values) != len(self.predicted) else self.target.misfit(self.predicted)
 
     @property
     def inside(self) -> list[str]:
@@ -123,8 +116,7 @@ class Result:
     def samples(self) -> NDArray[np.float64]:
         """Of the posterior, in the units of the parameters' names, shape [S, U]."""
         assert self.posterior is not None, "an optimiser has no samples"
-        box = self.problem.box
-        return box.lower + box.range * self.posterior.samples.points
+        return self.problem.box.at(self.posterior.samples.points)
 
     @cached_property
     def combinations(self) -> list[Combination]:
@@ -164,7 +156,7 @@ class Result:
             "truth": self.target.truth,
             "error_pct": self.error_pct,
             "observation": {"target": plain(raw(self.target.values)), key: shown} | self.target.observation.record(),
-            "loss": {key: self.misfit if same else self.iterations[-1].get("loss")},
+            "loss": {key: self.target.misfit(self.predicted) if same else self.iterations[-1].get("loss")},
             "mpm_runs": [each.as_json(problem) for each in self.mpm_runs],
             "iterations": list(self.iterations),
             "surrogate": self.surrogate,

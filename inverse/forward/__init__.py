@@ -8,6 +8,7 @@ from torch import Tensor
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Values
+from inverse.observations.observation import Matrix
 from inverse.parameters import Vector
 from mpm.output.request import ALL, Recording
 
@@ -16,7 +17,13 @@ class Forward(Protocol):
     """Predicts the observation at given parameters."""
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
-        """The observation [M] at each vector of parameters [U]; runs may be side by side."""
+        """The observation [m] at each vector of parameters [U]; runs may be side by side."""
+
+    def select(self, target: Values, /) -> Values:
+        """The part of exact numbers [M] that it predicts, shape [m]."""
+
+    def errors(self, parameters: Vector, /) -> Matrix:
+        """Its errors at parameters [U] by its band: columns e_k of their covariance, shape [K, m]."""
 
 
 @runtime_checkable

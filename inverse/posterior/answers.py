@@ -82,8 +82,5 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
 
 def half_widths(points: Matrix, share: Row, centre: Row) -> Row:
     """The smallest half-widths about `centre` [U] that hold 95 % of samples [S, U] of weights [S], shape [U]."""
-    off = np.abs(points - centre)
-    order = np.argsort(off, axis=0)
-    cumulated = np.cumsum(share[order], axis=0)
-    row = np.argmax(cumulated >= CONSTANTS.credible * (1.0 - 1e-9), axis=0)
-    return np.asarray(np.take_along_axis(off, np.take_along_axis(order, row[None], axis=0), axis=0)[0])
+    level = CONSTANTS.credible * (1.0 - 1e-9)
+    return np.asarray(np.quantile(np.abs(points - centre), level, axis=0, weights=share, method="inverted_cdf"))

@@ -8,7 +8,6 @@ provided by an experiment, Ann. Math. Statist. 27 (1956) 986-1005). A factor of 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +25,6 @@ ACROSS = 4
 """Places along z, in 3D."""
 READING = 0.25
 """Error of reading a length, in cells."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Information:
-    """Of one measurement."""
-
-    name: str
-    gain: float
-    """I [nat]."""
 
 
 def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> dict[str, float]:
@@ -55,10 +45,13 @@ def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> 
 
 def information(
     points: Matrix, shown: Mapping[str, Matrix], samples: Samples, *, cell: float, rng: np.random.Generator
-) -> list[Information]:
-    """Of each measurement, most first; shown: by name what runs at points [n, U] show [n]; cell: of the grid [m]."""
+) -> dict[str, float]:
+    """I [nat] of each measurement by name, most first.
+
+    shown: by name what runs at points [n, U] show, shape [n]; cell: of the grid [m].
+    """
     where = samples.points[systematic(samples.weights, 400, rng)]
-    found = []
+    found = {}
     for name, numbers in shown.items():
         spread = float(numbers.std())
         if spread <= 1e-3 * cell:
@@ -66,5 +59,5 @@ def information(
         made = fitted(points, numbers[:, None] / spread, np.array([0.1]))
         varied = spread**2 * float(made.mean(where).var())
         noise = spread**2 * float(made.scatter[0, 0]) + (READING * cell) ** 2
-        found.append(Information(name=name, gain=0.5 * float(np.log1p(varied / noise))))
-    return sorted(found, key=lambda each: -each.gain)
+        found[name] = 0.5 * float(np.log1p(varied / noise))
+    return dict(sorted(found.items(), key=lambda each: -each[1]))

@@ -57,14 +57,10 @@ def command_of(bench: Callable[..., str]) -> Callable[..., None]:
             print(bench(out, quick=quick, keep=Path(folder), **flags))
         print(f"{time.perf_counter() - began:.0f} s")
 
-    flags = [each.replace(kind=each.KEYWORD_ONLY) for each in inspect.signature(bench).parameters.values()]
-    common = {"quick": (bool, False), "keep": (Path | None, None)}
-    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [
-            each.replace(annotation=common[each.name][0], default=common[each.name][1]) if each.name in common else each
-            for each in flags
-        ]
-    )
+    own = {each.name: each.replace(kind=each.KEYWORD_ONLY) for each in inspect.signature(bench).parameters.values()}
+    own |= {"quick": own["quick"].replace(default=False)}
+    own |= {"keep": own["keep"].replace(annotation=Path | None, default=None)}
+    command.__signature__ = inspect.Signature([*own.values()])  # type: ignore[attr-defined]
     command.__annotations__["keep"] = Path | None
     return command
 

@@ -29,7 +29,7 @@ from mpm import LAST, simulate_many
 from mpm.cluster import connected
 from validation.loop.solve import solve
 from validation.report.page import GNS, MPM, Page, Row
-from validation.report.plots import GREY, figure, pane
+from validation.report.plots import GREY, figure
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}
@@ -201,8 +201,7 @@ def solve_twin(family: Family, number: int, model: Path | None = None, threads: 
 def drawn(family: Family, number: int) -> Problem:
     """The twin experiment of this number, with its truth and its jitter seeds."""
     asked, rng = read_problem(family.problem), np.random.default_rng([FIRST_SEED, number])
-    lower, upper = np.array([each.bounds for each in asked.numbers]).T
-    truth = asked.named(lower + (upper - lower) * rng.random(len(lower)))
+    truth = asked.named(asked.box.at(rng.random(len(asked.names))))
     return dataclasses.replace(
         asked,
         scene=dataclasses.replace(asked.scene, seed=int(rng.integers(2**31))),
@@ -227,7 +226,7 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     assert found is not None, "of numbers"
     where = found.region.sampled
     values = np.array([truth[name] for name in result.problem.names])
-    point, samples = (values - box.lower) / box.range, found.samples
+    point, samples = box.shares(values), found.samples
     excluded = np.any((point < where.low) | (point > where.high))
     density = -np.inf if excluded else float(found.likelihood(point[None])[0])
     off = [np.abs(values - each.parameters) / np.maximum(each.half_widths, 1e-300) for each in result.answers]
@@ -319,7 +318,7 @@ def draw(path: Path, found: Mapping[Family, Sequence[Twin]]) -> None:
     """Share of the truths in the region over the region's share: on the diagonal where the posterior is right."""
     levels = np.linspace(0.0, 1.0, 101)
     with figure(path, size=(5.0, 4.0)) as axes:
-        axis = pane(axes)
+        axis = axes[0, 0]
         axis.plot(levels, levels, color=GREY, linewidth=0.8)
         for family, twins in found.items():
             axis.plot(levels, [held(twins, level) for level in levels], label=family.title, linewidth=1.2)

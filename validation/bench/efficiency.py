@@ -32,7 +32,7 @@ from inverse.settings import ObservationSettings, TargetSettings
 from mpm import simulate_many
 from validation.bench.searches import By, Models, Searched, by_reverse, by_runs, methods, search, slope_of
 from validation.report.page import GNS, MPM, Page, Row
-from validation.report.plots import BLUE, INK, ORANGE, RED, figure, pane
+from validation.report.plots import BLUE, INK, ORANGE, RED, figure
 
 SCENE = "layers-10"
 CUTS = {1: (1, 1), 10: (1, 10), 100: (10, 10)}
@@ -193,7 +193,7 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     return page(gradients, compared, quick=quick).write(out / "efficiency.md")
 
 
-def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTERS) -> list[Gradient]:
+def gradients_of(problem: Problem, simulator: Simulator) -> list[Gradient]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     models = Models.build(problem, simulator)
     observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
@@ -206,7 +206,7 @@ def gradients_of(problem: Problem, simulator: Simulator, *, jitters: int = JITTE
         found = evaluate(problem.initial)
         return found.seconds, slope_of(found)[chosen]
 
-    seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
+    seeds = [problem.scene.seed, *range(20_003, 20_002 + JITTERS)]
     seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
     moves = STEPS[unknowns] * np.eye(unknowns)[chosen]
     differences = [
@@ -327,7 +327,7 @@ def search_row(each: Searched, level: float) -> Row:
 def draw_gradients(path: Path, gradients: Sequence[Gradient]) -> None:
     """Seconds per gradient over the unknowns; a ring where they were multiplied."""
     with figure(path, size=(6.0, 4.0)) as axes:
-        axis = pane(axes)
+        axis = axes[0, 0]
         for method, colour in COLOURS.items():
             curve = [each for each in gradients if each.method is method]
             axis.plot([e.unknowns for e in curve], [e.seconds for e in curve], color=colour, lw=1.2, label=method)
@@ -342,7 +342,7 @@ def draw_searches(path: Path, compared: Sequence[Compared]) -> None:
     """MPM loss at each method's best iterate over the seconds, a pane for each problem."""
     with figure(path, columns=max(1, len(compared)), size=(5.0, 4.0)) as axes:
         for number, each in enumerate(compared):
-            axis = pane(axes, 0, number)
+            axis = axes[0, number]
             for by, marker in zip(By, "os^Dv", strict=True):
                 for one in each.searches:
                     if one.by is by:

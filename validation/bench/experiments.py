@@ -24,7 +24,7 @@ from validation.experiments.experiment import (
     read_experiments,
 )
 from validation.report.page import Page, percent, rms, signed
-from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure, pane
+from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure
 from validation.runs import Run, RunStore
 
 CLOSE = 2.0
@@ -348,7 +348,7 @@ def draw(path: Path, findings: Findings) -> None:
     rows, value = range(len(scores)), np.array([each.measured.value for each in scores])
     spread = np.array([each.measured.spread for each in scores]) / value
     with figure(path, size=(8.0, 1.6 + 0.36 * max(len(scores), 1))) as axes:
-        axis = pane(axes)
+        axis = axes[0, 0]
         ones = np.ones(len(scores))
         axis.errorbar(ones, rows, xerr=spread, fmt="s", color=INK, capsize=3, ms=4, label="measured, ± spread")
         for name, colour in (("coarse", LIGHT_BLUE), ("fine", BLUE)):

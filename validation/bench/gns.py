@@ -20,7 +20,7 @@ from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import SEED, Measured, at_wall, coarse, creep, deposit_of, held_out, mean, worst
 from validation.report.page import GNS, MPM, Page, Row, rms, signed
-from validation.report.plots import BLUE, INK, ORANGE, figure, pane
+from validation.report.plots import BLUE, INK, ORANGE, figure
 from validation.runs import Run, RunStore
 
 SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d": 4}}
@@ -319,8 +319,8 @@ def draw(path: Path, found: Sequence[Model]) -> None:
     """Errors of fronts by kind, and errors over seconds; a row of panes for each model."""
     with figure(path, rows=len(found), columns=2, size=(5.6, 3.4)) as axes:
         for row, each in enumerate(found):
-            draw_fronts(pane(axes, row, 0), each)
-            draw_price(pane(axes, row, 1), each)
+            draw_fronts(axes[row, 0], each)
+            draw_price(axes[row, 1], each)
 
 
 def draw_fronts(axis: Axes, model: Model) -> None:

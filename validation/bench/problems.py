@@ -94,9 +94,8 @@ class Outcome:
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """Half-widths of the numbers; infinite where the file has none."""
-        found = self.result.get("certainty") or {}
-        return {name: math.inf if found.get(name) is None else found[name] for name in self.problem.names}
+        """Half-widths of the numbers."""
+        return {name: self.result["certainty"][name] for name in self.problem.names}
 
     @property
     def errors(self) -> dict[str, float]:
@@ -108,6 +107,10 @@ class Outcome:
     def surrogate(self) -> bool:
         """Whether a surrogate was asked."""
         return bool((self.result.get("surrogate") or {}).get("asked"))
+
+    def text(self, name: str, value: float) -> str:
+        """A value of a number with its unit."""
+        return self.problem.kinds[self.problem.names.index(name)].text(value)
 
     @property
     def inside(self) -> int:
@@ -332,28 +335,21 @@ def own_text(outcome: Outcome) -> str:
     if "unknowns" not in said:
         return "-"
     names, error = outcome.problem.names, said["mpm_error"]
-    texts = [text_of(outcome.problem, each, said["unknowns"][each]) for each in names] if len(names) <= NAMED else []
+    texts = [outcome.text(each, said["unknowns"][each]) for each in names] if len(names) <= NAMED else []
     front = [f"front {error['front_pct']:.2f} % off"] if "front_pct" in error else []
     return ", ".join([*texts, f"loss {error['misfit']:.1e}", *front])
 
 
-def text_of(problem: Problem, name: str, value: float) -> str:
-    """A value of a number with its unit."""
-    return dict(zip(problem.names, problem.kinds, strict=True))[name].text(value)
-
-
 def found_text(outcome: Outcome) -> str:
     """The numbers found, or the range of their half-widths."""
-    problem, widths = outcome.problem, outcome.half_widths
+    widths = outcome.half_widths
     if len(widths) > NAMED:
         low, high = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
-        return (
-            f"{len(widths)} numbers, ± {text_of(problem, low, widths[low])} to {text_of(problem, high, widths[high])}"
-        )
+        return f"{len(widths)} numbers, ± {outcome.text(low, widths[low])} to {outcome.text(high, widths[high])}"
     return "<br>".join(
         (f"`{each}` " if len(widths) > 1 else "")
-        + text_of(problem, each, outcome.result["unknowns"][each])
-        + f" ± {text_of(problem, each, width)}"
+        + outcome.text(each, outcome.result["unknowns"][each])
+        + f" ± {outcome.text(each, width)}"
         for each, width in widths.items()
     )
 
@@ -364,7 +360,7 @@ def error_text(outcome: Outcome) -> str:
     if not errors:
         return "-"
     worst = max(errors, key=lambda each: errors[each] / widths[each])
-    text = text_of(outcome.problem, worst, errors[worst])
+    text = outcome.text(worst, errors[worst])
     return f"{text} of `{worst}`" if len(errors) > 1 else f"{text} ({outcome.percent(errors):.2f} %)"
 
 

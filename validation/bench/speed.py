@@ -22,7 +22,7 @@ from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE
 from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, spread, turns
 from validation.report.page import GNS, MPM, Page, Row, between
-from validation.report.plots import BLUE, ORANGE, figure, pane
+from validation.report.plots import BLUE, ORANGE, figure
 
 CUBE = 0.375
 """Edge of the column in 3D [m]."""
@@ -339,7 +339,7 @@ def rate_rows(rates: Rates) -> list[Row]:
 def draw(path: Path, rates: Rates, prices: Sequence[Price]) -> None:
     """Rates over particles; seconds of a run and of its gradient over particle-steps."""
     with figure(path, columns=2) as axes:
-        left, right = pane(axes, 0, 0), pane(axes, 0, 1)
+        left, right = axes[0, 0], axes[0, 1]
         for dimension, colour in ((2, BLUE), (3, ORANGE)):
             best = dict(sorted(best_rates(rates, dimension).items()))
             left.plot(list(best), list(best.values()), "o-", color=colour, label=f"{dimension}D")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.shapes import require
 from datasets.library import read_scene
 from datasets.measures import FRONT_QUANTILE, Positions, front, height_profile, profile_stations
 from datasets.particles import particle_volumes
@@ -66,11 +67,8 @@ class Angle(Record):
     source: str
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.lower_deg <= self.upper_deg < 90.0:
-            raise InputError(
-                f"expected 0 < lower_deg <= upper_deg < 90, got {self.lower_deg:g} and {self.upper_deg:g}",
-                key="lower_deg",
-            )
+        ordered, got = 0.0 < self.lower_deg <= self.upper_deg < 90.0, f"{self.lower_deg:g} and {self.upper_deg:g}"
+        require(ordered, "lower_deg", "0 < lower_deg <= upper_deg < 90", got)
 
     @property
     def deg(self) -> float:
@@ -151,8 +149,7 @@ class Measured(Record):
         return self.quantity not in (Quantity.PROFILE, Quantity.RADII)
 
     def __post_init__(self) -> None:
-        if self.spread <= 0.0:
-            raise InputError(f"expected a positive length in m, got {self.spread:g}", key="spread")
+        require(self.spread > 0.0, "spread", "a positive length in m", f"{self.spread:g}")
         if self.quantity is Quantity.HEIGHT and self.within is None:
             raise InputError("expected a value, a height needs one", key="within")
         if self.quantity is Quantity.PROFILE and not len(self.x) == len(self.heights) > 1:
@@ -161,8 +158,7 @@ class Measured(Record):
             raise InputError(f"expected as many radii as times, {len(self.times)}, and two or more", key="radii")
         if any(later <= earlier for earlier, later in itertools.pairwise(self.x)):
             raise InputError("expected lengths that ascend", key="x")
-        if self.single and self.value <= 0.0:
-            raise InputError(f"expected a positive length in m, got {self.value:g}", key="value")
+        require(not self.single or self.value > 0.0, "value", "a positive length in m", f"{self.value:g}")
 
 
 @dataclass(frozen=True, kw_only=True)

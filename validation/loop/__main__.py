@@ -69,11 +69,10 @@ def main(
 
 def print_outcome(result: "Result", out: Path) -> None:
     """Print the outcome. Raises WorkFailed where the MPM did not confirm."""
-    from inverse.found import Verdict
     from inverse.report import summary
 
     print(summary(result))
-    if result.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):
+    if not result.verdict.confirms:
         raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")
 
 

@@ -1,7 +1,7 @@
 """The search: runs of the MPM where they narrow the posterior most, until more of them would hardly narrow it.
 
-First runs fill the box, or are where a surrogate leads (`validation.loop.guided`). Then, in waves: the emulator of all
-runs around the posterior so far, its posterior, and runs where the emulator's variance hides most of it
+First runs fill the box, or are where a surrogate leads (`validation.loop.surrogate`). Then, in waves: the emulator of
+all runs around the posterior so far, its posterior, and runs where the emulator's variance hides most of it
 (`inverse.posterior`). A wave costs seconds, so that none is too many.
 """
 
@@ -68,7 +68,7 @@ class Search:
     @property
     def points(self) -> Matrix:
         """Of every run, in fractions of the ranges, shape [n, U]."""
-        return self.task.unit(np.stack([each.parameters for each in self.every]))
+        return self.task.bounds.shares(np.stack([each.parameters for each in self.every]))
 
     @property
     def numbers(self) -> Matrix:
@@ -100,7 +100,7 @@ class Search:
         box, problem = state.task.bounds, state.task.problem
         wave = {
             "mpm_runs": len(state.runs),
-            "mean": problem.named(box.lower + box.range * found.samples.mean),
+            "mean": problem.named(box.at(found.samples.mean)),
             "deviation": problem.named(box.range * np.sqrt(np.diag(found.samples.covariance))),
             "emulator_share": found.emulator_share,
             "with_surrogate": found.emulator.trend is not linear,
@@ -141,7 +141,7 @@ class Search:
     def wider(self) -> "Search":
         """With the surrogate's region twice as wide."""
         assert self.guide is not None, "only its region has an edge"
-        return self.inferred(guide=self.guide.wider(2.0 * self.guide.factor))
+        return self.inferred(guide=dataclasses.replace(self.guide, factor=2.0 * self.guide.factor))
 
 
 def first(task: Task, runs: tuple[MpmRun, ...] = (), known: tuple[MpmRun, ...] = ()) -> Search:

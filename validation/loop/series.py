@@ -29,13 +29,12 @@ from inverse.observations import KINDS
 from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
 from inverse.target import read_target
-from mpm import simulate_many
+from mpm import simulate, simulate_many
 from validation.loop.solve import Known, solve
 
 RESULT = "result.json"
 WIDTH = " +-"
 """What follows the name of an unknown, of the column of its half-widths."""
-CONFIRMED = (Verdict.CONFIRMED.value, Verdict.AMBIGUOUS.value)
 
 
 def solve_series(
@@ -84,15 +83,11 @@ def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
     for path in files:
         try:
             found[path.stem] = each = of_deposit(problem, path)
-            read_target(each, lambda scene: flows_are_given())
+            # Nothing is simulated: a deposit is a file.
+            read_target(each, simulate)
         except InputError as error:
             raise error if str(path) in error.where else error.at(str(path)) from None
     return found
-
-
-def flows_are_given() -> Trajectory:
-    """No target of a series is simulated."""
-    raise AssertionError("a deposit is a file")
 
 
 def of_deposit(problem: Problem, path: Path) -> Problem:
@@ -153,7 +148,7 @@ def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count:
 
 def summary(rows: Sequence[Mapping[str, Any]], count: int) -> str:
     """What a series came to, in a sentence."""
-    confirmed = sum(each["verdict"] in CONFIRMED for each in rows)
+    confirmed = sum(Verdict(each["verdict"]).confirms for each in rows)
     runs, seconds = (np.mean([each[key] for each in rows]) for key in ("MPM runs", "seconds"))
     return (
         f"{len(rows)} of {count} deposits inverted, {confirmed} of them confirmed by the MPM; "
@@ -163,6 +158,6 @@ def summary(rows: Sequence[Mapping[str, Any]], count: int) -> str:
 
 def require_confirmed(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
     """Raise WorkFailed where the MPM has not confirmed every deposit's answer."""
-    others = [str(each["deposit"]) for each in rows if each["verdict"] not in CONFIRMED]
+    others = [str(each["deposit"]) for each in rows if not Verdict(each["verdict"]).confirms]
     if others:
         raise WorkFailed(f"not confirmed: {', '.join(others)}; see {out}/report.md")

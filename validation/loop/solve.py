@@ -19,13 +19,12 @@ from inverse.forward import Simulate
 from inverse.found import MpmRun, Purpose, Verdict
 from inverse.optimise import Inversion, inverted
 from inverse.parameters import Vector
-from inverse.posterior.information import Information, information, measurements
+from inverse.posterior.information import information, measurements
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.target import read_target
 from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
-from validation.loop.guided import guided
 from validation.loop.search import Search, first, searched
 from validation.loop.task import Task
 from validation.loop.verdict import Outcome, concluded, judged, nearer
@@ -99,14 +98,14 @@ def run(
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
         led = inverted(forward, task.problem, task.target, task.scatter)
-        state, confirmed = guided(task, led, before)
+        state, confirmed = surrogate.guided(task, led, before)
         # Runs are dear here, and its answers were checked.
         outcome = concluded(state, moves=0) if confirmed else judged(state)
     elif model is not None:
         print(f"the surrogate is not asked: {reason}", file=sys.stderr)
     if outcome is None:
         outcome = concluded(searched(first(task, known=before)))
-    elif outcome.verdict not in (Verdict.CONFIRMED, Verdict.AMBIGUOUS):
+    elif not outcome.verdict.confirms:
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
         tried = tuple(dataclasses.replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
         outcome = nearer(outcome.state, concluded(searched(first(task, tried, before))))
@@ -124,7 +123,7 @@ def run(
         iterations=state.waves,
         mpm_runs=runs,
         posterior=state.posterior,
-        further=tuple(further(outcome)),
+        further=further(outcome),
         notes=(statement(state),),
         surrogate={"asked": led is not None, "reason": reason} | ({} if led is None else of_surrogate(led, state)),
         seconds={"mpm": mpm_seconds, "total": time.perf_counter() - began},
@@ -164,10 +163,10 @@ def statement(state: Search) -> str:
     )
 
 
-def further(outcome: Outcome) -> list[Information]:
+def further(outcome: Outcome) -> dict[str, float]:
     """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
     if outcome.verdict is not Verdict.AMBIGUOUS:
-        return []
+        return {}
     state, scene = outcome.state, outcome.state.task.problem.scene
     near = state.posterior.near
     deposits = [run.trajectory.positions[-1] for run, each in zip(state.every, near, strict=True) if each]
@@ -182,4 +181,4 @@ def further(outcome: Outcome) -> list[Information]:
         cell=scene.domain.cell,
         rng=state.task.generator(len(state.runs)),
     )
-    return found[:SUGGESTED]
+    return dict([*found.items()][:SUGGESTED])

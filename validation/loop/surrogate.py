@@ -1,6 +1,8 @@
 """Whether a learned surrogate is asked: where the scene is in its range, its band narrow and a run of the MPM dear.
 
-It inverts first (`inverse.optimise`); the MPM then runs where its answers are (`validation.loop.guided`).
+It inverts first (`inverse.optimise`) and leads: the MPM runs at its answers first, then around them, and corrects them.
+No run is made beyond the surrogate's region unless the MPM contradicts: where it is off by more than the band allows,
+the region is so much wider, and twice as wide wherever the posterior comes to its edge.
 """
 
 import dataclasses
@@ -10,6 +12,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from datasets.errors import InputError
 from datasets.processes import processors
 from datasets.scene import Scene
@@ -18,15 +22,22 @@ from gns.initial import check
 from gns.library import model_path, shipped
 from gns.ranges import outside
 from gns.simulator import Simulator
+from inverse.forward import Forward
 from inverse.forward.gns import Flow, GnsForward, band_of
-from inverse.optimise import Surrogate
+from inverse.found import MpmRun, Purpose
+from inverse.optimise import Inversion
+from inverse.posterior.emulator import fewest_runs
+from inverse.posterior.posterior import next_points
+from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
-from inverse.settings import Surrogate as Requested
+from inverse.settings import Surrogate
 from inverse.target import Target
 from mpm.resolution import particle_steps
+from validation.loop.search import Search
 from validation.loop.task import Task
+from validation.loop.verdict import checked
 
-Load = Callable[[Problem, Target, Path | None], tuple[Surrogate | None, str]]
+Load = Callable[[Problem, Target, Path | None], tuple[Forward | None, str]]
 """Problem, target, weights -> the surrogate, or None and why there is none."""
 PREDICTIONS = 5.0
 """Predictions that a run of the MPM costs, from which on it is asked: it predicts two to five times for each run that
@@ -41,24 +52,24 @@ SPEED = {2: 35e6, 3: 15e6}
 """Particle-steps a second of the MPM on one processor, in 2D and in 3D (`python -m validation.bench speed`)."""
 
 
-def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Surrogate | None, str]:
+def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | None, str]:
     """The surrogate that is asked, or None, and the reason in words.
 
     model: weights, which are asked at any price; those that ship where absent; load: `learned`. Raises InputError for a
     problem that asks for one that there is none of.
     """
     problem, requested = task.problem, task.problem.surrogate
-    if requested is Requested.NONE:
+    if requested is Surrogate.NONE:
         return None, "the problem asks for none"
     if problem.target.minimise:
         return None, "a design is looked for by the MPM alone"
     run = particle_steps(problem.scene) / (SPEED[problem.scene.dimension] * processors())
-    by_price = requested is Requested.AUTO and model is None
+    by_price = requested is Surrogate.AUTO and model is None
     if by_price and run < PREDICTIONS * QUICKEST:
         return None, f"a run of the MPM takes {run:.2g} s, which is less than {PREDICTIONS:g} predictions"
     forward, reason = load(problem, task.target, model)
     if forward is None:
-        if requested is Requested.GNS:
+        if requested is Surrogate.GNS:
             raise InputError(f"expected auto or none, {reason}", key="surrogate")
         return None, reason
     began = time.perf_counter()
@@ -70,7 +81,7 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Surrogate | N
     return forward, price if by_price else f"it is asked for; {price}"
 
 
-def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Surrogate | None, str]:
+def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forward | None, str]:
     """The learned surrogate, or None and why it does not know the flow, or not well enough. Raises InputError."""
     observation = target.observation
     if without := [each.name for each in problem.parameters if not each.kind.predicted]:
@@ -94,7 +105,7 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Surro
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
     band = band_of(weights, scene)
-    if problem.surrogate is Requested.AUTO and model is None and band.front > WIDEST:
+    if problem.surrogate is Surrogate.AUTO and model is None and band.front > WIDEST:
         return None, f"its band is {band.front:.0%} of the extent, more than {WIDEST:.0%}"
     return GnsForward(simulator, problem, observation, band=band, flows=flows), ""
 
@@ -103,3 +114,34 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Surro
 def loaded(weights: Path, stamp: int, scene: Scene, names: tuple[str, ...]) -> tuple[Simulator, dict[bytes, Flow]]:
     """The model in a file as it was at `stamp`, and its predictions of a scene with numbers of these names."""
     return checkpoint.load(weights).simulator, {}
+
+
+def guided(task: Task, found: Inversion, known: tuple[MpmRun, ...] = ()) -> tuple[Search, bool]:
+    """Runs at the answers that a surrogate `found`, around them, and on until its answers so corrected hold.
+
+    With it, whether the MPM confirms one of them: if not, more runs near the others would be of no use.
+    known: runs for other targets; where they are enough for an emulator, its answers are corrected by them at once.
+    """
+    unknowns, state = len(task.problem.parameters), Search(task=task, known=known)
+    size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
+    if len(known) < fewest_runs(unknowns):
+        answers = np.stack([each.point for each in found.answers])
+        state = state.ran(np.repeat(answers, CONSTANTS.first_checks, axis=0), Purpose.CHECK)
+        found = found.compared(state.points, state.numbers)
+        state = state.ran(found.around(size, task.generator(0)), Purpose.WAVE)
+    state = dataclasses.replace(state, guide=found).inferred()
+    while True:
+        while state.at_edge:
+            state = state.wider()
+        left, known_enough = state.left - task.checks, state.converged
+        # The answers of several parameters move until their emulator knows enough: checks of them come last.
+        if unknowns == 1 or known_enough or left <= 0:
+            state, corrected = checked(state, again=False, moves=1)
+            if state.at_edge:
+                continue
+            left, confirmed = state.left - task.checks, corrected[0].confirmed
+            # What was enough before the checks is so after them, though the scatter that they show may be smaller.
+            if not confirmed or known_enough or state.converged or left <= 0:
+                return state, confirmed
+        points = next_points(state.posterior, min(size, left), task.generator(len(state.runs)))
+        state = state.ran(points, Purpose.WAVE).inferred()

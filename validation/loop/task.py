@@ -10,7 +10,7 @@ import numpy as np
 from datasets.scene import Scene
 from inverse.forward import Simulate
 from inverse.found import MpmRun, Purpose
-from inverse.observations import Observation, Values
+from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior import Matrix
 from inverse.posterior.settings import CONSTANTS
@@ -30,11 +30,6 @@ class Task:
     """Where runs of the MPM are stored."""
     simulate: Simulate = simulate_many
 
-    @property
-    def observation(self) -> Observation:
-        """The observation operator."""
-        return self.target.observation
-
     @cached_property
     def bounds(self) -> Bounds:
         """The box of the parameters."""
@@ -43,7 +38,7 @@ class Task:
     @cached_property
     def scatter(self) -> Values:
         """Expected standard deviation of each number from flow to flow, shape [M]."""
-        return self.observation.prior_scatter(self.target.values)
+        return self.target.observation.prior_scatter(self.target.values)
 
     @property
     def budget(self) -> int:
@@ -58,11 +53,7 @@ class Task:
     @property
     def recorded(self) -> Recording:
         """What an observation requires of a run: the last frame, unless it is one over time."""
-        return ALL if self.observation.over_time else LAST
-
-    def unit(self, parameters: Matrix) -> Matrix:
-        """Parameters [..., U] in fractions of their ranges."""
-        return np.asarray((parameters - self.bounds.lower) / self.bounds.range)
+        return ALL if self.target.observation.over_time else LAST
 
     def at(self, points: Matrix) -> list[Vector]:
         """Parameters at points [S, U] of the unit box, to a millionth of the range: a run is found again by them."""
@@ -71,7 +62,7 @@ class Task:
             self.bounds.clip(
                 np.array([round(float(each), int(count)) for each, count in zip(row, digits, strict=True)])
             )
-            for row in self.bounds.lower + points * self.bounds.range
+            for row in self.bounds.at(points)
         ]
 
     def run(self, points: Matrix, first: int, purpose: Purpose) -> tuple[MpmRun, ...]:

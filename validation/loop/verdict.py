@@ -70,9 +70,7 @@ def nearer(led: Search, whole: Outcome) -> Outcome:
     return outcome if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
 
 
-def checked(
-    state: Search, *, again: bool = True, moves: int = CONSTANTS.moves
-) -> tuple[Search, tuple[Answer, ...]]:
+def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) -> tuple[Search, tuple[Answer, ...]]:
     """Runs at every answer, and where the answers move by what these show, so many times.
 
     Then an answer is where it was checked: in a long region it would move on. again: once more, too, where the MPM does
@@ -86,7 +84,7 @@ def checked(
             if answers[0].confirmed or not again:
                 break
             # Where the mean of few runs is not near enough, that of more may be.
-            locations = [state.task.unit(answers[0].parameters)]
+            locations = [state.task.bounds.shares(answers[0].parameters)]
         if state.left < len(locations):
             break
         checks = CONSTANTS.known_checks if state.known else CONSTANTS.checks
@@ -103,7 +101,7 @@ def separate(state: Search) -> list[Part]:
 
 def distances(state: Search, runs: Sequence[MpmRun], part: Part) -> Values:
     """Distance of runs from the point of a part: root mean square over the parameters, in half-widths, shape [n]."""
-    locations = state.task.unit(np.stack([each.parameters for each in runs]))
+    locations = state.task.bounds.shares(np.stack([each.parameters for each in runs]))
     off = (locations - part.point) / np.maximum(part.half_widths, 1e-6)
     return np.asarray(np.sqrt((off**2).mean(axis=1)))
 
@@ -113,7 +111,7 @@ def checks_of(state: Search, part: Part) -> list[MpmRun]:
     own = [each for each in state.runs if each.purpose is Purpose.CHECK]
     if not own:
         return []
-    locations = state.task.unit(np.stack([each.parameters for each in own]))
+    locations = state.task.bounds.shares(np.stack([each.parameters for each in own]))
     within = np.all((locations >= part.points.min(axis=0)) & (locations <= part.points.max(axis=0)), axis=1)
     within &= state.posterior.likelihood(locations) >= part.threshold
     far = np.where(within, distances(state, own, part), np.inf)
@@ -137,7 +135,7 @@ def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
     for part in found:
         own = checks_of(state, part) or [state.every[int(np.argmin(distances(state, state.every, part)))]]
         location = own[0].parameters
-        widths = half_widths(part.points, part.shares, task.unit(location)) * task.bounds.range
+        widths = half_widths(part.points, part.shares, task.bounds.shares(location)) * task.bounds.range
         answers.append(
             Answer(
                 parameters=location, half_widths=widths, weight=part.weight, checks=tuple(own), fit=fitted(state, own)
@@ -165,7 +163,7 @@ def on_coarse_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     particles, and where the box does not divide into such cells.
     """
     scene = task.problem.scene_at(answer.parameters)
-    if task.target.cell == scene.domain.cell or task.observation.every_particle:
+    if task.target.cell == scene.domain.cell or task.target.observation.every_particle:
         return ()
     try:
         domain = dataclasses.replace(scene.domain, cell=2.0 * scene.domain.cell)
@@ -188,7 +186,7 @@ def of_design(state: Search) -> Outcome:
     """The design of the smallest number expected, and how far parameters may move before the scatter shows it."""
     task, samples = state.task, state.posterior.samples
     design = samples.points[[int(np.argmin(state.posterior.expected(samples.points)[:, 0]))]]
-    start = task.unit(task.problem.initial)[None]
+    start = task.bounds.shares(task.problem.initial)[None]
     count = min(CONSTANTS.checks, state.left // 2)
     before = len(state.runs)
     state = state.ran(np.repeat(design, count, axis=0), Purpose.CHECK)

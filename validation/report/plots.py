@@ -3,14 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import NDArray
 
 from datasets import files
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 INK, BLUE, LIGHT_BLUE, ORANGE, GREEN, GREY = "#222222", "#1b6ca8", "#9ecae1", "#d9730d", "#3a8c55", "#8a8a8a"
 RED = "#b0305c"
@@ -41,9 +38,3 @@ def figure(
                 drawn.savefig(part, dpi=DPI, format=path.suffix[1:])
         finally:
             plt.close(drawn)
-
-
-def pane(axes: NDArray[Any], row: int = 0, column: int = 0) -> "Axes":
-    """One of the axes of `figure`, with its type."""
-    axis: Axes = axes[row, column]
-    return axis

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,8 @@ class Picture:
         )
         eye = np.array(EYE[trajectory.scene.dimension]) / np.linalg.norm(EYE[trajectory.scene.dimension])
         right = np.cross((0.0, 1.0, 0.0), eye) / np.linalg.norm(np.cross((0.0, 1.0, 0.0), eye))
-        size = np.ptp(_corners(self.lower, self.upper) @ np.stack([right, np.cross(eye, right)]).T, axis=0)
+        corners = np.array([*product(*zip(self.lower, self.upper, strict=True))])
+        size = np.ptp(corners @ np.stack([right, np.cross(eye, right)]).T, axis=0)
         free = np.array([1.0 - 2.0 * MARGIN[0], 1.0 - MARGIN[1]])
         self.scale = float(np.min((WIDTH, HEIGHT) * free / size))
         """Pixels per metre."""
@@ -285,10 +287,6 @@ def extent(trajectory: Trajectory) -> tuple[Floats, Floats]:
 def _marks(lower: float, upper: float, count: int) -> Floats:
     """About `count` round numbers, as far apart, from `lower` or before to `upper` or behind."""
     return np.asarray(MaxNLocator(count, steps=(1, 2, 5, 10)).tick_values(lower, upper))
-
-
-def _corners(lower: Floats, upper: Floats) -> Floats:
-    return np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
 
 
 def _window(width: int, height: int) -> Any:

@@ -27,7 +27,6 @@ def number(kind: Quantity, **other: object) -> Measured:
         quantity=kind,
         value=0.1,
         spread=0.01,
-        spread_from="",
         status=Status.READ,
         source="",
         **other,  # type: ignore[arg-type]
@@ -63,7 +62,6 @@ def test_profile_is_held_against_the_rows() -> None:
     measured = Measured(
         quantity=Quantity.PROFILE,
         spread=0.01,
-        spread_from="",
         status=Status.READ,
         source="",
         x=(0.1, 0.2, 0.3, 0.6),
@@ -76,6 +74,4 @@ def test_profile_is_held_against_the_rows() -> None:
 @pytest.mark.parametrize(("x", "heights"), [((0.1,), (0.1,)), ((0.1, 0.2), (0.1,)), ((0.2, 0.1), (0.1, 0.1))])
 def test_a_wrong_profile_is_refused(x: tuple[float, ...], heights: tuple[float, ...]) -> None:
     with pytest.raises(InputError):
-        Measured(
-            quantity=Quantity.PROFILE, spread=0.01, spread_from="", status=Status.READ, source="", x=x, heights=heights
-        )
+        Measured(quantity=Quantity.PROFILE, spread=0.01, status=Status.READ, source="", x=x, heights=heights)

@@ -40,7 +40,6 @@ def test_joint_observations_find_it_together(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=24.0, scatter=0.002)
     result = alone(joint(case, JOINT), case.mpm, tmp_path)
     assert result.verdict is Verdict.CONFIRMED
-    assert result.certainty is not None
     assert abs(result.unknowns["friction_deg"] - 24.0) <= result.certainty["friction_deg"] < 2.0
     stored = json.loads((tmp_path / "result.json").read_text())["observation"]
     assert [part["name"] for part in stored["parts"]] == ["front", "profile", "passed", "front 2"]
@@ -57,7 +56,6 @@ def test_contradictions_widen_the_half_width(tmp_path: Path) -> None:
     )
     result = alone(joint(case, parts, target=TargetSettings()), case.mpm, tmp_path)
     assert result.verdict is Verdict.UNCONFIRMED
-    assert result.certainty is not None
     assert result.answers[0].fit is not None
     assert result.answers[0].fit.factor > 3.0
     # 12 mm a degree: the half-width is that of the 30 mm by which they differ, not of the 4 mm that were stated.
@@ -82,7 +80,6 @@ def test_a_ridge_of_answers_is_one_ambiguous_answer(tmp_path: Path) -> None:
     )
     result = alone(problem, TwinAngles(scatter=0.001), tmp_path)
     assert result.verdict is Verdict.AMBIGUOUS
-    assert result.certainty is not None
     assert min(result.certainty.values()) > 8.0
     assert sum(result.unknowns.values()) == pytest.approx(50.0, abs=1.5)
     # The sum is known from 12 + 38 to 38 + 12 degrees.

@@ -28,7 +28,6 @@ RESULT_KEYS = {
 def test_the_truth_is_found_through_the_scatter_of_the_mpm(tmp_path: Path, kind: str, truth: float) -> None:
     result = wedge(tmp_path, truth=truth, kind=kind, scatter=0.002).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
-    assert result.certainty is not None
     # 20 to 8 mm a degree: a scatter of 2 mm is 0.1 to 0.25 degrees for the target alone.
     slope = 0.02 - 0.0003 * (truth - 12.0)
     # Half-widths are 1.96 of it where the scatter is known; by a dozen runs that is known to a fifth.
@@ -64,7 +63,6 @@ def test_layers_that_overlap_are_identified(tmp_path: Path, count: int, seed: in
     """Over seeds of the target's jitter the widest half-width is 0.10 to 0.13 of the range at ten layers."""
     result = layers(tmp_path, count=count, scatter=0.002, bend=0.03, seed=seed).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
-    assert result.certainty is not None
     errors = [abs(result.unknowns[name] - true) for name, true in (result.target.truth or {}).items()]
     widths = [result.certainty[name] for name in result.unknowns]
     assert np.max(np.divide(errors, widths)) < 2.0
@@ -77,7 +75,6 @@ def test_a_target_outside_the_bounds_is_unreachable(tmp_path: Path, beyond: floa
     result = wedge(tmp_path, value=length(beyond), scatter=0.001).solve(tmp_path)
     assert result.verdict is Verdict.UNREACHABLE
     assert result.unknowns["friction_deg"] == pytest.approx(bound, abs=0.5)
-    assert result.certainty is not None
     result.save(tmp_path)
     with pytest.raises(WorkFailed, match="unreachable"):
         print_outcome(result, tmp_path)
@@ -182,8 +179,6 @@ def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> 
     twin = wedge(tmp_path, truth=24.0, mpm=Coarse(scatter=0.001)).solve(tmp_path / "twin")
     true = length(24.0) * float(np.quantile(1.0 - np.sqrt(1.0 - (np.arange(600) + 0.5) / 600), 0.995))
     measured = wedge(tmp_path, value=true, mpm=Coarse(scatter=0.001)).solve(tmp_path / "seen")
-    assert measured.certainty is not None
-    assert twin.certainty is not None
     assert twin.certainty["friction_deg"] < 0.4
     assert abs(twin.unknowns["friction_deg"] - 24.0) < 0.5
     # 16 mm in a slope of 16 mm a degree.
@@ -208,7 +203,6 @@ def test_a_design_is_confirmed_where_the_mpm_shows_it_is_better(
     assert len(result.mpm_runs) <= case.problem.loop.budget(3)
     if improvable:
         assert found < 0.9 * begun
-        assert result.certainty is not None
         assert all(0.0 < width <= WIDTH for width in result.certainty.values())
         result.save(tmp_path)
         assert "NaN" not in (tmp_path / "result.json").read_text()

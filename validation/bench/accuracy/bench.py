@@ -22,7 +22,7 @@ from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measur
 from validation.bench.accuracy import columns
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.report.page import Page, percent
-from validation.report.plots import BLUE, GREY, ORANGE, figure, pane
+from validation.report.plots import BLUE, GREY, ORANGE, figure
 from validation.runs import SHARE, Run, RunStore
 
 TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)
@@ -294,7 +294,7 @@ def draw(
     """Error over seconds, a pane per dimension; fronts over the aspect ratio."""
     with figure(path, columns=len(trials) + 1, size=(4.2, 3.8)) as axes:
         for number, (dimension, found) in enumerate(trials.items()):
-            axis = pane(axes, 0, number)
+            axis = axes[0, number]
             for name in next(iter(found.values())):
                 points = [(each[name].seconds, 100.0 * each[name].errors[0]) for each in found.values()]
                 axis.plot(*zip(*points, strict=True), ".-", color=GREY, linewidth=0.5, markersize=3)
@@ -307,7 +307,7 @@ def draw(
             axis.set(xscale="log", yscale="log", title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
             axis.set_ylabel("error over the extent [%]")
             axis.legend()
-        last = pane(axes, 0, len(trials))
+        last = axes[0, len(trials)]
         known = {**fronts, **columns.laws(), **columns.codes()}
         for name in dict.fromkeys(name for dimension, name, _ in known if dimension == 2):
             points = sorted((a, value) for (dimension, who, a), value in known.items() if (dimension, who) == (2, name))

@@ -25,7 +25,7 @@ from validation.bench.stability import slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
 from validation.bench.stability.quantities import QUANTITIES
 from validation.report.page import Page, percent
-from validation.report.plots import BLUE, INK, ORANGE, figure, pane
+from validation.report.plots import BLUE, INK, ORANGE, figure
 
 FOLDER = Path(__file__).parent
 COLUMNS = {"energy": "energy gained", "momentum": "momentum error", "volume": "volume", "slope": "slope [°]"}
@@ -302,13 +302,13 @@ def draw(path: Path, flow: Trajectory, found: Fronts) -> None:
     assert flow.solid_impulse is not None
     with figure(path, rows=2, columns=2, size=(5.0, 3.0)) as axes:
         for column, time in enumerate(SHOWN):
-            axis, frame = pane(axes, 0, column), int(np.abs(flow.time - time).argmin())
+            axis, frame = axes[0, column], int(np.abs(flow.time - time).argmin())
             for a, b in surface.corners:
                 axis.plot([a[0], b[0]], [a[1], b[1]], color=INK, linewidth=1.0)
             axis.plot(flow.positions[frame, :, 0], flow.positions[frame, :, 1], ".", color=ORANGE, markersize=1.0)
             axis.set(xlim=(0.0, scene.domain.size[0]), ylim=(0.0, scene.domain.size[1]), aspect="equal")
             axis.set(title=f"flume, {flow.time[frame]:.2f} s", xlabel="x [m]", ylabel="y [m]")
-        force, stiff = pane(axes, 1, 0), pane(axes, 1, 1)
+        force, stiff = axes[1, 0], axes[1, 1]
         force.plot(flow.time[1:], np.diff(flow.solid_impulse[:, -1, 0]) / np.diff(flow.time), linewidth=1.0)
         force.set(title="flume", xlabel="time [s]", ylabel="force on the end wall [N/m]")
         for (transfer, colour), (step, style) in itertools.product(
