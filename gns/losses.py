@@ -43,7 +43,6 @@ class UnrolledLoss(nn.Module):
     def __init__(self, simulator: Simulator, training: TrainingSettings) -> None:
         super().__init__()
         self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
-        self.tail = training.tail
         self._particle_bytes = 0.0
         simulator.network.half_precision = half_precision()
 
@@ -55,22 +54,7 @@ class UnrolledLoss(nn.Module):
             self._particle_bytes = MARGIN * step_activation_bytes(self.simulator, state, conditions) / particles
         kept = min(steps, int(self.memory / (self._particle_bytes * particles)))
         positions = unroll(self.simulator, state, conditions, steps, kept_steps=kept)
-        scale = self.scale * self.simulator.acceleration_scale
-        loss = rollout_loss(positions, batch.targets, scale)
-        if self.tail > 0.0:
-            both = torch.stack((positions[-1], batch.targets[-1]))
-            loss = loss + self.tail * tail_loss(both, conditions, steps * scale)
-        return loss
-
-
-def tail_loss(positions: Tensor, conditions: Conditions, scale: float | Tensor) -> Tensor:
-    """h((e - E) / scale), the mean over samples and the ends e along their level axes (`measures.tail_weights`).
-
-    A mean over particles hardly sees the few that a front is made of, and a mean of sprays is no spray: it comes short.
-    positions: of the model and of the MPM at the same time [m], shape [2, N, D]; scale: [m].
-    """
-    error = torch.stack([ends(*each) / scale for each in lines(positions, conditions)])
-    return functional.smooth_l1_loss(error[:, 0], error[:, 1])
+        return rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
 
 
 def lines(positions: Tensor, conditions: Conditions) -> Iterator[tuple[Tensor, Tensor]]:
@@ -121,7 +105,8 @@ class EndLoss(nn.Module):
 
         mean h(|x - X| / (c_x L)) + w (mean h((e - E) / (c_e l)) + mean h((q - Q) / (c_q l)))
 
-    over particles, the ends e and the places q of equal shares of the volume; l: extent of the MPM's flow.
+    over particles, the ends e and the places q of equal shares of the volume; l: extent of the MPM's flow. A mean over
+    particles hardly sees the few that an end is made of.
     """
 
     def __init__(self, simulator: Simulator) -> None:

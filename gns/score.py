@@ -182,7 +182,7 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
     described = card.read(path)
     if keep and described is None:
-        raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
+        raise InputError("expected the model's card, which a training writes", where=str(card.card_path(path)))
     known = described.datasets if described is not None else {}
     if keep and (other := [each.name for each in datasets if each.name not in known]):
         message = f"expected datasets that the model was trained on, {', '.join(known)}, got {other[0]}"

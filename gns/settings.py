@@ -114,7 +114,7 @@ class TrainingSettings:
     """How a model is fitted, and how long."""
 
     correct: bool = False
-    """Train the correction of whole rollouts alone (`gns.correction`); unroll, loss_scale and tail mean nothing."""
+    """Train the correction of whole rollouts alone (`gns.correction`); unroll and loss_scale mean nothing."""
     rollouts: int = 2
     """Rollouts of each flow that a correction learns from: other particles of it, in another symmetry, from the start
     or later on."""
@@ -140,8 +140,6 @@ class TrainingSettings:
     """Largest norm of the gradient."""
     loss_scale: float = 0.25
     """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
-    tail: float = 0.0
-    """Weight of the ends of a flow after the last step, which few particles are: one number of each side."""
     first: float = 0.15
     """Share of samples that start with the flow itself: from positions and velocities alone."""
     average: float = 0.998
