@@ -15,7 +15,6 @@ from datasets import files
 from datasets.errors import InputError
 from datasets.records import Record, from_mapping, read_json
 from datasets.scene import Scene
-from datasets.trajectory import open_trajectory, trajectory_files
 from gns.ranges import Range, outside, ranges_of
 from gns.settings import ModelSettings, features
 from gns.units import Units
@@ -144,16 +143,6 @@ def describe(
         scores=scores,
         datasets=datasets,
     )
-
-
-def stored(datasets: Sequence[Path]) -> dict[str, list[Scene]]:
-    """The training scenes in folders that `python -m mpm.generate` made. Raises InputError."""
-    found = {}
-    for folder in datasets:
-        found[folder.name] = [open_trajectory(file).scene for file in trajectory_files(folder / "train")]
-        if not found[folder.name]:
-            raise InputError("expected trajectories in train/*.npz or *.h5, there are none", where=str(folder))
-    return found
 
 
 def card_path(weights: Path) -> Path:

@@ -11,7 +11,8 @@ resolve are far above s and count linearly only: they would drown the flow other
 | s      | `scale`            | a share of the accelerations per step [m]  |
 """
 
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Iterable
 
 import numpy as np
 import torch
@@ -23,7 +24,6 @@ from gns.correction import length_of
 from gns.samples import Batch, Ends
 from gns.settings import UP, TrainingSettings
 from gns.simulator import Simulator
-from gns.state import Conditions
 from gns.unroll import step_activation_bytes, unroll
 
 MARGIN = 1.5
@@ -48,21 +48,12 @@ class UnrolledLoss(nn.Module):
 
     def forward(self, batch: Batch) -> Tensor:
         """The loss of unrolling `batch` to its last target."""
-        state, conditions, steps = batch.state, batch.conditions, len(batch.targets)
-        particles = len(state.positions)
+        state, conditions, particles = batch.state, batch.conditions, len(batch.state.positions)
         if not self._particle_bytes:
             self._particle_bytes = MARGIN * step_activation_bytes(self.simulator, state, conditions) / particles
-        kept = min(steps, int(self.memory / (self._particle_bytes * particles)))
-        positions = unroll(self.simulator, state, conditions, steps, kept_steps=kept)
+        kept = int(self.memory / (self._particle_bytes * particles))
+        positions = unroll(self.simulator, state, conditions, len(batch.targets), kept_steps=kept)
         return rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
-
-
-def lines(positions: Tensor, conditions: Conditions) -> Iterator[tuple[Tensor, Tensor]]:
-    """Coordinates along each level axis [m], shape [2, n], and volumes [n] of the particles of each sample in turn."""
-    for sample in range(len(conditions.size)):
-        own = slice(None) if conditions.batch is None else conditions.batch == sample
-        for axis in (axis for axis in range(positions.shape[2]) if axis != UP):
-            yield positions[:, own, axis], conditions.volume[own]
 
 
 def ends(coordinates: Tensor, volume: Tensor) -> Tensor:
@@ -134,7 +125,10 @@ class EndLoss(nn.Module):
         both = torch.stack((batch.end.positions + moved, target))
         error = (both[0] - both[1]) / (PLACE * length_of(self.correction.settings))
         ends_off, shares_off = [], []
-        for x, volume in lines(both, conditions):
+        level = [axis for axis in range(both.shape[2]) if axis != UP]
+        for sample, axis in itertools.product(range(len(conditions.size)), level):
+            own = slice(None) if conditions.batch is None else conditions.batch == sample
+            x, volume = both[:, own, axis], conditions.volume[own]
             found, shares = ends(x, volume), equal_shares(x, volume)
             extent = found[1].sum()
             ends_off.append((found[0] - found[1]) / (END * extent))

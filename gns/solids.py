@@ -161,7 +161,7 @@ def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     if conditions.ground is not None:
         near.append(nearest_ground(positions, conditions.ground, conditions.batch, cutoff))
     if not near:
-        features += [torch.ones_like(positions[:, :1]), torch.zeros_like(positions), torch.zeros_like(positions[:, :1])]
+        features += [torch.ones_like(positions[:, :1]), positions.new_zeros(len(positions), positions.shape[1] + 1)]
     elif len(near) == 1:
         ((distance, direction, friction),) = near
         features += [(distance / cutoff).unsqueeze(1), direction, friction.unsqueeze(1)]

@@ -35,6 +35,7 @@ from datasets.lock import locked
 from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
 from datasets.training.samples import Flow, Flows
+from datasets.trajectory import open_trajectory, trajectory_files
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.correction import Correction
@@ -122,7 +123,9 @@ def fit(
         if first:
             stack.enter_context(locked(out))
         flows, valid = load(datasets, model, training, progress=first)
-        scenes = card.stored(datasets) if first else {}
+        scenes = {
+            path.name: [open_trajectory(each).scene for each in trajectory_files(path / "train")] for path in datasets
+        }
         torch.manual_seed(seed)
         if training.correct and begin is None:
             raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
