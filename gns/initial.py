@@ -74,10 +74,6 @@ class InitialState(Tensors):
         """The same state under other conditions, those of `Conditions` by name."""
         return dataclasses.replace(self, conditions=dataclasses.replace(self.conditions, **changes))
 
-    def with_displacements(self, displacements: Tensor) -> "InitialState":
-        """The same state with other past displacements [m per step], shape [H, n, D]."""
-        return dataclasses.replace(self, state=dataclasses.replace(self.state, displacements=displacements))
-
 
 def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:
     """The initial state of `scene` for a model of these settings; which particles stay is always the same choice.
