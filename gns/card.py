@@ -1,26 +1,20 @@
 """The card of a surrogate: what it is, what it was trained on, how well it does, and whether a scene is within.
 
-    python -m gns.card runs/mine/best.safetensors
-
-writes `runs/mine/best.json` beside the weights, as a training does at its end. For each dataset of the training it has
-the least and the greatest value of each quantity (`gns.ranges`). A network interpolates; outside of all ranges its
-error is unknown. `python -m gns.score DATASET... --model MODEL --keep` adds scores and the calibration of the bands.
+A training leaves `best.json` beside its weights `best.safetensors`. For each dataset of the training it has the least
+and the greatest value of each quantity (`gns.ranges`). A network interpolates; outside of all ranges its error is
+unknown. `python -m gns.score DATASET... --model MODEL --keep` adds scores and the calibration of the bands.
 """
 
 import dataclasses
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datasets import files
-from datasets.command_line import run
 from datasets.errors import InputError
 from datasets.records import Record, from_mapping, read_json
 from datasets.scene import Scene
-from datasets.trajectory import open_trajectory, trajectory_files
-from gns.library import model_path
 from gns.ranges import Range, outside, ranges_of
 from gns.settings import ModelSettings, features
 from gns.units import Units
@@ -151,16 +145,6 @@ def describe(
     )
 
 
-def stored(datasets: Sequence[Path]) -> dict[str, list[Scene]]:
-    """The training scenes in folders that `python -m mpm.generate` made. Raises InputError."""
-    found = {}
-    for folder in datasets:
-        found[folder.name] = [open_trajectory(file).scene for file in trajectory_files(folder / "train")]
-        if not found[folder.name]:
-            raise InputError("expected trajectories in train/*.npz or *.h5, there are none", where=str(folder))
-    return found
-
-
 def card_path(weights: Path) -> Path:
     """The file of the card of the model in the file `weights`."""
     return weights.with_suffix(".json")
@@ -173,7 +157,7 @@ def read(weights: Path) -> Card | None:
         data = read_json(path)
         return None if data is None else from_mapping(Card, data)
     except InputError as error:
-        raise error.at(f"{path}, which python -m gns.card writes") from None
+        raise error.at(f"{path}, which a training writes") from None
 
 
 def write(weights: Path, card: Card) -> None:
@@ -188,7 +172,7 @@ def warning(weights: Path, scene: Scene) -> str | None:
     """
     card = read(weights)
     if card is None:
-        return f"{weights.name} has no card (python -m gns.card): its training range is unknown"
+        return f"{weights.name} has no card beside it: its training range is unknown"
     found = outside(scene, card.ranges)
     return f"{weights.name} is outside of its training range: {'; '.join(found)}" if found else None
 
@@ -197,34 +181,3 @@ def total_updates(provenance: Mapping[str, Any]) -> int:
     """Updates of the weights in all: of a training and of those that it began with."""
     begin = provenance.get("begin")
     return int((provenance.get("log") or {}).get("updates", 0)) + (total_updates(begin) if begin else 0)
-
-
-def main(model: Path, /, *datasets: Path) -> None:
-    """Write the card of a model beside it; scores and bands of a former one stay.
-
-    Parameters
-    ----------
-    model
-        The model's file, or the name of a shipped one.
-    datasets
-        Folders of its training data; those that the model names unless given.
-    """
-    # Here, because torch takes seconds, which --help should not.
-    from gns import checkpoint
-
-    model = model_path(model)
-    loaded, former = checkpoint.load(model), read(model)
-    scenes = stored(datasets or [Path(each) for each in loaded.provenance.get("datasets", [])])
-    if not scenes:
-        raise InputError("expected the datasets in the model's provenance, there are none", where=str(model))
-    card = describe(loaded.simulator, loaded.provenance, scenes)
-    if former is not None:
-        card = dataclasses.replace(card, scores=former.scores)
-        card = card.keeping({name: each.calibration for name, each in former.datasets.items()})
-    write(model, card)
-    count = sum(each.scenes for each in card.datasets.values())
-    print(f"{card_path(model)}: {len(card.ranges)} ranges over {count} scenes")
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, "python -m gns.card"))

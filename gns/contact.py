@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from gns.settings import UP
-from gns.solids import Below, Boxes, close_to, samples_of, upward
+from gns.solids import Below, Boxes, close_to, upward
 from gns.state import Conditions, Ground
 
 SKIN = 1.0e-5
@@ -34,10 +34,9 @@ def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tenso
     if conditions.baffles is None:
         return kept
     boxes = Boxes.of_conditions(conditions, SKIN)
-    near = close_to(boxes, before, kept, 0.0, batch)
+    near, row = close_to(boxes, before, kept, 0.0, batch)
     if len(near) == 0:
         return kept
-    row = samples_of(near, batch)
     boxes, ends = boxes.select(row), conditions.size.index_select(0, row)
     fixed = boxes.each(Tensor.detach)
     point = kept.index_select(0, near)

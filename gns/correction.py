@@ -87,12 +87,8 @@ class Correction(nn.Module):
 
 def average(values: Tensor, conditions: Conditions) -> Tensor:
     """Mean over the volume of each flow, for each of its particles: of values [N, C], shape [N or 1, C]."""
-    share, batch = conditions.volume.unsqueeze(1), conditions.batch
-    if batch is None:
-        return (share * values).sum(dim=0, keepdim=True) / share.sum()
-    sums = torch.zeros(len(conditions.size), values.shape[1] + 1, dtype=values.dtype, device=values.device)
-    sums = sums.index_add(0, batch, torch.cat((share * values, share), dim=1))
-    return (sums[:, :-1] / sums[:, -1:]).index_select(0, batch)
+    share = conditions.volume.unsqueeze(1)
+    return conditions.of_particles(conditions.total(share * values) / conditions.total(share))
 
 
 def length_of(settings: ModelSettings) -> float:
@@ -103,13 +99,7 @@ def length_of(settings: ModelSettings) -> float:
 def stretched(positions: Tensor, moved: Tensor, conditions: Conditions) -> Tensor:
     """The way of a rollout [m], shape [K + 1, N, D], to an end that is moved by `moved` [m], shape [N, D]."""
     steps = (positions[1:] - positions[:-1]).detach().square().sum(dim=2)
-    batch = conditions.batch
-    if batch is not None:
-        every = steps.new_zeros(len(steps), len(conditions.size)).index_add(1, batch, steps)
-        steps = every.index_select(1, batch)
-    else:
-        steps = steps.sum(dim=1, keepdim=True)
-    passed = steps.cumsum(dim=0)
+    passed = conditions.of_particles(conditions.total(steps.T)).T.cumsum(dim=0)
     shares = (passed / passed[-1].clamp(min=1.0e-12)).unsqueeze(2)
     ways = [keep_out(at + share * moved, at, conditions) for at, share in zip(positions[1:], shares, strict=True)]
     return torch.stack((positions[0], *ways))

@@ -125,24 +125,18 @@ def strength(cohesion: Tensor, overburden: Tensor, *, weight: float, cell: float
 
 
 def internal_forces(
-    stencil: Stencil,
-    moved: Tensor,
-    volume: Tensor,
-    friction: Tensor,
-    cohesion: Tensor,
-    above: Tensor,
-    size: Tensor,
-    slow: Tensor,
+    stencil: Stencil, moved: Tensor, above: Tensor, conditions: Conditions, *, weight: float, slow: Tensor
 ) -> Tensor:
     """f_s, then f_p at the particles [-], shape [N, 2 D].
 
-    moved: newest displacements [m per step], shape [N, D]; volume [m^D], friction tan(phi) [-] and cohesion over rho g
-    [m]: shape [N]; above: height of the column of material above each node [m], shape [B * nodes]; size: of the boxes
-    [m], shape [B, D]; slow: d0 times the cell [m per step]. Walls bear no shear here: that is a feature apart.
+    moved: newest displacements [m per step], shape [N, D]; above: height of the column of material above each node [m],
+    shape [B * nodes]; weight: rho g [N/m^3]; slow: d0 times the cell [m per step]. Walls bear no shear here: that is a
+    feature apart.
     """
-    cell, dimension, shape = stencil.cell, moved.shape[1], (stencil.samples, *stencil.shape)
-    carried = torch.cat((torch.ones_like(moved[:, :1]), moved, friction.unsqueeze(1), cohesion.unsqueeze(1)), dim=1)
-    sums = stencil.scatter((volume / cell**dimension).unsqueeze(1) * carried)
+    cell, dimension, shape, size = stencil.cell, moved.shape[1], (stencil.samples, *stencil.shape), conditions.size
+    strengths = torch.stack((conditions.friction, conditions.cohesion / weight), dim=1)
+    carried = torch.cat((torch.ones_like(moved[:, :1]), moved, strengths), dim=1)
+    sums = stencil.scatter((conditions.volume / cell**dimension).unsqueeze(1) * carried)
     filled = sums[:, :1]
     means = sums[:, 1:] / (filled + EMPTY)
     strength = means[:, dimension + 1] + above * means[:, dimension]

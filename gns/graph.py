@@ -3,9 +3,8 @@
 The neighbours are found on the CPU, whatever the model runs on, by a compiled cell list: it sorts the particles into
 cells no smaller than the radius, so that the neighbours of a particle lie in its own cell and those around it; along
 the first axis these are one run of sorted particles. Distances are compared in double precision, |x_j - x_i|^2 <= R^2,
-summed axis by axis. Measured on one core, milliseconds, SciPy's cKDTree with its pairs in the same order beside it: 500
-particles with 17 neighbours each 0.07 (SciPy 0.5), 3,200 particles 0.45 (4.0), 20,000 particles 2.9 (28), in 3D with 28
-neighbours 7.4 (55).
+summed axis by axis. Measured on one core: a seventh to a tenth of the time that SciPy's cKDTree takes for its pairs in
+the same order.
 """
 
 import math

@@ -104,10 +104,10 @@ def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | Non
     scaled = positions / cell
     base = scaled.detach().floor().long()
     index = torch.zeros(len(base), dtype=torch.long, device=base.device) if batch is None else batch
-    spread = index.unsqueeze(1).expand(-1, dimension)
+    sample = index.unsqueeze(1).expand(-1, dimension)
     far = torch.zeros(len(size), dimension, dtype=torch.long, device=base.device)
-    first = far.scatter_reduce(0, spread, base, "amin", include_self=False)
-    last = far.scatter_reduce(0, spread, base, "amax", include_self=False)
+    first = far.scatter_reduce(0, sample, base, "amin", include_self=False)
+    last = far.scatter_reduce(0, sample, base, "amax", include_self=False)
     origin = (first - MARGIN).clamp(min=-1)
     counts = -((origin - last - MARGIN - 2) // MULTIPLE) * MULTIPLE
     shape = tuple(int(count) for count in counts.amax(dim=0).tolist())
@@ -116,7 +116,7 @@ def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | Non
         own = torch.ones(len(size), *shape, 1, dtype=positions.dtype, device=positions.device)
         for axis, count in enumerate(shape):
             part = torch.arange(count, device=positions.device) < counts[:, axis, None]
-            own = own * part.view(len(size), *(-1 if other == axis else 1 for other in range(dimension)), 1)
+            own = own * spread(part, axis, dimension).unsqueeze(-1)
     above = scaled - base
     strides = [math.prod(shape[axis + 1 :]) for axis in range(dimension)]
     inside = base - origin.index_select(0, index)
@@ -132,6 +132,11 @@ def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | Non
     return Stencil(
         shape=shape, origin=origin, cell=cell, nodes=torch.stack(nodes), weights=torch.stack(weights), own=own
     )
+
+
+def spread(values: Tensor, axis: int, dimension: int) -> Tensor:
+    """Values along an axis [B, X] as a field of as many axes as space, of one node along the others."""
+    return values.view(len(values), *(-1 if other == axis else 1 for other in range(dimension)))
 
 
 def column_features(stencil: Stencil, volume: Tensor, size: Tensor) -> Tensor:
@@ -153,9 +158,7 @@ def column_features(stencil: Stencil, volume: Tensor, size: Tensor) -> Tensor:
     # A node on a wall stands for half a cell: divide, or the material beside a wall would look loose.
     begin, end = stencil.cells(size)
     shares = [
-        ((last - first) / cell)
-        .clamp(min=LEAST_SHARE)
-        .view(len(size), *(-1 if other == axis else 1 for other in range(dimension)))
+        spread(((last - first) / cell).clamp(min=LEAST_SHARE), axis, dimension)
         for axis, (first, last) in enumerate(zip(begin, end, strict=True))
     ]
     layers = filled * (cell / REFERENCE_HEIGHT)
@@ -247,18 +250,13 @@ def _buried(ground: Ground, begin: list[Tensor], end: list[Tensor]) -> Tensor:
 
     begin, end: of the part of a cell that is in the box along each axis [m], shape [B, nodes along it].
     """
-    samples = len(begin[0])
-    plan = [axis for axis in range(len(begin)) if axis != UP]
-    middles = [0.5 * (begin[axis] + end[axis]) for axis in plan]
-    shape = [middle.shape[1] for middle in middles]
-    spread = [
-        middle.view(samples, *(-1 if other == number else 1 for other in range(len(plan)))).expand(samples, *shape)
-        for number, middle in enumerate(middles)
-    ]
-    spread.insert(UP, torch.zeros_like(spread[0]))
-    points = torch.stack([each.reshape(-1) for each in spread], dim=1)
-    batch = torch.arange(samples, device=points.device).repeat_interleave(math.prod(shape))
-    elevation = Below(points, ground, batch).value(ground.elevation).view(samples, *shape).unsqueeze(2)
-    low, high = (each[UP].view(samples, 1, -1, *(1,) * (len(shape) - 1)) for each in (begin, end))
+    dimension = len(begin)
+    middles = [spread(0.5 * (begin[axis] + end[axis]), axis, dimension) for axis in range(dimension)]
+    middles[UP] = torch.zeros_like(middles[UP][:, :, :1])
+    shape = [len(begin[0]), *(middle.shape[axis + 1] for axis, middle in enumerate(middles))]
+    points = torch.stack([each.expand(shape).flatten() for each in middles], dim=1)
+    batch = torch.arange(shape[0], device=points.device).repeat_interleave(math.prod(shape[1:]))
+    elevation = Below(points, ground, batch).value(ground.elevation).view(shape)
+    low, high = (spread(each[UP], UP, dimension) for each in (begin, end))
     below = torch.minimum((elevation - low).clamp(min=0.0), high - low)
     return torch.where(high > low, below / torch.where(high > low, high - low, 1.0), 0.0)

@@ -21,16 +21,15 @@ from gns.simulator import Simulator
 from gns.unroll import unroll
 
 
-def load(model: str | Path, *, training: bool = False) -> Simulator:
+def load(model: str | Path) -> Simulator:
     """A trained simulator: a file, or the name of a model that ships.
 
         simulator = gns.load("flow2d")
 
     Its weights are frozen: a gradient with respect to the flow costs a fraction of one that is recorded for the weights
-    too. training: leave them free, for one with respect to the weights. Raises InputError, which names the file.
+    too. Raises InputError, which names the file.
     """
-    simulator = checkpoint.load(model_path(model)).simulator
-    return simulator.train(training).requires_grad_(training)
+    return checkpoint.load(model_path(model)).simulator
 
 
 def simulate(

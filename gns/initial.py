@@ -20,8 +20,6 @@ from gns.settings import ModelSettings
 from gns.state import Conditions, Ground, State, Tensors
 from gns.units import Units
 
-MOST_STEPS = 1_000_000
-"""Of a rollout."""
 ABSENT = -10.0
 """Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
 
@@ -76,10 +74,6 @@ class InitialState(Tensors):
         """The same state under other conditions, those of `Conditions` by name."""
         return dataclasses.replace(self, conditions=dataclasses.replace(self.conditions, **changes))
 
-    def with_displacements(self, displacements: Tensor) -> "InitialState":
-        """The same state with other past displacements [m per step], shape [H, n, D]."""
-        return dataclasses.replace(self, state=dataclasses.replace(self.state, displacements=displacements))
-
 
 def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:
     """The initial state of `scene` for a model of these settings; which particles stay is always the same choice.
@@ -129,10 +123,6 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
 def require_memory(scene: Scene, settings: ModelSettings, units: Units, step: float) -> None:
     """Raise InputError for a rollout of more steps than fit into memory: how many, what to change."""
     steps = scene.duration / step
-    if steps > MOST_STEPS:
-        raise InputError(
-            f"expected at most {MOST_STEPS} steps of the model, got {steps:.3g} of {step:g} s", key="duration"
-        )
     kept = settings.particles_per_cell * released_volume(scene) / (units.length * settings.cell) ** scene.dimension
     instead = f"{kept:.3g} particles over {steps:.3g} steps; a shorter time"
     memory.require(4.0 * steps * kept * scene.dimension, "a rollout", instead, key="duration")

@@ -15,9 +15,9 @@ def shipped(dimension: int) -> Path:
     return WEIGHTS / f"{'flow2d' if dimension == 2 else 'obstacle3d'}{ENDING}"
 
 
-def models(folder: Path = WEIGHTS) -> list[Path]:
-    """The models in a folder, by name."""
-    return sorted(folder.glob(f"*{ENDING}"), key=lambda path: path.stem)
+def models() -> list[Path]:
+    """The models that ship, by name."""
+    return sorted(WEIGHTS.glob(f"*{ENDING}"))
 
 
 def model_path(model: str | Path) -> Path:

@@ -11,7 +11,8 @@ resolve are far above s and count linearly only: they would drown the flow other
 | s      | `scale`            | a share of the accelerations per step [m]  |
 """
 
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
@@ -22,7 +23,6 @@ from gns.correction import length_of
 from gns.samples import Batch, Ends
 from gns.settings import UP, TrainingSettings
 from gns.simulator import Simulator
-from gns.state import Conditions
 from gns.unroll import step_activation_bytes, unroll
 
 MARGIN = 1.5
@@ -47,22 +47,12 @@ class UnrolledLoss(nn.Module):
 
     def forward(self, batch: Batch) -> Tensor:
         """The loss of unrolling `batch` to its last target."""
-        state, conditions, steps = batch.state, batch.conditions, len(batch.targets)
-        particles = len(state.positions)
+        state, conditions, particles = batch.state, batch.conditions, len(batch.state.positions)
         if not self._particle_bytes:
             self._particle_bytes = MARGIN * step_activation_bytes(self.simulator, state, conditions) / particles
-        kept = min(steps, int(self.memory / (self._particle_bytes * particles)))
-        positions = unroll(self.simulator, state, conditions, steps, kept_steps=kept)
-        scale = self.scale * self.simulator.acceleration_scale
-        return rollout_loss(positions, batch.targets, scale)
-
-
-def lines(positions: Tensor, conditions: Conditions) -> Iterator[tuple[Tensor, Tensor]]:
-    """Coordinates along each level axis [m] and volumes of the particles of each sample in turn, shape [n]."""
-    for sample in range(len(conditions.size)):
-        own = slice(None) if conditions.batch is None else conditions.batch == sample
-        for axis in (axis for axis in range(positions.shape[1]) if axis != UP):
-            yield positions[own, axis], conditions.volume[own]
+        kept = int(self.memory / (self._particle_bytes * particles))
+        positions = unroll(self.simulator, state, conditions, len(batch.targets), kept_steps=kept)
+        return rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
 
 
 def measured(x: Tensor, volume: Tensor) -> Tensor:
@@ -125,9 +115,12 @@ class EndLoss(nn.Module):
         conditions = batch.conditions
         positions = batch.end.positions + self.simulator.end_correction(batch.state, batch.end, conditions)
         error = (positions - batch.targets[-1]) / (PLACE * length_of(self.correction.settings))
+        level, found = [axis for axis in range(positions.shape[1]) if axis != UP], []
+        for sample, axis in itertools.product(range(len(conditions.size)), level):
+            own = slice(None) if conditions.batch is None else conditions.batch == sample
+            found.append(measured(positions[own, axis], conditions.volume[own]))
         known = batch.whole.flatten(0, 1)
-        off = torch.stack([measured(*line) for line in lines(positions, conditions)]) - known
-        off = off / known[:, :2].sum(dim=1, keepdim=True)
+        off = (torch.stack(found) - known) / known[:, :2].sum(dim=1, keepdim=True)
         loss = functional.smooth_l1_loss(error, torch.zeros_like(error))
         for part in (off[:, :2] / END, off[:, 2:] / SHARE):
             loss = loss + OF_ENDS * functional.smooth_l1_loss(part, torch.zeros_like(part))

@@ -10,6 +10,7 @@ receptive field as wide as the flow for little more time (the idea of CoRGI, arX
 """
 
 import math
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import torch
@@ -46,18 +47,6 @@ def mlp(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
         modules += [nn.Linear(inputs, settings.width), nn.SiLU()]
         inputs = settings.width
     return nn.Sequential(*modules, nn.Linear(inputs, outputs))
-
-
-class Encoder(nn.Module):
-    """Node features [N, F] to node latents [N, C]."""
-
-    def __init__(self, features: int, settings: ModelSettings) -> None:
-        super().__init__()
-        self.mlp = mlp(features, settings.width, settings)
-
-    def forward(self, features: Tensor) -> Tensor:
-        """[N, F] to [N, C]."""
-        return torch.as_tensor(self.mlp(features))
 
 
 class Interaction(nn.Module):
@@ -200,7 +189,8 @@ class Network(nn.Module):
         super().__init__()
         self.half_precision = False
         """Whether products before the decoder are in bfloat16, as a training has them where that is faster."""
-        self.encoder = Encoder(features, settings)
+        # Its weights are `encoder.mlp.0.weight` and so on in the files of models.
+        self.encoder = nn.Sequential(OrderedDict(mlp=mlp(features, settings.width, settings)))
         self.processor = Processor(settings, constant)
         self.decoder = Decoder(known, settings)
 

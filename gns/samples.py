@@ -89,10 +89,7 @@ def batched(samples: Sequence[Sample], settings: ModelSettings) -> Batch:
     ]
     counts = torch.tensor([len(sample.friction) for sample in samples])
     return Batch(
-        state=State(
-            positions=torch.cat([state.positions for state in states]),
-            displacements=torch.cat([state.displacements for state in states], dim=1),
-        ),
+        state=State.joined(states),
         conditions=conditions_of(
             [sample.surroundings for sample in samples],
             friction=joined("friction"),
@@ -166,15 +163,11 @@ class Rollouts(Sampler):
         """Ends side by side: half of them the flow's own, the other at any time."""
         drawn = [self._drawn(rng) for _ in range(self._training.batch)]
         together = batched([sample for sample, _, _ in drawn], self._settings)
-        end = State(
-            positions=torch.cat([end.positions for _, end, _ in drawn]),
-            displacements=torch.cat([end.displacements for _, end, _ in drawn], dim=1),
-        )
         return Ends(
             state=together.state,
             conditions=together.conditions,
             targets=together.targets,
-            end=end,
+            end=State.joined([end for _, end, _ in drawn]),
             whole=torch.stack([whole for _, _, whole in drawn]),
         )
 

@@ -4,13 +4,11 @@ The half-width of a prediction (`gns.predict`) is a share of the extent of its d
 errors e over the extent on n held-out flows (split conformal prediction, Angelopoulos & Bates, Conformal prediction: a
 gentle introduction, Foundations and Trends in Machine Learning 16, 2023, chapter 1):
 
-    q = the ceil((n + 1) level)-th smallest e        where there are so many
-    q = rms(e) t_n((1 + level) / 2)                  of fewer flows
+    q = the ceil((n + 1) level)-th smallest e        where there are so many: whatever their distribution
+    q = rms(e) t_n((1 + level) / 2)                  of fewer flows: Gaussian errors of unknown variance, by Student
 
-A new flow that is drawn as those n were is within q with a probability of at least `level`, whatever the errors are
-distributed like; by Student's t_n, the law of a Gaussian error of unknown variance over the rms of n others, where they
-are Gaussian. A model has such quantiles for each dataset that it was trained on; those of the narrowest one whose
-ranges hold the scene count (`gns.card.Card.calibration`). Outside of all ranges nothing is promised.
+A new flow that is drawn as those n were is within q with a probability of at least `level`. Which quantiles count:
+`gns.card.Card.calibration`.
 """
 
 import dataclasses
@@ -180,20 +178,20 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
     settings = loaded.simulator.settings
     if not datasets:
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
-    described = card.read(path)
-    if keep and described is None:
-        raise InputError("expected the model's card, which python -m gns.card writes", where=str(card.card_path(path)))
-    known = described.datasets if described is not None else {}
-    if keep and (other := [each.name for each in datasets if each.name not in known]):
-        message = f"expected datasets that the model was trained on, {', '.join(known)}, got {other[0]}"
-        raise InputError(message, key="DATASET")
+    described = card.read(path) if keep else None
+    if described is not None:
+        for other in (each.name for each in datasets if each.name not in described.datasets):
+            message = f"expected datasets that the model was trained on, {', '.join(described.datasets)}, got {other}"
+            raise InputError(message, key="DATASET")
+    elif keep:
+        raise InputError("expected the model's card, which a training writes", where=str(card.card_path(path)))
     lines = []
     for dataset in datasets:
         flows = flows_of(dataset, split, settings, progress=True)
         lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(loaded.simulator, flows)))
     text = "\n".join(lines)
     print(text)
-    if keep and described is not None:
+    if described is not None:
         found = {}
         for dataset in datasets:
             valid = flows_of(dataset, "valid", settings, progress=True)

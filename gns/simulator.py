@@ -149,10 +149,8 @@ class Simulator(nn.Module):
         solids = solid_features(state.positions, conditions, settings.radius)
         nearest = solids[:, -(axes + 1) :]
         tractions = traction_features(state.positions, velocity, nearest, conditions, cutoff=settings.radius, slow=slow)
-        cohesion, above = conditions.cohesion / weight, REFERENCE_HEIGHT * nodes[:, 1]
-        internal = internal_forces(
-            stencil, velocity, conditions.volume, conditions.friction, cohesion, above, conditions.size, slow
-        )
+        above = REFERENCE_HEIGHT * nodes[:, 1]
+        internal = internal_forces(stencil, velocity, above, conditions, weight=weight, slow=slow)
         basal = basal_friction(velocity, conditions, step=settings.step, slow=slow)
         damped = damped_motion(tractions[:, axes:], state.displacements, step=settings.step, slow=slow)
         strong = strength(conditions.cohesion, REFERENCE_HEIGHT * column[:, 1], weight=weight, cell=settings.cell)
@@ -173,16 +171,13 @@ class Simulator(nn.Module):
 
 
 def moving(displacements: Tensor, limit: float, conditions: Conditions) -> Tensor:
-    """1 for particles of flows whose displacements [m], [N, D], are above `limit` [m] (rms), else 0; shape [N, 1].
+    """1 for particles of flows whose displacements [m], [N, D], are above `limit` [m] (rms), else 0; shape [N or 1, 1].
 
     Below it the deposit is at rest, as a run of the MPM ends where its kinetic energy is small: what remains are errors
     of the acceleration. Positions that rest have the gradient of those before.
     """
-    square, batch = displacements.detach().square().sum(dim=1), conditions.batch
-    if batch is None:
-        batch = torch.zeros(len(square), dtype=torch.long, device=square.device)
-    excess = torch.zeros_like(conditions.damping).index_add(0, batch, square - limit**2)
-    return (excess > 0.0).to(square).index_select(0, batch).unsqueeze(1)
+    square = displacements.detach().square().sum(dim=1, keepdim=True)
+    return conditions.of_particles((conditions.total(square - limit**2) > 0.0).to(square))
 
 
 def settled(displacements: Tensor, limit: float) -> Tensor:

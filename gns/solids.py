@@ -161,7 +161,7 @@ def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     if conditions.ground is not None:
         near.append(nearest_ground(positions, conditions.ground, conditions.batch, cutoff))
     if not near:
-        features += [torch.ones_like(positions[:, :1]), torch.zeros_like(positions), torch.zeros_like(positions[:, :1])]
+        features += [torch.ones_like(positions[:, :1]), positions.new_zeros(len(positions), positions.shape[1] + 1)]
     elif len(near) == 1:
         ((distance, direction, friction),) = near
         features += [(distance / cutoff).unsqueeze(1), direction, friction.unsqueeze(1)]
@@ -186,10 +186,9 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     direction = torch.zeros_like(positions)
     rough = torch.zeros_like(distance)
     boxes = Boxes.of_conditions(conditions)
-    near = close_to(boxes, positions, positions, cutoff, conditions.batch)
+    near, row = close_to(boxes, positions, positions, cutoff, conditions.batch)
     if len(near) == 0:
         return distance, direction, rough
-    row = samples_of(near, conditions.batch)
     boxes = boxes.select(row)
     x = boxes.own(positions.index_select(0, near))
     q = x.abs() - boxes.half
@@ -211,8 +210,8 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     )
 
 
-def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Tensor | None) -> Tensor:
-    """Indices of the particles whose way from `first` to `last` [N, D] comes close to a baffle of their sample.
+def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Particles whose way from `first` to `last` [N, D] comes close to a baffle of their sample: index and sample.
 
     To within `margin` [m], or what is about it: boxes are compared along the axes of the scene. A sample's baffles are
     put into a single box first, which most particles are far from.
@@ -228,12 +227,8 @@ def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Te
             # Absent baffles are far outside: all that they would add to such a box is room.
             some = torch.arange(len(low), device=low.device)
             low, high, lower, upper = low.unsqueeze(1), high.unsqueeze(1), lower[batch], upper[batch]
-        return some[((low < upper) & (high > lower)).all(dim=2).any(dim=1)]
-
-
-def samples_of(near: Tensor, batch: Tensor | None) -> Tensor:
-    """The sample of each of these particles."""
-    return torch.zeros_like(near) if batch is None else batch.index_select(0, near)
+        near = some[((low < upper) & (high > lower)).all(dim=2).any(dim=1)]
+        return near, torch.zeros_like(near) if batch is None else batch.index_select(0, near)
 
 
 def _normals(x: Tensor, half: Tensor, q: Tensor, radius: float) -> Tensor:

@@ -1,6 +1,7 @@
 """What a simulation step takes and gives: state and conditions, and how they move between units and devices."""
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -55,6 +56,14 @@ class State(Tensors):
         before = State.moving(frames[0], velocities0, step=step, history=history)
         displacements = torch.cat((before.displacements, frames[1:] - frames[:-1]))[-history:]
         return State(positions=frames[-1], displacements=displacements)
+
+    @staticmethod
+    def joined(states: Sequence["State"]) -> "State":
+        """Samples side by side."""
+        return State(
+            positions=torch.cat([each.positions for each in states]),
+            displacements=torch.cat([each.displacements for each in states], dim=1),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +123,12 @@ class Conditions(Tensors):
     def of_particles(self, values: Tensor) -> Tensor:
         """Values of the samples [B, ...], for each particle [N or 1, ...]."""
         return values if self.batch is None else values.index_select(0, self.batch)
+
+    def total(self, values: Tensor) -> Tensor:
+        """Sum of values of the particles [N, C] over each sample, shape [B, C]."""
+        if self.batch is None:
+            return values.sum(dim=0, keepdim=True)
+        return values.new_zeros(len(self.size), values.shape[1]).index_add(0, self.batch, values)
 
     def in_model_units(self) -> "Conditions":
         """These conditions in the units of the model."""

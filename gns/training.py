@@ -4,23 +4,26 @@ Matrices are trained by Muon (Jordan et al. 2024), whose steps have singular val
 to Adam's (Liu et al. 2025, arXiv 2502.16982, section 2.2), so that both share a learning rate; all else by Adam. What
 is scored and shipped is a running average of the weights. Either the steps of a model are trained or, by whole rollouts
 of these as they are, its correction (`gns.correction`): where the steps change, an older correction is left out.
+
+Several processes (`torchrun --nproc-per-node N -m gns.train ...`) draw samples of their own, and train on the mean of
+their gradients: `DistributedDataParallel` takes it in its `forward`, so a model must be called as a module.
 """
 
 import dataclasses
 import io
 import math
+import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
-from torch.distributed import is_initialized
+from torch import Tensor, distributed, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 from tqdm import tqdm
@@ -29,12 +32,13 @@ from datasets import files
 from datasets.errors import InputError, WorkFailed
 from datasets.files import reading
 from datasets.lock import locked
-from datasets.processes import stopping
+from datasets.processes import end_with_parent, stopping
+from datasets.scene import Scene
 from datasets.training.samples import Flow, Flows
+from datasets.trajectory import open_trajectory, trajectory_files
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.correction import Correction
-from gns.distributed import joined, rank, sums
 from gns.library import BEST
 from gns.losses import EndLoss, UnrolledLoss
 from gns.samples import Rollouts, Sampler, flows_of, statistics
@@ -119,6 +123,9 @@ def fit(
         if first:
             stack.enter_context(locked(out))
         flows, valid = load(datasets, model, training, progress=first)
+        scenes = {
+            path.name: [open_trajectory(each).scene for each in trajectory_files(path / "train")] for path in datasets
+        }
         torch.manual_seed(seed)
         if training.correct and begin is None:
             raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
@@ -133,7 +140,7 @@ def fit(
             torch.optim.Muon(matrices, weight_decay=0.0, adjust_lr_fn="match_rms_adamw"),
             torch.optim.Adam(others),
         )
-        loss_of: nn.Module = DistributedDataParallel(own_loss) if is_initialized() else own_loss
+        loss_of: nn.Module = DistributedDataParallel(own_loss) if distributed.is_initialized() else own_loss
         parts = {"weights": simulator, "average": average, "muon": optimisers[0], "adam": optimisers[1]}
         position = restored(out / LAST, model, parts) if resume else Position()
         history = {
@@ -159,7 +166,8 @@ def fit(
                     # Saved before, so that a stop costs no updates, and after.
                     save(out / LAST, model, parts, position)
                     with stop.at_once():
-                        validate(average.module, valid, out, position, history, float(np.mean(losses or [math.nan])))
+                        mean = float(np.mean(losses or [math.nan]))
+                        validate(average.module, valid, scenes, out, position, history, mean)
                 losses.clear()
                 position.seconds = position.scored_seconds = clock() - begun
                 position.scored_updates = position.updates
@@ -192,7 +200,8 @@ def fit(
         # Or the line would follow the bar.
         bar.close()
         if first:
-            print(described(out / BEST, datasets, (out / "scores.md").read_text()))
+            total = card.total_updates(checkpoint.load(out / BEST).provenance)
+            print(f"{out / BEST}: {total} updates in all")
 
 
 def sampler_and_loss(
@@ -253,9 +262,18 @@ def continued(model: Model, settings: ModelSettings, training: TrainingSettings)
 
 
 def validate(
-    simulator: nn.Module, flows: Sequence[Flow], out: Path, position: Position, history: Mapping[str, Any], loss: float
+    simulator: nn.Module,
+    flows: Sequence[Flow],
+    scenes: Mapping[str, Sequence[Scene]],
+    out: Path,
+    position: Position,
+    history: Mapping[str, Any],
+    loss: float,
 ) -> None:
-    """Score the averaged weights by rollouts, write a row of log.csv, keep them if they are the best so far."""
+    """Score the averaged weights by rollouts, write a row of log.csv, keep them if they are the best so far.
+
+    scenes: of the training, for the card (`gns.card.describe`).
+    """
     assert isinstance(simulator, Simulator)
     scores = evaluate(simulator.eval(), flows)
     total = validation_score(scores)
@@ -273,15 +291,10 @@ def validate(
     tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
     if total < position.best:
         position.best = total
-        checkpoint.save(out / BEST, simulator, {**history, "score": total, "log": row})
+        provenance = {**history, "score": total, "log": row}
+        checkpoint.save(out / BEST, simulator, provenance)
+        card.write(out / BEST, card.describe(simulator, provenance, scenes, table(scores)))
         files.write_text(out / "scores.md", table(scores))
-
-
-def described(path: Path, datasets: Sequence[Path], scores: str) -> str:
-    """Write the card of a model, with a table of its scores; returns a line on how long its training was."""
-    model = checkpoint.load(path)
-    card.write(path, card.describe(model.simulator, model.provenance, card.stored(datasets), scores))
-    return f"{path}: {card.total_updates(model.provenance)} updates in all"
 
 
 def save(path: Path, settings: ModelSettings, parts: Mapping[str, Any], position: Position) -> None:
@@ -303,3 +316,41 @@ def restored(path: Path, settings: ModelSettings, parts: Mapping[str, Any]) -> P
         for name, part in parts.items():
             part.load_state_dict(found[name])
         return Position(**found["position"])
+
+
+def rank() -> int:
+    """Which process this is; the first, 0, validates, logs and saves."""
+    return distributed.get_rank() if distributed.is_initialized() else 0
+
+
+def sums(*values: float) -> list[float]:
+    """Each of `values`, summed over the processes."""
+    tensor = torch.tensor(values, dtype=torch.float64)
+    if distributed.is_initialized():
+        tensor = tensor.to("cuda" if distributed.get_backend() == "nccl" else "cpu")
+        distributed.all_reduce(tensor)
+    return [float(value) for value in tensor.tolist()]
+
+
+@contextmanager
+def joined(device: str | None) -> Iterator[torch.device]:
+    """Join the processes that torchrun started, if any; the device of this one, a GPU where there is one unless given.
+
+    Raises InputError.
+    """
+    kind = device or ("cuda" if torch.cuda.is_available() else "cpu")
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise InputError("expected a GPU that torch can use, there is none", key="device")
+    where = torch.device(kind, int(os.environ.get("LOCAL_RANK", "0"))) if kind == "cuda" else torch.device(kind)
+    if kind == "cuda":
+        torch.cuda.set_device(where)
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        yield where
+        return
+    # Orphans of torchrun would train on.
+    end_with_parent()
+    distributed.init_process_group("nccl" if kind == "cuda" else "gloo")
+    try:
+        yield where
+    finally:
+        distributed.destroy_process_group()

@@ -1,7 +1,7 @@
 """The rollout loop: training, scores, the command and the inversion all step through it."""
 
 import torch
-from torch import Tensor
+from torch import Tensor, UntypedStorage
 from torch.utils.checkpoint import checkpoint
 from tqdm import tqdm
 
@@ -53,28 +53,22 @@ def step_activation_bytes(simulator: Simulator, state: State, conditions: Condit
     Measured: every storage that autograd saves is counted once, weights and inputs left out. As in the middle of a
     rollout, the state requires a gradient.
     """
-    outside = [
-        *simulator.parameters(),
-        *simulator.buffers(),
-        conditions.friction,
-        conditions.cohesion,
-        conditions.volume,
-    ]
-    state, conditions = state.over(conditions.units.length), conditions.in_model_units()
-    known = {tensor.untyped_storage().data_ptr() for tensor in outside}
-    saved: dict[int, int] = {}
+    given = [*simulator.parameters(), *simulator.buffers(), conditions.friction, conditions.cohesion, conditions.volume]
+    known = {each.untyped_storage().data_ptr() for each in given}
+    # By address, with the storage itself: that of one which is freed could be another's.
+    saved: dict[int, UntypedStorage] = {}
 
     def keep(tensor: Tensor) -> Tensor:
         storage = tensor.untyped_storage()
         if storage.data_ptr() not in known:
-            saved[storage.data_ptr()] = storage.nbytes()
+            saved[storage.data_ptr()] = storage
         return tensor
 
+    state, conditions = state.over(conditions.units.length), conditions.in_model_units()
     inside = State(
         positions=state.positions.detach().clone().requires_grad_(),
         displacements=state.displacements.detach().clone().requires_grad_(),
     )
     with torch.enable_grad(), torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
-        after = simulator(inside, conditions)
-    del after
-    return sum(saved.values())
+        simulator(inside, conditions)
+    return sum(storage.nbytes() for storage in saved.values())

@@ -35,7 +35,8 @@ def velocity(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
     along = torch.arange(state.positions.shape[1]) == kind.axis
     own = initial.of_mass(kind.index).unsqueeze(1) & along
     displacement = (value * initial.step).to(state.displacements.dtype)
-    return initial.with_displacements(torch.where(own, displacement, state.displacements))
+    thrown = dataclasses.replace(state, displacements=torch.where(own, displacement, state.displacements))
+    return dataclasses.replace(initial, state=thrown)
 
 
 def baffle(kind: Extent, initial: InitialState, value: Tensor) -> InitialState:

@@ -84,12 +84,10 @@ def cloud(settings: ModelSettings) -> Cloud:
     return build
 
 
-def spreading(
-    friction_deg: float, *, length: float = 0.12, height: float = 0.16, duration: float = 0.25, seed: int = 0
-) -> Trajectory:
+def spreading(friction_deg: float, *, duration: float = 0.25, seed: int = 0) -> Trajectory:
     """A column at the left wall that spreads and flattens at constant volume, the less the rougher it is."""
     scene = scene_of(
-        Mass(lower=(0.0, 0.0), size=(length, height)),
+        Mass(lower=(0.0, 0.0), size=(0.12, 0.16)),
         size=(0.6, 0.4),
         cell=0.01,
         material=Material(friction_deg=friction_deg),

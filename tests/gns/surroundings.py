@@ -40,21 +40,19 @@ def conditions(
     batch: Tensor | None = None,
     turn: Tensor | None = None,
     ground: Ground | None = None,
-    dtype: torch.dtype = torch.float64,
-    size: tuple[float, ...] | None = None,
 ) -> Conditions:
     """Those of `count` particles in the room of the samples of the baffles, or of the ground, or of one."""
     samples = next((len(each) for each in (baffles, ground.elevation if ground else None) if each is not None), 1)
+    dtype, friction = torch.float64, None
     if baffles is not None:
         dtype, dimension = baffles.dtype, baffles.shape[3]
-    own = torch.ones(count, dtype=dtype)
-    of_samples = torch.ones(samples, dtype=dtype)
-    friction = None if baffles is None else torch.linspace(0.2, 0.7, baffles.shape[1], dtype=dtype).expand(samples, -1)
+        friction = torch.linspace(0.2, 0.7, baffles.shape[1], dtype=dtype).expand(samples, -1)
+    own, of_samples = torch.ones(count, dtype=dtype), torch.ones(samples, dtype=dtype)
     return Conditions(
         friction=own,
         cohesion=own,
         volume=own,
-        size=torch.tensor(size or ROOM[dimension], dtype=dtype).expand(samples, -1),
+        size=torch.tensor(ROOM[dimension], dtype=dtype).expand(samples, -1),
         gravity=torch.zeros(samples, dimension, dtype=dtype),
         floor_friction=of_samples,
         wall_friction=of_samples,
@@ -67,15 +65,13 @@ def conditions(
     )
 
 
-def plane(
-    dimension: int, *, rise: tuple[float, ...] = (0.3, -0.2), height: float = 0.1, spacing: float = 0.05
-) -> Ground:
-    """Ground that rises by so much along x (and z), `height` [m] high in the corner of the room."""
-    plan = [
-        spacing * torch.arange(round(ROOM[dimension][axis] / spacing) + 2).double() for axis in (0, 2)[: dimension - 1]
-    ]
-    grids = torch.meshgrid(*plan, indexing="ij")
-    elevation = height + sum(slope * grid for slope, grid in zip(rise, grids, strict=False))
+def plane(dimension: int, rise: tuple[float, ...] = (0.3, -0.2)) -> Ground:
+    """Ground that rises by so much along x (and z), 0.1 m high in the corner of the room."""
+    spacing, plan = 0.05, ROOM[dimension][::2]
+    grids = torch.meshgrid(
+        *(spacing * torch.arange(round(each / spacing) + 2).double() for each in plan), indexing="ij"
+    )
+    elevation = 0.1 + sum(slope * grid for slope, grid in zip(rise, grids, strict=False))
     assert isinstance(elevation, Tensor)
     friction = 0.4 + 0.1 * grids[0]
     return Ground(elevation=elevation[None], friction=friction[None], spacing=spacing)

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 import gns
-from datasets import command_line
 from datasets.definitions.definition import Split
 from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
@@ -72,27 +71,6 @@ def test_the_ranges_are_those_of_the_training_scenes(model: Path) -> None:
     # rho g l of 1800 kg/m^3 and 0.08 m^2; terrain holds some smaller bodies.
     assert ranges["young"][0] == pytest.approx(1.0e6 / (1800.0 * 9.81 * 0.08**0.5))
     assert all(low <= high for low, high in ranges.values())
-
-
-def test_a_card_is_written_again_from_the_folders_of_the_data(
-    model: Path, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    own = tmp_path / "piles.safetensors"
-    named = {"datasets": [f"{dataset.name}: 4 trajectories"]}
-    checkpoint.save(own, checkpoint.load(model).simulator, named)
-    assert command_line.run(card.main, "gns.card", [str(own)]) == 2
-    assert "expected trajectories in train" in capsys.readouterr().err
-    assert command_line.run(card.main, "gns.card", [str(own), str(dataset)]) == 0
-    found = known(own)
-    assert found.datasets[dataset.name].scenes == 4
-    assert found.ranges["friction_deg"] == (20.0, 44.0)
-    # A model names the folders of its training; scores and bands that a former card has stay.
-    bands = Calibration(front={"0.95": 0.1}, profile={"0.95": 0.05}, flows=20)
-    card.write(own, dataclasses.replace(found.keeping({dataset.name: bands}), scores="a table"))
-    checkpoint.save(own, checkpoint.load(model).simulator, {"datasets": [str(dataset)]})
-    assert command_line.run(card.main, "gns.card", [str(own)]) == 0
-    assert known(own).scores == "a table"
-    assert known(own).datasets[dataset.name].calibration == bands
 
 
 COLUMN = read_scene("column-tall-42")

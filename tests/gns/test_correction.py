@@ -57,10 +57,7 @@ def test_samples_side_by_side_are_corrected_as_alone(corrected: Simulator, cloud
     flows = [cloud(lower=(0.1, 0.0), velocity=(speed, 0.0), seed=seed) for seed, speed in ((0, 1.0), (1, 0.3))]
     flows = [(state.to(dtype=torch.float64), conditions.to(dtype=torch.float64)) for state, conditions in flows]
     alone = torch.cat([unroll(corrected, *each, 6) for each in flows], dim=1)
-    state = State(
-        positions=torch.cat([state.positions for state, _ in flows]),
-        displacements=torch.cat([state.displacements for state, _ in flows], dim=1),
-    )
+    state = State.joined([state for state, _ in flows])
     both = {
         each.name: torch.cat([getattr(conditions, each.name) for _, conditions in flows])
         for each in dataclasses.fields(flows[0][1])

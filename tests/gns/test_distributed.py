@@ -12,12 +12,11 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from datasets.training.samples import Sample, cut
-from gns.distributed import joined, rank
 from gns.losses import UnrolledLoss
 from gns.samples import batched, flows_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
-from gns.training import LAST
+from gns.training import LAST, joined, rank
 from tests.gns.conftest import TINY, rows
 
 ROOT = Path(__file__).parents[2]

@@ -115,7 +115,7 @@ def test_it_is_the_share_of_random_points_of_a_cell(dimension: int, is_turned: b
 
 @dimensions
 def test_it_sums_to_the_volume_below_a_plane(dimension: int) -> None:
-    cell, around = 0.05, conditions(1, dimension=dimension, ground=plane(dimension, rise=(0.3, -0.1)))
+    cell, around = 0.05, conditions(1, dimension=dimension, ground=plane(dimension, (0.3, -0.1)))
     stencil = whole_room(dimension, cell)
     share = occupancy(stencil, around) - occupancy(stencil, dataclasses.replace(around, ground=None))
     size = ROOM[dimension]

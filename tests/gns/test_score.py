@@ -79,6 +79,7 @@ def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: 
     assert calibration.flows == 2
     assert known.scores in said
     assert f"{dataset.name}, test" in known.scores
+    assert "released at rest | 1" in known.scores
 
     found = gns.predict(scene, model=model, level=0.8)
     rollout = gns.simulate(scene, model=model)
@@ -103,6 +104,10 @@ def test_what_cannot_be_calibrated_is_an_input_error(
     assert f"expected datasets that the model was trained on, {dataset.name}, got other" in said(tmp_path / "other")
     card.card_path(model).unlink()
     assert "expected the model's card" in said(dataset)
+    # Without --keep no card is asked for.
+    assert command_line.run(score, "score", [str(tmp_path), "--model", str(model)]) == 2
+    assert "expected trajectories in test" in capsys.readouterr().err
+    assert command_line.run(score, "score", [str(dataset), "--model", str(model)]) == 0
 
 
 def flying(flow: Flow) -> Flow:
@@ -138,14 +143,3 @@ def test_the_table_keeps_kinds_of_start_apart() -> None:
     assert len(lines) == 4
     cells = [cell.strip() for cell in lines[2].strip("|").split("|")]
     assert cells == ["released at rest", "3", "4.0 %", "3.0 %", "+3.3 %", "+8.0 %", "25.0 %"]
-
-
-def test_the_command_prints_the_table(
-    simulator: Simulator, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    checkpoint.save(tmp_path / "model.safetensors", simulator, {})
-    model = ["--model", str(tmp_path / "model.safetensors")]
-    assert command_line.run(score, "score", [str(dataset), *model]) == 0
-    assert "released at rest | 1" in capsys.readouterr().out
-    assert command_line.run(score, "score", [str(tmp_path), *model]) == 2
-    assert "expected trajectories in test" in capsys.readouterr().err

@@ -13,13 +13,7 @@ from gns.state import Ground
 from tests.gns.surroundings import PADDING, ROOM, boxes, conditions, plane, scattered, turned_boxes
 
 CUTOFF = 0.06
-
-
-def hold(
-    positions: Tensor, before: Tensor, baffles: Tensor, batch: Tensor | None = None, turn: Tensor | None = None
-) -> Tensor:
-    """`keep_out` in the room."""
-    return keep_out(positions, before, conditions(len(positions), baffles, batch=batch, turn=turn))
+dimensions = pytest.mark.parametrize("dimension", [2, 3])
 
 
 def of_baffles(
@@ -38,11 +32,6 @@ def near_surfaces(baffles: Tensor, count: int, generator: torch.Generator) -> tu
     return box[:, 0] + share * (box[:, 1] - box[:, 0]), batch
 
 
-def is_inside(points: Tensor, baffles: Tensor, batch: Tensor, turn: Tensor | None = None) -> Tensor:
-    """Which points are inside a baffle."""
-    return Boxes.of_conditions(conditions(len(points), baffles, turn=turn)).select(batch).contain(points, 0.0).any(1)
-
-
 BOX = [[0.3, 0.1, 0.3], [0.4, 0.3, 0.4]]
 EXAMPLES = [
     # position, distance, unit normal; in x and y, where z is in the middle of the box
@@ -58,7 +47,7 @@ EXAMPLES = [
 ]
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@dimensions
 @pytest.mark.parametrize(("position", "distance", "normal"), EXAMPLES)
 def test_distance_and_direction_at_known_positions(
     dimension: int, position: tuple[float, float], distance: float, normal: tuple[float, float] | None
@@ -72,7 +61,7 @@ def test_distance_and_direction_at_known_positions(
         torch.testing.assert_close(direction, expected, atol=1e-12, rtol=0.0)
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@dimensions
 def test_a_turned_box_is_as_far_as_the_box_from_points_turned_back(dimension: int) -> None:
     generator = torch.Generator().manual_seed(2)
     angle = 0.7
@@ -91,7 +80,7 @@ def test_a_turned_box_is_as_far_as_the_box_from_points_turned_back(dimension: in
     assert (distance < CUTOFF).sum() > 100
 
 
-@pytest.mark.parametrize("dimension", [2, 3])
+@dimensions
 @pytest.mark.parametrize("is_turned", [False, True])
 def test_the_gradient_is_that_of_central_differences(dimension: int, is_turned: bool) -> None:
     generator = torch.Generator().manual_seed(0)
@@ -124,7 +113,7 @@ MOVES = [
 
 
 @pytest.mark.parametrize(("start", "end", "expected"), MOVES)
-@pytest.mark.parametrize("dimension", [2, 3])
+@dimensions
 def test_where_a_move_ends(
     dimension: int, start: tuple[float, float], end: tuple[float, float], expected: object
 ) -> None:
@@ -132,47 +121,9 @@ def test_where_a_move_ends(
         torch.tensor([[*position, 0.35]], dtype=torch.float64)[:, :dimension]  # type: ignore[misc]
         for position in (start, end, expected)
     )
-    got = hold(after, before, boxes(PADDING, BOX, dimension=dimension))
+    got = keep_out(after, before, conditions(1, boxes(PADDING, BOX, dimension=dimension)))
     torch.testing.assert_close(got, stopped, atol=1.01 * SKIN, rtol=0.0)
     assert 9.0 * SKIN < GRAZE
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("is_turned", [False, True])
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_nothing_gets_in_or_out_whatever_the_moves(dimension: int, dtype: torch.dtype, is_turned: bool) -> None:
-    generator = torch.Generator().manual_seed(0)
-    baffles = scattered(dimension).to(dtype)
-    turn = None
-    if is_turned:
-        # Those of the first sample overlap each other, the walls and the floor.
-        turn = torch.tensor([[0.3, -0.2, 0.5, 0.1], [0.2, 0.7, 0.0, 0.0]], dtype=dtype)
-    size = ROOM[dimension]
-    ends = torch.tensor(size, dtype=dtype)
-    count = 800
-    points = torch.rand(count, dimension, generator=generator).to(dtype) * ends
-    points = torch.cat((points, points.round(decimals=1)))
-    batch = torch.randint(2, (len(points),), generator=generator)
-    # What begins inside, or in the seam of two baffles, is freed.
-    points = hold(points, points, baffles, batch, turn)
-    velocity = torch.randn(len(points), dimension, generator=generator).to(dtype) * 0.02
-    held = torch.zeros(len(points), dtype=torch.bool)
-    for _ in range(25):
-        velocity += 0.01 * torch.randn(velocity.shape, generator=generator).to(dtype)
-        velocity *= 0.03 / velocity.norm(dim=1, keepdim=True).clamp(min=0.03)
-        velocity[:, 1] -= 0.01
-        moved = hold(points + velocity, points, baffles, batch, turn)
-        assert moved.min() >= 0.0
-        assert (moved <= ends).all()
-        assert not is_inside(moved, baffles, batch, turn).any()
-        # Nor do they pass through: no way is longer than the move, and none leads through the middle of a box.
-        along = torch.linspace(0.0, 1.0, 12, dtype=dtype).view(-1, 1, 1)
-        ways = points.lerp(moved, along).flatten(0, 1)
-        inner = Boxes.of_conditions(conditions(1, baffles, turn=turn)).select(batch.repeat(12)).contain(ways, GRAZE)
-        assert not inner.any()
-        held |= (moved != points + velocity).any(1)
-        velocity, points = moved - points, moved
-    assert held.float().mean() > 0.5
 
 
 def test_a_particle_on_a_wall_has_its_whole_gradient() -> None:
@@ -182,7 +133,6 @@ def test_a_particle_on_a_wall_has_its_whole_gradient() -> None:
 
 
 RISE = (0.3, -0.2)
-dimensions = pytest.mark.parametrize("dimension", [2, 3])
 
 
 def scattered_points(dimension: int, count: int, seed: int = 0) -> Tensor:
@@ -260,33 +210,50 @@ def test_motion_along_a_slope_stays_and_motion_into_it_loses_its_normal_part(dim
     torch.testing.assert_close(keep_out(points + along - 0.005 * normal, points, around), points + along)
 
 
+ON_GROUND = [[0.3, 0.0, 0.3], [0.4, 0.3, 0.5]], [[0.6, 0.0, 0.1], [0.7, 0.25, 0.3]]
+
+
 @dimensions
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("turn", [None, 0.4])
-def test_nothing_is_ever_below_the_ground_or_in_a_baffle_on_it(
-    dimension: int, dtype: torch.dtype, turn: float | None
+@pytest.mark.parametrize("is_turned", [False, True])
+@pytest.mark.parametrize("on_ground", [False, True])
+def test_nothing_gets_in_whatever_the_moves(
+    dimension: int, dtype: torch.dtype, is_turned: bool, on_ground: bool
 ) -> None:
     generator = torch.Generator().manual_seed(0)
-    ground = bumpy(dimension, samples=2).to(dtype=dtype)
-    upright = boxes([[0.3, 0.0, 0.3], [0.4, 0.3, 0.5]], [[0.6, 0.0, 0.1], [0.7, 0.25, 0.3]], dimension=dimension)
-    # In 2D a turned box would leave its corner free above the ground: it stands on it in 3D alone.
-    angles = None if turn is None or dimension == 2 else torch.full((2, 2), turn, dtype=dtype)
-    count = 500
-    batch = torch.randint(2, (count,), generator=generator)
-    around = dataclasses.replace(
-        conditions(count, upright.to(dtype).expand(2, -1, -1, -1), batch=batch, turn=angles), ground=ground
-    )
+    baffles, turn = scattered(dimension), torch.tensor([[0.3, -0.2, 0.5, 0.1], [0.2, 0.7, 0.0, 0.0]])
+    if on_ground:
+        baffles, turn = boxes(*ON_GROUND, dimension=dimension).expand(2, -1, -1, -1), torch.full((2, 2), 0.4)
+        # In 2D a turned box would leave its corner free above the ground: it stands on it in 3D alone.
+        is_turned = is_turned and dimension == 3
+    # Those of the first sample overlap each other, the walls and the floor.
+    own_turn = turn.to(dtype) if is_turned else None
+    points = torch.rand(800, dimension, generator=generator).to(dtype) * torch.tensor(ROOM[dimension], dtype=dtype)
+    points = torch.cat((points, points.round(decimals=1)))
+    batch = torch.randint(2, (len(points),), generator=generator)
+    ground = bumpy(dimension, samples=2).to(dtype=dtype) if on_ground else None
+    around = conditions(len(points), baffles.to(dtype), batch=batch, turn=own_turn, ground=ground)
     solid = Boxes.of_conditions(around).select(batch)
-    points = torch.rand(count, dimension, generator=generator).to(dtype) * around.size[batch]
+    middle = Boxes.of_conditions(around).select(batch.repeat(12))
+    # What begins inside, or in the seam of two baffles, is freed.
     points = keep_out(points, points, around)
-    velocity = 0.02 * torch.randn(count, dimension, generator=generator).to(dtype)
-    for _ in range(20):
+    velocity = torch.randn(len(points), dimension, generator=generator).to(dtype) * 0.02
+    held = torch.zeros(len(points), dtype=torch.bool)
+    for _ in range(25):
         velocity += 0.01 * torch.randn(velocity.shape, generator=generator).to(dtype)
+        velocity *= 0.03 / velocity.norm(dim=1, keepdim=True).clamp(min=0.03)
         velocity[:, 1] -= 0.01
         moved = keep_out(points + velocity, points, around)
-        below = Below(moved, ground, batch).value(ground.elevation) - moved[:, 1]
-        assert below.max() < (1e-6 if dtype == torch.float32 else 1e-12)
-        assert not solid.contain(moved, 0.0).any()
-        assert (moved >= 0.0).all()
+        assert moved.min() >= 0.0
         assert (moved <= around.size[batch]).all()
-        velocity, points = 0.9 * (moved - points), moved
+        assert not solid.contain(moved, 0.0).any()
+        if ground is None:
+            # Nor do they pass through: no way is longer than the move, and none leads through the middle of a box.
+            along = torch.linspace(0.0, 1.0, 12, dtype=dtype).view(-1, 1, 1)
+            assert not middle.contain(points.lerp(moved, along).flatten(0, 1), GRAZE).any()
+        else:
+            below = Below(moved, ground, batch).value(ground.elevation) - moved[:, 1]
+            assert below.max() < (1e-6 if dtype == torch.float32 else 1e-12)
+        held |= (moved != points + velocity).any(1)
+        velocity, points = moved - points, moved
+    assert held.float().mean() > 0.5
