@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, shortened
+from datasets.errors import InputError, naming, shortened
 from datasets.memory import spoken
 
 PART = ".part-"
@@ -147,12 +147,13 @@ def reading(path: Path, what: str, key: str = "") -> Iterator[None]:
     Their readers fail in many ways on a file that is none of theirs; to the user all of them mean the same. Keep the
     block to the library's own work, so that no mistake of ours hides in it.
     """
-    try:
-        yield
-    except InputError as error:
-        raise error if error.where else InputError(error.message, where=str(path), key=error.key or key) from None
-    except (Exception, SystemExit) as error:
-        raise InputError(f"expected {what}, {line_of(error)}", where=str(path), key=key) from None
+    with naming(path, key):
+        try:
+            yield
+        except InputError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise InputError(f"expected {what}, {line_of(error)}") from None
 
 
 def line_of(error: BaseException) -> str:
@@ -184,14 +185,14 @@ def read_json(path: Path) -> dict[str, Any] | None:
         return json_object(text)
 
 
-def json_object(text: str) -> dict[str, Any]:
-    """Parse a JSON object. Raises InputError."""
+def json_object(text: str, key: str = "") -> dict[str, Any]:
+    """Parse the JSON object that stands at `key`. Raises InputError."""
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"expected readable JSON, {line_of(error)}") from None
+        raise InputError(f"expected readable JSON, {line_of(error)}", key=key) from None
     if not isinstance(found, dict):
-        raise InputError("expected a JSON object")
+        raise InputError("expected a JSON object", key=key)
     return found
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.command_line import run
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.files import make_folder, replacing
 from datasets.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
 
@@ -180,10 +180,8 @@ def command(trajectory: Path, /, *, out: Path, smooth: float = 0.0) -> None:
     """
     flow = read_trajectory(trajectory)
     make_folder(out)
-    try:
+    with naming(trajectory_file(trajectory)):
         forces = write_forces(flow, out, window=smooth)
-    except InputError as error:
-        raise error.at(str(trajectory_file(trajectory))) from None
     print("\n".join(spoken(forces)))
 
 

@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
 from datasets.field import Field
 from datasets.files import json_object
 from datasets.material import Material
@@ -356,11 +355,7 @@ class Scene(Record):
     @staticmethod
     def from_json(text: str) -> "Scene":
         """Read what `to_json` wrote. Raises InputError."""
-        try:
-            data = json_object(text)
-        except InputError as error:
-            raise InputError(f"expected a scene in JSON: {error.message}", key="scene") from None
-        return from_mapping(Scene, stated(data))
+        return from_mapping(Scene, stated(json_object(text, "scene")))
 
 
 def keyed(scene: Scene, *groups: str) -> dict[str, Any]:

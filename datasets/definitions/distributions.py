@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from datasets.definitions.definition import Definition, Split
-from datasets.errors import InputError, OutOfRange
+from datasets.errors import InputError, OutOfRange, naming
 from datasets.library import scene_from
 from datasets.records import Record, dotted, from_mapping, read_toml
 from datasets.scene import TOLERANCE, Scene, keyed
@@ -72,19 +72,15 @@ def definition_from_file(path: Path) -> Definition:
     if not NAME.fullmatch(path.stem):
         expected = "expected a file name of letters, digits, - and _, which names the trajectories"
         raise InputError(expected, where=str(path))
-    try:
+    with naming(path):
         content = from_mapping(DefinitionFile, read_toml(path))
 
-        def draw(stream: np.random.Generator, _: int) -> Scene:
-            try:
-                return draw_scene(content, stream, path.parent)
-            except InputError as error:
-                raise error.at(str(path)) from None
+    def draw(stream: np.random.Generator, _: int) -> Scene:
+        with naming(path):
+            return draw_scene(content, stream, path.parent)
 
-        # A mistake is found before anything is simulated.
-        draw(np.random.default_rng([0, 0]), 0)
-    except InputError as error:
-        raise error if error.where else error.at(str(path)) from None
+    # A mistake is found before anything is simulated.
+    draw(np.random.default_rng([0, 0]), 0)
     held_out = {1: Split.VALID, 2: Split.TEST}
     return Definition(
         name=path.stem,

@@ -16,10 +16,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.geometry.closed import Body, check_simple, manifold, outward, sliced
 from datasets.geometry.ground import TOUCHING, Floats, elevation, interpolated, plan_axes
-from datasets.geometry.shapes import FARTHEST, check_grid, check_shape, require
+from datasets.geometry.shapes import FARTHEST, check_grid, check_shape
 from datasets.memory import require as require_memory
 from datasets.scene import Domain, Mass, Scene, Solid, keyed
 

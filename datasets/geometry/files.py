@@ -21,11 +21,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.files import file_size, read_columns, reading
 from datasets.geometry.closed import outward
 from datasets.geometry.ground import BEYOND, Floats, Integers
-from datasets.geometry.shapes import require, usual
+from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 
 Entry = dict[str, Any]
