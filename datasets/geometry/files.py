@@ -49,14 +49,10 @@ def with_files(data: Entry, folder: Path) -> Entry:
 
     folder: where relative paths begin. What is wrong with other keys is left to the scene's own checks.
     """
-    reader = Reader(data, folder)
-    new = dict(data)
+    reader, new = Reader(data, folder), dict(data)
     for group in ("solids", "masses"):
         if isinstance(data.get(group), list):
-            new[group] = list(data[group])
-            for index, entry in enumerate(new[group]):
-                if isinstance(entry, dict) and isinstance(entry.get("kind", ""), str):
-                    new[group][index] = reader.complete(entry, f"{group}[{index}]")
+            new[group] = [reader.complete(entry, f"{group}[{index}]") for index, entry in enumerate(data[group])]
     return new
 
 
@@ -72,8 +68,10 @@ class Reader:
         self.cell = float(cell) if isinstance(cell, int | float) else 0.0
         self.offset: tuple[float, float] | None = None
 
-    def complete(self, entry: Entry, key: str) -> Entry:
-        """A solid or a mass with what its files hold."""
+    def complete(self, entry: Any, key: str) -> Any:
+        """A solid or a mass with what its files hold; what is neither as it is."""
+        if not isinstance(entry, dict) or not isinstance(entry.get("kind", ""), str):
+            return entry
         entry, kind = dict(entry), entry.get("kind", "box")
         if key.startswith("masses") and kind != "box":
             refuse(entry, ("lower", "size"), key, f"no such key of a {kind}")
