@@ -344,6 +344,10 @@ class Scene(Record):
         """The material that `mass` is made of."""
         return mass.material or self.material
 
+    def friction_of(self, baffle: Baffle) -> float | str:
+        """Friction of the faces of `baffle`: its own, else that of all baffles."""
+        return self.baffle_friction if baffle.friction is None else baffle.friction
+
     def with_friction_deg(self, friction_deg: float) -> "Scene":
         """The same scene, its shared material at another angle of friction [deg]."""
         return dataclasses.replace(self, material=dataclasses.replace(self.material, friction_deg=friction_deg))

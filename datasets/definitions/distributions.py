@@ -1,14 +1,4 @@
-"""A user's own definition: a scene in TOML in which any number may be a distribution (docs/formats.md).
-
-| table in place of a value | drawn |
-|---|---|
-| `{ uniform = [a, b] }` | between a and b; with `step`, a + k step |
-| `{ log_uniform = [a, b] }` | its logarithm uniform |
-| `{ normal = [mean, deviation] }` | Gaussian |
-| `{ integer = [a, b] }` | a whole number from a to b |
-| `{ choice = [...] }` | one of these, each as likely |
-| `{ variable = "name" }` | a number of `[variables]`, drawn once a scene; times `factor`, plus `offset` |
-"""
+"""A user's own definition: a scene in TOML in which any number may be a distribution, those of docs/formats.md."""
 
 import re
 from collections.abc import Mapping

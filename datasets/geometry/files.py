@@ -1,16 +1,7 @@
 """The files that a scene in TOML names, made part of it: a scene is complete without them.
 
-| key | of | becomes |
-|---|---|---|
-| `file` | terrain in 2D, a CSV | `points`, a column `friction` |
-| `file` | terrain in 3D, a raster | `origin`, `spacing` and `heights`, `corner` and `crs` |
-| `thickness` = a raster's path | layer in 3D | `origin`, `spacing` and rows of thicknesses |
-| `file` | mesh, a mass too | `vertices`, `triangles` |
-| `scale`, `at` | of a mesh, of any of these | nothing: they say how to read it |
-
-Rasters are ESRI ASCII or GeoTIFF. Plan coordinates are x, to the east, and z, to the north. A raster's values stand at
-the centres of its cells; by default the lower left corner of a terrain's extent becomes the corner x = 0, z = 0 of the
-box, and a thickness lies beside the terrain.
+Which keys name them, and what they become: docs/formats.md, "Solids and bodies". A raster's values stand at the centres
+of its cells; x runs to the east, z to the north.
 """
 
 import io
