@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, naming, shortened
+from datasets.errors import InputError, naming, require, shortened
 from datasets.memory import spoken
 
 PART = ".part-"
@@ -211,16 +211,13 @@ def read_columns(
         # Line by line and strictly: a quotation mark that nothing closes would swallow others.
         header, *table = [next(csv.reader([line], strict=True)) for _, line in lines] or [[]]
         header = [name.strip() for name in header]
-        if not set(needed) <= set(header):
-            got = ", ".join(header)[:LONGEST_LINE] or "an empty file"
-            raise InputError(f"expected a header with the columns `{'`, `'.join(needed)}`, got {got}")
+        got = ", ".join(header)[:LONGEST_LINE] or "an empty file"
+        require(set(needed) <= set(header), "", f"a header with the columns `{'`, `'.join(needed)}`", got)
         known = [name for name in header if name in (*needed, *optional)]
         unknown = [name for name in header if name not in known]
-        if unknown and not others:
-            expected = "`, `".join((*needed, *optional))
-            raise InputError(f"expected no other columns than `{expected}`, got `{unknown[0]}`")
-        if len(set(known)) < len(known):
-            raise InputError("expected each column once")
+        expected = "`, `".join((*needed, *optional))
+        require(others or not unknown, "", f"no other columns than `{expected}`", f"`{', '.join(unknown)}`")
+        require(len(set(known)) == len(known), "", "each column once", ", ".join(known))
         for (number, line), values in zip(lines[1:], table, strict=True):
             try:
                 row = [float(value) for name, value in zip(header, values, strict=True) if name in known]
@@ -230,6 +227,5 @@ def read_columns(
                 got = f"{line.strip()[:40]!r}"
                 raise InputError(f"expected {len(header)} values in line {number}, all of them finite, got {got}")
             rows.append(row)
-        if not rows:
-            raise InputError(f"expected rows of {len(known)} numbers, got none")
+        require(len(rows) > 0, "", f"rows of {len(known)} numbers", "none")
     return dict(zip(known, np.array(rows).T.copy(), strict=True))

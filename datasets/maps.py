@@ -27,7 +27,7 @@ from shapely.geometry.polygon import orient
 from tqdm import tqdm
 
 from datasets.command_line import run
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import InputError, WorkFailed, require
 from datasets.exchange.vtk import Meshes
 from datasets.field import Floats, Grid
 from datasets.files import make_folder, replacing, write_json, write_text
@@ -96,14 +96,12 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     scene, meshes, volumes = trajectory.scene, Meshes(trajectory), trajectory.volumes
     if threshold is None:
         threshold = float(np.mean(volumes) ** (1.0 / scene.dimension))
-    if not threshold > 0.0:
-        raise InputError(f"expected a thickness above 0 m, got {threshold:g}", key="--threshold")
+    require(threshold > 0.0, "--threshold", "a thickness above 0 m", f"{threshold:g}")
     if scene.dimension == 2:
         raise InputError("expected a trajectory in 3D, a flow in 2D has no plan")
     sides, least = scene.domain.size[::2], scene.particle_spacing
-    if not least * (1.0 - 1.0e-9) <= cell <= min(sides):
-        expected = f"from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
-        raise InputError(f"expected a length {expected}, got {cell:g} m", key="--cell")
+    expected = f"a length from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
+    require(least * (1.0 - 1.0e-9) <= cell <= min(sides), "--cell", expected, f"{cell:g} m")
     grid = Grid((0.5 * cell,) * 2, (cell,) * 2, tuple(math.ceil(side / cell - 1.0e-6) for side in sides))
     depth, fastest, start = np.zeros(grid.nodes), None, None
     for frame in tqdm(range(len(trajectory.time)), desc="maps", unit="frame", disable=not progress):

@@ -178,22 +178,16 @@ def read_raster(path: Path) -> Raster:
             georeferenced = not file.transform.is_identity
             transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
             masked = file.read(1, masked=True).astype(np.float64)
-    if not np.isfinite(tuple(transform)).all():
-        raise InputError("expected a raster that lies at finite coordinates")
-    if bands != 1:
-        raise InputError(f"expected a raster of one band, got {bands}")
-    if unit is not None and unit.lower() not in METRES:
-        raise InputError(f"expected elevations in metres, the raster says {unit!r}")
+    require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
+    require(bands == 1, "", "a raster of one band", bands)
+    require(unit is None or unit.lower() in METRES, "", "elevations in metres", repr(unit))
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
-    if name.lower() not in METRES:
-        raise InputError(f"expected a projected coordinate system in metres, got one in {name}")
-    if not georeferenced:
-        raise InputError("expected a raster that says where it lies and how large its cells are, this one does not")
-    if transform.b != 0.0 or transform.d != 0.0 or transform.a <= 0.0 or transform.e >= 0.0:
-        raise InputError("expected a raster with north up, got one that is turned or mirrored")
+    require(name.lower() in METRES, "", "a projected coordinate system in metres", f"one in {name}")
+    require(georeferenced, "", "a raster that says where it lies and how large its cells are", "one that does not")
+    northwards = transform.b == transform.d == 0.0 and transform.a > 0.0 > transform.e
+    require(northwards, "", "a raster with north up", "one that is turned or mirrored")
     rows, columns = masked.shape
-    if min(rows, columns) < 2:
-        raise InputError(f"expected at least 2 x 2 values, got {rows} x {columns}")
+    require(min(rows, columns) >= 2, "", "at least 2 x 2 values", f"{rows} x {columns}")
     values = masked.filled(np.nan)
     values[~np.isfinite(values)] = np.nan
     return Raster(
@@ -230,10 +224,8 @@ def read_mesh(path: Path) -> tuple[Floats, Integers]:
         for block in mesh.cells:
             if block.data.size and not 0 <= block.data.min() <= block.data.max() < len(mesh.points):
                 raise InputError(f"expected cells of the {len(mesh.points)} vertices in the file, got others")
-        if not np.isfinite(mesh.points).all():
-            raise InputError("expected vertices of finite coordinates")
+        require(bool(np.isfinite(mesh.points).all()), "", "vertices of finite coordinates", "others")
         skin = pyvista.from_meshio(mesh).extract_surface(algorithm="dataset_surface").triangulate()
         skin = skin.clean(tolerance=SAME)
-        if not skin.n_cells:
-            raise InputError("expected a mesh with triangles, it has none")
+        require(skin.n_cells > 0, "", "a mesh with triangles", "none")
         return np.asarray(skin.points, np.float64), np.asarray(skin.regular_faces, np.int64)
