@@ -5,9 +5,9 @@ import math
 import warnings
 from typing import Any
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.field import FRICTION, VELOCITIES
-from datasets.geometry.shapes import FARTHEST, check_rows, check_solid, check_vector, require, usual
+from datasets.geometry.shapes import FARTHEST, check_rows, check_solid, check_vector, usual
 from datasets.material import ANGLES
 from datasets.scene import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, Scene, keyed
 

@@ -1,5 +1,9 @@
 """The exceptions that mean "the input is wrong" or "the work failed", rather than "the program is wrong"."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 LONGEST = 1000
 """Characters of what is said: a file may be anybody's, and what it has in place of a number may be long."""
 
@@ -14,9 +18,9 @@ class InputError(ValueError):
         self.message, self.where, self.key = shortened(message), where, key
         super().__init__(": ".join(shortened(part) for part in (where, key, message) if part))
 
-    def at(self, where: str) -> "InputError":
-        """The same mistake with the file it stands in."""
-        return InputError(self.message, where=where, key=self.key)
+    def at(self, where: str, key: str = "") -> "InputError":
+        """The same mistake with the file it stands in, and with `key` where it names none."""
+        return InputError(self.message, where=where, key=self.key or key)
 
 
 class OutOfRange(InputError):
@@ -25,6 +29,21 @@ class OutOfRange(InputError):
 
 class WorkFailed(RuntimeError):
     """The input was right, the work did not succeed: exit status 1."""
+
+
+@contextmanager
+def naming(path: Path, key: str = "") -> Iterator[None]:
+    """A mistake that the block finds, with the file `path` and the key where it names no file."""
+    try:
+        yield
+    except InputError as error:
+        raise error if error.where else error.at(str(path), key) from None
+
+
+def require(ok: bool, key: str, expected: str, got: object) -> None:
+    """Raise InputError where `ok` does not hold of `key`."""
+    if not ok:
+        raise InputError(f"expected {expected}, got {got}", key=key)
 
 
 def shortened(text: str, most: int = LONGEST) -> str:

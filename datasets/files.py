@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, shortened
+from datasets.errors import InputError, naming, require, shortened
 from datasets.memory import spoken
 
 PART = ".part-"
@@ -147,12 +147,13 @@ def reading(path: Path, what: str, key: str = "") -> Iterator[None]:
     Their readers fail in many ways on a file that is none of theirs; to the user all of them mean the same. Keep the
     block to the library's own work, so that no mistake of ours hides in it.
     """
-    try:
-        yield
-    except InputError as error:
-        raise error if error.where else InputError(error.message, where=str(path), key=error.key or key) from None
-    except (Exception, SystemExit) as error:
-        raise InputError(f"expected {what}, {line_of(error)}", where=str(path), key=key) from None
+    with naming(path, key):
+        try:
+            yield
+        except InputError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise InputError(f"expected {what}, {line_of(error)}") from None
 
 
 def line_of(error: BaseException) -> str:
@@ -184,14 +185,14 @@ def read_json(path: Path) -> dict[str, Any] | None:
         return json_object(text)
 
 
-def json_object(text: str) -> dict[str, Any]:
-    """Parse a JSON object. Raises InputError."""
+def json_object(text: str, key: str = "") -> dict[str, Any]:
+    """Parse the JSON object that stands at `key`. Raises InputError."""
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"expected readable JSON, {line_of(error)}") from None
+        raise InputError(f"expected readable JSON, {line_of(error)}", key=key) from None
     if not isinstance(found, dict):
-        raise InputError("expected a JSON object")
+        raise InputError("expected a JSON object", key=key)
     return found
 
 
@@ -210,16 +211,13 @@ def read_columns(
         # Line by line and strictly: a quotation mark that nothing closes would swallow others.
         header, *table = [next(csv.reader([line], strict=True)) for _, line in lines] or [[]]
         header = [name.strip() for name in header]
-        if not set(needed) <= set(header):
-            got = ", ".join(header)[:LONGEST_LINE] or "an empty file"
-            raise InputError(f"expected a header with the columns `{'`, `'.join(needed)}`, got {got}")
+        got = ", ".join(header)[:LONGEST_LINE] or "an empty file"
+        require(set(needed) <= set(header), "", f"a header with the columns `{'`, `'.join(needed)}`", got)
         known = [name for name in header if name in (*needed, *optional)]
         unknown = [name for name in header if name not in known]
-        if unknown and not others:
-            expected = "`, `".join((*needed, *optional))
-            raise InputError(f"expected no other columns than `{expected}`, got `{unknown[0]}`")
-        if len(set(known)) < len(known):
-            raise InputError("expected each column once")
+        expected = "`, `".join((*needed, *optional))
+        require(others or not unknown, "", f"no other columns than `{expected}`", f"`{', '.join(unknown)}`")
+        require(len(set(known)) == len(known), "", "each column once", ", ".join(known))
         for (number, line), values in zip(lines[1:], table, strict=True):
             try:
                 row = [float(value) for name, value in zip(header, values, strict=True) if name in known]
@@ -229,6 +227,5 @@ def read_columns(
                 got = f"{line.strip()[:40]!r}"
                 raise InputError(f"expected {len(header)} values in line {number}, all of them finite, got {got}")
             rows.append(row)
-        if not rows:
-            raise InputError(f"expected rows of {len(known)} numbers, got none")
+        require(len(rows) > 0, "", f"rows of {len(known)} numbers", "none")
     return dict(zip(known, np.array(rows).T.copy(), strict=True))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.command_line import run
-from datasets.errors import InputError
+from datasets.errors import InputError, naming, require
 from datasets.files import make_folder, replacing
 from datasets.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
 
@@ -84,8 +84,7 @@ def forces_of(trajectory: Trajectory, *, window: float = 0.0) -> Forces:
     end = min(float(time[-1]), float(trajectory.summary.get("end_time") or time[-1]))
     if end == 0.0:
         raise InputError("expected a trajectory of more than its start")
-    if not 0.0 <= window <= 2.0 * end:
-        raise InputError(f"expected a window of 0 to {2.0 * end:g} s, got {window:g} s")
+    require(0.0 <= window <= 2.0 * end, "", f"a window of 0 to {2.0 * end:g} s", f"{window:g} s")
     # A frame at the start ends no interval, and frames after the deposit has come to rest repeat that moment.
     kept = slice(1 if time[0] == 0.0 else 0, int(np.searchsorted(time, end * (1.0 - ROUNDING))) + 1)
     ends = np.minimum(time[kept], end)
@@ -180,10 +179,8 @@ def command(trajectory: Path, /, *, out: Path, smooth: float = 0.0) -> None:
     """
     flow = read_trajectory(trajectory)
     make_folder(out)
-    try:
+    with naming(trajectory_file(trajectory)):
         forces = write_forces(flow, out, window=smooth)
-    except InputError as error:
-        raise error.at(str(trajectory_file(trajectory))) from None
     print("\n".join(spoken(forces)))
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import tomli_w
 
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.files import read_toml, write_text
 from datasets.geometry.files import with_files
 from datasets.records import changed, from_mapping
@@ -38,14 +38,12 @@ def read_scene(name: str | Path) -> Scene:
     Raises InputError, which names the file and the key.
     """
     path = find(str(name), SCENES, "scene")
-    try:
+    with naming(path):
         data = read_toml(path)
         if "unknowns" in data:
             takes = "python -m inverse and python -m validation.loop take it"
             raise InputError(f"expected a scene, got a problem: {takes}", key="unknowns")
         return scene_from(data, path.parent)
-    except InputError as error:
-        raise error if error.where else error.at(str(path)) from None
 
 
 def scene_from(data: dict[str, Any], folder: Path) -> Scene:

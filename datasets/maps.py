@@ -16,7 +16,7 @@ import json
 import math
 import sys
 import warnings
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from shapely.geometry.polygon import orient
 from tqdm import tqdm
 
 from datasets.command_line import run
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import InputError, WorkFailed, require
 from datasets.exchange.vtk import Meshes
 from datasets.field import Floats, Grid
 from datasets.files import make_folder, replacing, write_json, write_text
@@ -74,6 +74,10 @@ class PlanMaps:
     """Of the particles in the last frame [m^3]."""
     left: float
     """Volume of those that are no longer in the box then."""
+    corner: tuple[float, ...] = (0.0, 0.0)
+    """Easting and northing of x = z = 0 [m]: x runs to the east, z to the north."""
+    crs: str | None = None
+    """Reference system of these, as an authority's code or in WKT; None of local coordinates, those of the box."""
 
     @property
     def cell(self) -> float:
@@ -86,19 +90,18 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
 
     threshold: [m], above which a cell counts as covered; a particle's spacing at the start where absent, for thinner
     layers the simulation does not resolve. Raises InputError for one that is not positive, for a flow in 2D, and for
-    cells that are finer than the particles, or longer than a side of the box.
+    cells that are finer than the particles, or longer than a side of the box. They lie where the first raster of the
+    scene's terrain that knows says.
     """
     scene, meshes, volumes = trajectory.scene, Meshes(trajectory), trajectory.volumes
     if threshold is None:
         threshold = float(np.mean(volumes) ** (1.0 / scene.dimension))
-    if not threshold > 0.0:
-        raise InputError(f"expected a thickness above 0 m, got {threshold:g}", key="--threshold")
+    require(threshold > 0.0, "--threshold", "a thickness above 0 m", f"{threshold:g}")
     if scene.dimension == 2:
         raise InputError("expected a trajectory in 3D, a flow in 2D has no plan")
     sides, least = scene.domain.size[::2], scene.particle_spacing
-    if not least * (1.0 - 1.0e-9) <= cell <= min(sides):
-        expected = f"from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
-        raise InputError(f"expected a length {expected}, got {cell:g} m", key="--cell")
+    expected = f"a length from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
+    require(least * (1.0 - 1.0e-9) <= cell <= min(sides), "--cell", expected, f"{cell:g} m")
     grid = Grid((0.5 * cell,) * 2, (cell,) * 2, tuple(math.ceil(side / cell - 1.0e-6) for side in sides))
     depth, fastest, start = np.zeros(grid.nodes), None, None
     for frame in tqdm(range(len(trajectory.time)), desc="maps", unit="frame", disable=not progress):
@@ -115,6 +118,8 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
             momentum = np.linalg.norm(spread @ (volumes[inside, None] * velocity[inside]), axis=1).reshape(grid.nodes)
             speed = np.divide(momentum, volume, out=np.zeros_like(volume), where=thickness > threshold)
             fastest = speed if fastest is None else np.maximum(fastest, speed)
+    corners = ((solid.corner, solid.crs) for solid in scene.solids if solid.corner is not None)
+    corner, crs = next(corners, ((0.0, 0.0), None))
     return PlanMaps(
         grid=grid,
         thickness=thickness,
@@ -125,6 +130,8 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
         threshold=threshold,
         volume=float(volumes[inside].sum()),
         left=float(volumes[~inside].sum()),
+        corner=corner,
+        crs=crs,
     )
 
 
@@ -140,27 +147,8 @@ def ground(scene: Scene, grid: Grid) -> Floats:
     return tops_beneath(surface, np.insert(plan, 1, np.inf, axis=1), 0.0).reshape(grid.nodes)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Georeference:
-    """Where a box lies: x runs to the east, z to the north."""
-
-    east: float = 0.0
-    """Easting of x = 0 [m]."""
-    north: float = 0.0
-    """Northing of z = 0 [m]."""
-    crs: str | None = None
-    """Coordinate reference system, as an authority's code or in WKT; None of local coordinates."""
-
-    @staticmethod
-    def of_scene(scene: Scene) -> "Georeference":
-        """Where the first raster of its terrain that knows says; else local coordinates, those of the box itself."""
-        known = ((solid.corner, solid.crs) for solid in scene.solids if solid.corner is not None)
-        (east, north), crs = next(known, ((0.0, 0.0), None))
-        return Georeference(east=east, north=north, crs=crs)
-
-
-def write_raster(path: Path, values: Floats, cell: float, georeference: Georeference, name: str, unit: str) -> None:
-    """Write a map, shape [X, Z], over square cells [m], the first at x = z = 0, as a GeoTIFF.
+def write_raster(path: Path, maps: PlanMaps, values: Floats, name: str, unit: str) -> None:
+    """Write one of `maps`, shape [X, Z], as a GeoTIFF.
 
     Rows run from the north (large z) to the south, columns to the east (x). Raises WorkFailed.
     """
@@ -168,15 +156,15 @@ def write_raster(path: Path, values: Floats, cell: float, georeference: Georefer
     from rasterio.errors import RasterioError
 
     rows = np.ascontiguousarray(values.T[::-1], np.float32)
-    height, width = rows.shape
+    (height, width), (east, north) = rows.shape, maps.corner
     profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}
     # To the east along a row, to the south from row to row.
-    transform = rasterio.Affine(cell, 0.0, georeference.east, 0.0, -cell, georeference.north + height * cell)
+    transform = rasterio.Affine(maps.cell, 0.0, east, 0.0, -maps.cell, north + height * maps.cell)
     try:
         with warnings.catch_warnings(), replacing(path) as part:
             # A box in its own coordinates has no reference system, which is no mistake.
             warnings.simplefilter("ignore")
-            place: dict[str, Any] = {"width": width, "height": height, "transform": transform, "crs": georeference.crs}
+            place: dict[str, Any] = {"width": width, "height": height, "transform": transform, "crs": maps.crs}
             with rasterio.open(part, "w", **profile, **place) as raster:
                 raster.write(rows, 1)
                 raster.set_band_description(1, name)
@@ -185,8 +173,8 @@ def write_raster(path: Path, values: Floats, cell: float, georeference: Georefer
         raise WorkFailed(f"{path.name} could not be written: {error}") from None
 
 
-def outline(values: Floats, cell: float, georeference: Georeference, threshold: float) -> MultiPolygon:
-    """Where a map, shape [X, Z], exceeds `threshold`: polygons with holes, in the map's coordinates.
+def outline(maps: PlanMaps, values: Floats) -> MultiPolygon:
+    """Where one of `maps`, shape [X, Z], exceeds their threshold: polygons with holes, in the maps' coordinates.
 
     The line runs where the map, linear between the middles of its cells and even in the outer half of the last, equals
     the threshold, and along the edge of the map. Outer rings run anticlockwise, holes clockwise.
@@ -195,16 +183,16 @@ def outline(values: Floats, cell: float, georeference: Georeference, threshold: 
 
     padded = np.pad(np.pad(values, 1, mode="edge"), 1)
     x, z = (
-        cell * np.concatenate([[-CLOSE, 0.0], np.arange(count) + 0.5, [count, count + CLOSE]]) for count in values.shape
+        first + maps.cell * np.concatenate([[-CLOSE, 0.0], np.arange(count) + 0.5, [count, count + CLOSE]])
+        for first, count in zip(maps.corner, values.shape, strict=True)
     )
-    places = georeference.east + x, georeference.north + z
-    filled = contour_generator(*places, padded.T, fill_type=FillType.OuterOffset).filled(threshold, np.inf)
+    filled = contour_generator(x, z, padded.T, fill_type=FillType.OuterOffset).filled(maps.threshold, np.inf)
     parts = [np.split(points, offsets[1:-1]) for points, offsets in zip(*filled, strict=True)]
     return MultiPolygon([orient(Polygon(outer, holes)) for outer, *holes in parts])
 
 
-def write_outlines(path: Path, outlines: dict[str, MultiPolygon], threshold: float, georeference: Georeference) -> None:
-    """Write named outlines as GeoJSON: a MultiPolygon each, with `name`, `threshold_m` and `area_m2`.
+def write_outlines(path: Path, maps: PlanMaps, outlines: dict[str, MultiPolygon]) -> None:
+    """Write named outlines of `maps` as GeoJSON: a MultiPolygon each, with `name`, `threshold_m` and `area_m2`.
 
     Coordinates are those of the rasters, their system is named as GDAL does (`crs`); local ones name none.
     """
@@ -213,25 +201,25 @@ def write_outlines(path: Path, outlines: dict[str, MultiPolygon], threshold: flo
     features = [
         {
             "type": "Feature",
-            "properties": {"name": name, "threshold_m": threshold, "area_m2": polygons.area},
+            "properties": {"name": name, "threshold_m": maps.threshold, "area_m2": polygons.area},
             "geometry": mapping(polygons),
         }
         for name, polygons in outlines.items()
     ]
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
-    if georeference.crs is not None:
-        known = CRS.from_user_input(georeference.crs).to_authority()
-        name = georeference.crs if known is None else f"urn:ogc:def:crs:{known[0]}::{known[1]}"
+    if maps.crs is not None:
+        known = CRS.from_user_input(maps.crs).to_authority()
+        name = maps.crs if known is None else f"urn:ogc:def:crs:{known[0]}::{known[1]}"
         collection["crs"] = {"type": "name", "properties": {"name": name}}
     write_text(path, json.dumps(collection) + "\n")
 
 
-def draw_maps(path: Path, maps: PlanMaps, georeference: Georeference) -> None:
+def draw_maps(path: Path, maps: PlanMaps) -> None:
     """All maps where they are covered, one above the other; over the ground, with the outline of the deposit."""
     from matplotlib.figure import Figure
 
     kinds = {name: kind for name, kind in KINDS.items() if getattr(maps, name) is not None}
-    x, z = maps.grid.axes[0] + georeference.east, maps.grid.axes[1] + georeference.north
+    x, z = (axis + first for axis, first in zip(maps.grid.axes, maps.corner, strict=True))
     height = min(HIGHEST, 1.3 + 0.8 * WIDTH * len(z) / len(x))
     figure = Figure(figsize=(WIDTH, height * len(kinds)), layout="constrained")
     panels = figure.subplots(len(kinds), squeeze=False, subplot_kw={"aspect": "equal"})[:, 0]
@@ -250,23 +238,19 @@ def draw_maps(path: Path, maps: PlanMaps, georeference: Georeference) -> None:
         figure.savefig(part, dpi=120)
 
 
-def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, location: Georeference) -> dict[str, Any]:
+def write(trajectory: Trajectory, maps: PlanMaps, folder: Path) -> dict[str, Any]:
     """Write the maps of a trajectory into `folder`, and maps.json, what they come to, which is returned.
 
     Raises WorkFailed.
     """
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
-    outlines = {
-        name: outline(values, maps.cell, location, maps.threshold)
-        for name, values in shown.items()
-        if values is not None
-    }
+    outlines = {name: outline(maps, values) for name, values in shown.items() if values is not None}
     found = {name: getattr(maps, name) for name in KINDS}
     for name, values in found.items():
         if values is not None:
-            write_raster(folder / f"{name}.tif", values, maps.cell, location, *KINDS[name][:2])
-    draw_maps(folder / "maps.png", maps, location)
-    write_outlines(folder / "outline.geojson", outlines, maps.threshold, location)
+            write_raster(folder / f"{name}.tif", maps, values, *KINDS[name][:2])
+    draw_maps(folder / "maps.png", maps)
+    write_outlines(folder / "outline.geojson", maps, outlines)
     # Single particles that rolled on are islands of their own.
     largest = max(outlines["deposit"].geoms, key=lambda polygon: polygon.area, default=None)
     said = {
@@ -276,8 +260,9 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, location: Georef
         "volume": maps.volume,
         "left": maps.left,
         **{f"area_{name}": polygons.area for name, polygons in outlines.items()},
-        "extent": None if largest is None else largest.bounds[2] - location.east,
-        **asdict(location),
+        "extent": None if largest is None else largest.bounds[2] - maps.corner[0],
+        **dict(zip(("east", "north"), maps.corner, strict=True)),
+        "crs": maps.crs,
         **{f"{name}_max": None if values is None else float(f"{values.max():.6g}") for name, values in found.items()},
     }
     write_json(folder / "maps.json", said)
@@ -301,7 +286,7 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
     flow = read_trajectory(trajectory)
     make_folder(out)
     maps = maps_of(flow, flow.scene.domain.cell if cell is None else cell, threshold=threshold, progress=True)
-    said = write(flow, maps, out, Georeference.of_scene(flow.scene))
+    said = write(flow, maps, out)
     extent = "" if said["extent"] is None else f", extent x = {said['extent']:.4g} m"
     deposit = f"volume {maps.volume:.4g}, largest thickness {said['thickness_max']:.3g} m{extent}"
     print(f"t = {said['time']:g} s: {deposit}, written to {out}")

@@ -1,57 +1,33 @@
-"""Material: the constants of a Mohr-Coulomb soil.
+"""Material: the constants of a Mohr-Coulomb soil; all stresses are in Pa, tension positive.
 
-A crack opens where a principal stress reaches `tension_cutoff`, and the stress beside it relaxes by elastic coupling.
-The height of a vertical cut that stands depends on it: gamma H / c is 2 t, t = tan(45 + phi/2), for soil that cracks
-freely (Drucker 1953), and up to 3.83 t for soil that carries tension (Chen 1975; 4 for a plane slip, Fellenius 1927).
-A cutoff above the apex of the cone c cot(phi) is that apex. All stresses are in Pa, tension positive.
+docs/theory/return-map.md derives what follows, says where it holds and has all sources.
 
-**Default**: T = `TENSION_SHARE` c, 0.003 of the cohesion at every depth. Without any tension nothing closes the cracks
-that undamped waves open, and a column of 1 MPa, 0.2 x 0.4 m, crumbles at its faces; with T it stands. Real soils carry
-more, a tenth of c and above. T hardly raises a cut: a slice of width b beside the face that slides at 45 + phi/2 and is
-held over its crack by T is in limit equilibrium at gamma H = 2 c t + gamma b t / 2 + T t (H / b - t), least for
-b = sqrt(2 T H / gamma), so
+**Tension**: a crack opens where a principal stress reaches T = `tension_cutoff`, at most the apex c cot(phi) of the
+cone. By default T = `TENSION_SHARE` c at every depth, which hardly raises a vertical cut above that of soil that cracks
+freely, 2 c tan(45 + phi/2) / gamma (Drucker 1953).
 
-    gamma H = 2 c t + t sqrt(2 T gamma H) - t^2 T,
+**Depth**: c(z) = cohesion + strength_gradient z (Davis & Booker 1973); every particle keeps the cohesion of its depth z
+at the start. `friction_deg` = 0 with a cohesion is Tresca's law, undrained clay, whose cohesion is s_u.
 
-7.2 % above 2 c t for phi = 30 (T / c = 0.001: 4.2 %, 0.01: 13 %). No bound: the crack bears no shear in it.
-The MPM fails at 0.95 to 1.06 of 2 c t in cells of 20 and 10 mm (`validation.bench stability`).
+**Softening**: sin phi, c cos phi and T are linear between peak, w = 1, and residual values, w = 0, in the slip
 
-`friction_deg` = 0 with a cohesion is Tresca's law, undrained clay, whose cohesion is the undrained shear strength s_u;
-`strength_gradient` [Pa/m] lets it grow with depth, c(z) = cohesion + strength_gradient z, as it does in normally
-consolidated clay (Davis & Booker 1973). Every particle keeps the cohesion of its depth at the start.
+    w = max(0, 1 - gamma_p h / softening_length),     gamma_p = sqrt(3) e_p,     e_p = int sqrt(2/3 de : de)
 
-With a `softening_length` the strength falls from these peak values to the residual ones, linearly in the slip
+of a shear band one cell h thick (Bazant & Oh 1983; Palmer & Rice 1973). The step uses the strength at its start.
 
-    w = max(0, 1 - gamma_p h / softening_length),     gamma_p = sqrt(3) e_p
+**Dilation**: sin psi(w) = w sin psi (Rowe 1962; Bolton 1986); without a `softening_length` **for ever**: fine for small
+strains, wrong for flows.
 
-of a shear band one cell h thick, e_p = int sqrt(2/3 de : de) the accumulated deviatoric plastic strain: in simple shear
-by gamma it is gamma / sqrt(3), so gamma_p h is the displacement across the band. sin phi, c cos phi and the tension
-limit are interpolated by w; the shear stress of a band at normal stress s, s sin phi + c cos phi for psi = 0 (Davis
-1968), then falls linearly, and the work per area beyond the residual strength, (peak - residual) softening_length / 2,
-does not depend on the cell (crack band: Bazant & Oh 1983; in shear Palmer & Rice 1973). Opening counts with 2 / sqrt(3)
-of its width. Cells must be smaller than G softening_length / (peak - residual shear strength), or the band snaps back.
-The step uses the strength of the plastic strain at its start.
-
-**Which angle.** "triaxial": phi of Mohr and Coulomb itself. "slope": measured on the plane that shears, as by a tilted
-table, a pile, an avalanche or a direct shear box. Where stress and strain rate share their axes (Davis 1968)
+**Which angle**: "triaxial" is phi itself, "slope" that on the plane that shears, where (Davis 1968)
 
     tan(angle) = sin phi cos psi / (1 - sin phi sin psi),   so   sin phi = tan(angle) / (cos psi + tan(angle) sin psi)
-
-and sin phi = tan(angle) without dilation: a table that tilts to 25.5 degrees means phi = 28.5.
 
 **Friction that grows with the rate of shear** (Jop, Forterre & Pouliquen 2006): with a `friction_limit_deg` the ratio
 mu of shear to normal stress on the plane that shears, sin phi where nothing dilates, is
 
     mu(I) = mu_s + (mu_2 - mu_s) / (1 + I_0 / I),     I = shear rate * grain_diameter / sqrt(p / grain_density)
 
-with mu_s, mu_2 from `friction_deg`, `friction_limit_deg` and I_0 = `inertial_number` (`mpm.physics.inertial`). Read as
-a slope's, they are the slopes below which a layer stops and beyond which it accelerates for ever; read as triaxial,
-phi of slow and of very fast shear. Where the material softens mu_s is what is left, and beyond mu_2 the rate adds
-nothing; the cohesion does not depend on it. Jop's glass beads: slopes of 20.9 and 32.8 degrees, I_0 = 0.279.
-
-Dilation: psi(w) with sin psi(w) = w sin psi. A dense sand dilates until it has reached its critical state (Rowe 1962;
-Bolton 1986: phi - phi_crit = 0.8 psi), which `residual_friction_deg` and `softening_length` describe. Without a
-`softening_length` a material with `dilation_deg` **dilates for ever**: fine for small strains, wrong for flows.
+with mu_s, mu_2 from `friction_deg`, `friction_limit_deg` and I_0 = `inertial_number` (`mpm.physics.inertial`).
 """
 
 import dataclasses

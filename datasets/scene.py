@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
 from datasets.field import Field
 from datasets.files import json_object
 from datasets.material import Material
@@ -345,6 +344,10 @@ class Scene(Record):
         """The material that `mass` is made of."""
         return mass.material or self.material
 
+    def friction_of(self, baffle: Baffle) -> float | str:
+        """Friction of the faces of `baffle`: its own, else that of all baffles."""
+        return self.baffle_friction if baffle.friction is None else baffle.friction
+
     def with_friction_deg(self, friction_deg: float) -> "Scene":
         """The same scene, its shared material at another angle of friction [deg]."""
         return dataclasses.replace(self, material=dataclasses.replace(self.material, friction_deg=friction_deg))
@@ -356,11 +359,7 @@ class Scene(Record):
     @staticmethod
     def from_json(text: str) -> "Scene":
         """Read what `to_json` wrote. Raises InputError."""
-        try:
-            data = json_object(text)
-        except InputError as error:
-            raise InputError(f"expected a scene in JSON: {error.message}", key="scene") from None
-        return from_mapping(Scene, stated(data))
+        return from_mapping(Scene, stated(json_object(text, "scene")))
 
 
 def keyed(scene: Scene, *groups: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.arrays import HDF5, FrameWriter, open_frames, read_arrays, write_npz
-from datasets.errors import InputError
+from datasets.errors import InputError, naming, require
 from datasets.files import FARTHEST, json_object
 from datasets.particles import particle_volumes
 from datasets.scene import Scene, keyed
@@ -119,7 +119,8 @@ class Trajectory:
     @staticmethod
     def load(path: str | Path) -> "Trajectory":
         """Read what `save` wrote; never runs a pickle. Raises InputError, which names the file and the key."""
-        return _checked(read_arrays(Path(path)), Path(path))
+        with naming(Path(path)):
+            return _checked(read_arrays(Path(path)))
 
 
 def open_trajectory(path: str | Path) -> Trajectory:
@@ -129,20 +130,15 @@ def open_trajectory(path: str | Path) -> Trajectory:
     """
     path = Path(path)
     arrays = read_arrays(path, *(key for key in REQUIRED if key != "positions"), optional=("volume", "mass"))
-    return _checked({**arrays, "positions": open_frames(path, "positions")}, path, lazily=True)
+    with naming(path):
+        return _checked({**arrays, "positions": open_frames(path, "positions")}, lazily=True)
 
 
-def _checked(arrays: Mapping[str, NDArray[Any]], path: Path, *, lazily: bool = False) -> Trajectory:
-    """The trajectory of these arrays of the file `path`. Raises InputError."""
-
-    def require(ok: bool, key: str, expected: str, got: object = "others") -> None:
-        if not ok:
-            raise InputError(f"expected {expected}, got {got}", where=str(path), key=key)
-
+def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Trajectory:
+    """The trajectory of these arrays. Raises InputError, which names the key."""
     for key in REQUIRED:
-        if key not in arrays:
-            raise InputError("expected an array, the key is missing", where=str(path), key=key)
-    positions, scene = arrays["positions"], scene_in(arrays["scene"], path)
+        require(key in arrays, key, "an array", "none: the key is missing")
+    positions, scene = arrays["positions"], Scene.from_json(str(arrays["scene"]))
     known = positions.ndim == 3 and positions.shape[2] in (2, 3) and positions.size > 0
     require(known, "positions", "shape [T, N, 2 or 3], at least one frame of one particle", positions.shape)
     frames, particles, dimension = positions.shape
@@ -165,21 +161,19 @@ def _checked(arrays: Mapping[str, NDArray[Any]], path: Path, *, lazily: bool = F
             require(is_float, key, "floating-point numbers", arrays[key].dtype)
     require(scene.dimension == dimension, "positions", f"{scene.dimension}D positions as in the scene", f"{dimension}D")
     for key in ("velocity0",) if lazily else ("velocity0", "positions"):
-        require(bool((np.abs(arrays[key]) < FARTHEST).all()), key, "finite numbers")
+        require(bool((np.abs(arrays[key]) < FARTHEST).all()), key, "finite numbers", "others")
     time, friction, volume, mass = arrays["time"], arrays["friction"], arrays.get("volume"), arrays.get("mass")
     ascending = np.isfinite(time).all() and time[0] >= 0.0 and (np.diff(time) > 0.0).all()
-    require(bool(ascending), "time", "ascending times of at least 0 s")
-    require(bool((np.isfinite(friction) & (friction >= 0.0)).all()), "friction", "tan(phi) of at least 0")
+    require(bool(ascending), "time", "ascending times of at least 0 s", "others")
+    require(bool((np.isfinite(friction) & (friction >= 0.0)).all()), "friction", "tan(phi) of at least 0", "others")
     if volume is not None:
-        require(bool((np.isfinite(volume) & (volume > 0.0)).all()), "volume", "positive volumes")
+        require(bool((np.isfinite(volume) & (volume > 0.0)).all()), "volume", "positive volumes", "others")
     if mass is not None:
         whole = np.issubdtype(mass.dtype, np.integer) and mass.shape == (particles,)
         known = bool(whole and mass.min() >= 0 and mass.max() < len(scene.masses))
-        require(known, "mass", f"the index of one of {len(scene.masses)} masses for each of {particles} particles")
-    try:
-        summary = json_object(str(arrays["summary"])) if "summary" in arrays else {}
-    except InputError as error:
-        raise InputError(error.message, where=str(path), key="summary") from None
+        expected = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"
+        require(known, "mass", expected, "others")
+    summary = json_object(str(arrays.get("summary", "{}")), "summary")
     return Trajectory(
         positions=positions if lazily and positions.dtype == np.float32 else np.asarray(positions, np.float32),
         scene=scene,
@@ -221,12 +215,5 @@ def trajectory_files(folder: Path) -> list[Path]:
 
 def stored_scene(path: Path) -> Scene:
     """The scene of a saved trajectory, without reading its positions. Raises InputError."""
-    return scene_in(read_arrays(path, "scene")["scene"], path)
-
-
-def scene_in(array: NDArray[Any], path: Path) -> Scene:
-    """The scene in the array `scene` of the NPZ at `path`. Raises InputError."""
-    try:
-        return Scene.from_json(str(array))
-    except InputError as error:
-        raise error.at(str(path)) from None
+    with naming(path):
+        return Scene.from_json(str(read_arrays(path, "scene")["scene"]))

@@ -111,9 +111,7 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
         ),
         "floor_friction": Quantity([coefficient(scene.floor_friction)]),
         "wall_friction": Quantity([coefficient(scene.wall_friction)]),
-        "baffle_friction": Quantity(
-            [coefficient(scene.baffle_friction if each.friction is None else each.friction) for each in baffles]
-        ),
+        "baffle_friction": Quantity([coefficient(scene.friction_of(each)) for each in baffles]),
         "channel": lengths([scene.channel.width] if scene.channel else ()),
         "ground_friction": Quantity(roughness),
         "ground_deg": Quantity(steepness, "deg", below=False),

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import qmc
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.field import FRICTION
-from datasets.geometry.shapes import require
 from datasets.scene import Scene
 from inverse.observations import KINDS, build
 from inverse.parameters import Parameter, known_names, with_kinds

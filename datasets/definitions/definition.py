@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from datasets.definitions.held_out import is_held_out
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.scene import Scene
 
 TRIES = 200
@@ -80,10 +80,8 @@ class Definition:
         scene depends on another.
         """
         count = self.size if count is None else count
-        if not 1 <= count <= self.size:
-            raise InputError(f"expected 1 to {self.size} trajectories of {self.name}, got {count}", key="count")
-        if seed < 0:
-            raise InputError(f"expected an integer of at least 0, got {seed}", key="seed")
+        require(1 <= count <= self.size, "count", f"1 to {self.size} trajectories of {self.name}", count)
+        require(seed >= 0, "seed", "an integer of at least 0", seed)
         return tuple(
             Entry(
                 split=self.split(index),

@@ -1,14 +1,4 @@
-"""A user's own definition: a scene in TOML in which any number may be a distribution (docs/formats.md).
-
-| table in place of a value | drawn |
-|---|---|
-| `{ uniform = [a, b] }` | between a and b; with `step`, a + k step |
-| `{ log_uniform = [a, b] }` | its logarithm uniform |
-| `{ normal = [mean, deviation] }` | Gaussian |
-| `{ integer = [a, b] }` | a whole number from a to b |
-| `{ choice = [...] }` | one of these, each as likely |
-| `{ variable = "name" }` | a number of `[variables]`, drawn once a scene; times `factor`, plus `offset` |
-"""
+"""A user's own definition: a scene in TOML in which any number may be a distribution, those of docs/formats.md."""
 
 import re
 from collections.abc import Mapping
@@ -20,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from datasets.definitions.definition import Definition, Split
-from datasets.errors import InputError, OutOfRange
+from datasets.errors import InputError, OutOfRange, naming, require
 from datasets.library import scene_from
 from datasets.records import Record, dotted, from_mapping, read_toml
 from datasets.scene import TOLERANCE, Scene, keyed
@@ -63,8 +53,7 @@ class DefinitionFile(Record):
 
     def __post_init__(self) -> None:
         for key, minimum in (("count", 1), ("split_period", 3), ("baffle_gap", 0.0)):
-            if getattr(self, key) < minimum:
-                raise InputError(f"expected at least {minimum}, got {getattr(self, key)}", key=key)
+            require(getattr(self, key) >= minimum, key, f"at least {minimum}", getattr(self, key))
 
 
 def definition_from_file(path: Path) -> Definition:
@@ -72,19 +61,15 @@ def definition_from_file(path: Path) -> Definition:
     if not NAME.fullmatch(path.stem):
         expected = "expected a file name of letters, digits, - and _, which names the trajectories"
         raise InputError(expected, where=str(path))
-    try:
+    with naming(path):
         content = from_mapping(DefinitionFile, read_toml(path))
 
-        def draw(stream: np.random.Generator, _: int) -> Scene:
-            try:
-                return draw_scene(content, stream, path.parent)
-            except InputError as error:
-                raise error.at(str(path)) from None
+    def draw(stream: np.random.Generator, _: int) -> Scene:
+        with naming(path):
+            return draw_scene(content, stream, path.parent)
 
-        # A mistake is found before anything is simulated.
-        draw(np.random.default_rng([0, 0]), 0)
-    except InputError as error:
-        raise error if error.where else error.at(str(path)) from None
+    # A mistake is found before anything is simulated.
+    draw(np.random.default_rng([0, 0]), 0)
     held_out = {1: Split.VALID, 2: Split.TEST}
     return Definition(
         name=path.stem,
@@ -127,9 +112,9 @@ def drawn(value: Any, stream: np.random.Generator, variables: Draws, key: Key) -
             where = (*key, number)
             given = each.get("count", 1) if isinstance(each, Mapping) else 1
             repeats = drawn(given, stream, variables, (*where, "count"))
-            if not isinstance(repeats, int) or not 0 <= repeats <= MOST_COPIES:
-                expected = f"expected a whole number of at least 0, up to {MOST_COPIES}"
-                raise InputError(f"{expected}, got {repeats!r}", key=dotted((*where, "count")))
+            counts = isinstance(repeats, int) and 0 <= repeats <= MOST_COPIES
+            expected = f"a whole number of at least 0, up to {MOST_COPIES}"
+            require(counts, dotted((*where, "count")), expected, repr(repeats))
             items += [drawn(each, stream, variables, where) for _ in range(repeats)]
         return items
     return value
@@ -137,34 +122,29 @@ def drawn(value: Any, stream: np.random.Generator, variables: Draws, key: Key) -
 
 def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator, variables: Draws, key: Key) -> Any:
     """A draw from one distribution. Raises InputError."""
-
-    def require(ok: bool, expected: str, got: object = value) -> None:
-        if not ok:
-            raise InputError(f"expected {expected}, got {got}", key=dotted((*key, kind)))
-
-    given = value[kind]
+    given, where = value[kind], dotted((*key, kind))
     extra = value.keys() - OPTIONS[kind] - {kind}
-    require(not extra, f"no other key beside it than {sorted(OPTIONS[kind]) or 'it'}", ", ".join(sorted(extra)))
+    require(not extra, where, f"no other key beside it than {sorted(OPTIONS[kind]) or 'it'}", ", ".join(sorted(extra)))
     if kind == "choice":
-        require(isinstance(given, list) and len(given) > 0, "a list of values")
+        require(isinstance(given, list) and len(given) > 0, where, "a list of values", value)
         return drawn(given[int(stream.integers(len(given)))], stream, variables, key)
     if kind == "variable":
-        require(given in variables, f"one of the variables {sorted(variables)}", repr(given))
+        require(given in variables, where, f"one of the variables {sorted(variables)}", repr(given))
         if not OPTIONS[kind] & value.keys():
             return variables[given]
         return rounded(variables[given] * value.get("factor", 1.0) + value.get("offset", 0.0))
     numbers = isinstance(given, list) and len(given) == 2 and all(type(each) in (int, float) for each in given)
-    require(numbers, "two numbers")
+    require(numbers, where, "two numbers", value)
     low, high = given
-    require(kind == "normal" or low <= high, "the smaller number first")
-    require(kind != "log_uniform" or low > 0, "positive numbers")
-    require(kind != "integer" or all(type(each) is int for each in given), "two whole numbers")
-    require(all(abs(each) <= LARGEST for each in given), f"numbers within {LARGEST:g}")
+    require(kind == "normal" or low <= high, where, "the smaller number first", value)
+    require(kind != "log_uniform" or low > 0, where, "positive numbers", value)
+    require(kind != "integer" or all(type(each) is int for each in given), where, "two whole numbers", value)
+    require(all(abs(each) <= LARGEST for each in given), where, f"numbers within {LARGEST:g}", value)
     if kind == "integer":
         return int(stream.integers(low, high, endpoint=True))
     if "step" in value:
-        require(type(value["step"]) in (int, float) and value["step"] > 0.0, "a positive step")
-        require((high - low) / value["step"] <= LARGEST, "a step that is no smaller beside the range")
+        require(type(value["step"]) in (int, float) and value["step"] > 0.0, where, "a positive step", value)
+        require((high - low) / value["step"] <= LARGEST, where, "a step that is no smaller beside the range", value)
         steps = int((high - low) / value["step"] + 1e-9)
         return rounded(low + value["step"] * int(stream.integers(steps, endpoint=True)))
     if kind == "log_uniform":

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from datasets.command_line import run
 from datasets.definitions.definition import Entry, Split
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.exchange import geoelements
 from datasets.exchange.geoelements import Sand
 from datasets.files import read_json, write_json
@@ -113,16 +113,12 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
         # They may describe a larger box for rollouts than for training.
         purpose = content.get("rollout" if split is Split.TEST else "train", content)
         known = {key: purpose[key] for key in ForeignMetadata.__dataclass_fields__ if key in purpose}
-        try:
+        with naming(source / "metadata.json"):
             foreign = from_mapping(ForeignMetadata, known)
-        except InputError as error:
-            raise error.at(str(source / "metadata.json")) from None
         flows = tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True)
         for index, (name, sand) in enumerate(flows):
-            try:
+            with naming(path, name):
                 flow = trajectory_of(sand, scene, foreign, up)
-            except InputError as error:
-                raise InputError(error.message, where=str(path), key=name) from None
             flow.save(out / split.value / f"{index:05d}.npz")
             entries.append(Entry(split=split, name=f"{index:05d}", scene=flow.scene))
             if split is entries[0].split:

@@ -1,8 +1,6 @@
 """The layout of geoelements/gns: NPZ of pickled object arrays, sand and obstacles in one cloud of particles, no scene.
 
-A split is one file (`train.npz`, `valid.npz`, `test.npz`); each of its keys holds an object array `(positions
-[T, N, D], types [N] or one, material [N] or one)`, the last of which may be missing. Older files hold all trajectories
-in one array, `gns_data`; such a file cannot be read one trajectory at a time.
+What stands in their files: docs/exchange.md. Older ones, all of one array `gns_data`, are read as a whole.
 """
 
 import io
@@ -19,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.arrays import keys, open_npz, read_member
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.files import reading, replacing
 from datasets.scene import Baffle
 from datasets.trajectory import Trajectory
@@ -99,36 +97,32 @@ def checked(positions: Any, types: Any, material: Any) -> Sand:
     all.
     """
 
-    def require(ok: bool, expected: str, got: object) -> None:
-        if not ok:
-            raise InputError(f"expected {expected}, got {got}")
-
     def numbers(value: Any, what: str, kinds: str) -> NDArray[Any]:
         array = np.asarray(value)
-        require(array.dtype.kind in kinds, f"{what} as {'integers' if kinds == 'iu' else 'numbers'}", array.dtype)
+        require(array.dtype.kind in kinds, "", f"{what} as {'integers' if kinds == 'iu' else 'numbers'}", array.dtype)
         return array
 
     positions = numbers(positions, "positions", "f")
     expected = "positions of shape [T, N, 2 or 3] over two frames or more"
     known = positions.ndim == 3 and positions.shape[2] in (2, 3) and len(positions) > 1 and positions.shape[1] > 0
-    require(known, expected, positions.shape)
-    require(bool((abs(positions) < FARTHEST).all()), f"positions within {FARTHEST:g} m", "others, or nan")
+    require(known, "", expected, positions.shape)
+    require(bool((abs(positions) < FARTHEST).all()), "", f"positions within {FARTHEST:g} m", "others, or nan")
     count = positions.shape[1]
     types = numbers(types, "types", "iu")
-    require(types.shape in ((), (count,)), f"one type for all particles or for each of {count}", types.shape)
+    require(types.shape in ((), (count,)), "", f"one type for all particles or for each of {count}", types.shape)
     found = sorted(set(types.ravel().tolist()))
-    require(set(found) <= set(ParticleType), f"particle types of {sorted(map(int, ParticleType))}", found)
+    require(set(found) <= set(ParticleType), "", f"particle types of {sorted(map(int, ParticleType))}", found)
     sand = np.broadcast_to(types == ParticleType.SAND, (count,))
-    require(bool(sand.any()), "sand that moves", "obstacles alone")
+    require(bool(sand.any()), "", "sand that moves", "obstacles alone")
     if material is None:
         return positions[:, sand], None
     values = numbers(material, "material properties", "iuf")
-    require(bool((abs(values) < STEEPEST).all()), "a material property that is a tan(phi)", "other numbers")
+    require(bool((abs(values) < STEEPEST).all()), "", "a material property that is a tan(phi)", "other numbers")
     if values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]
     moving = int(sand.sum())
     expected = f"one material property, tan(phi), for all particles or for each of {count}"
-    require(values.shape in ((), (count,), (moving,)), expected, values.shape)
+    require(values.shape in ((), (count,), (moving,)), "", expected, values.shape)
     return positions[:, sand], np.broadcast_to(values[sand] if values.shape == sand.shape else values, moving)
 
 

@@ -16,10 +16,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.geometry.closed import Body, check_simple, manifold, outward, sliced
 from datasets.geometry.ground import TOUCHING, Floats, elevation, interpolated, plan_axes
-from datasets.geometry.shapes import FARTHEST, check_grid, check_shape, require
+from datasets.geometry.shapes import FARTHEST, check_grid, check_shape
 from datasets.memory import require as require_memory
 from datasets.scene import Domain, Mass, Scene, Solid, keyed
 
@@ -82,8 +82,7 @@ def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, ke
         found = layer(mass, domain, ground, share, key)
     else:
         found = (polygon if mass.kind == "polygon" else mesh)(mass, share, key)
-    if not len(found.lattice):
-        raise InputError(f"expected a body that a lattice of {share:g} m puts particles into, it has none", key=key)
+    require(len(found.lattice) > 0, key, f"a body that a lattice of {share:g} m puts particles into", "one without")
     return found
 
 
@@ -149,8 +148,7 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
     places, _ = lattice_in(plan.lower, plan.upper, 0.5 * share)
     places = places[plan.contains(places)]
     thickness = plan.thickness(places)
-    if not thickness.any():
-        raise InputError("expected a layer with some thickness in the box, it has none", key=f"{key}.thickness")
+    require(bool(thickness.any()), f"{key}.thickness", "a layer with some thickness in the box", "none")
     floor = elevation(ground, domain, places)[thickness > 0.0]
     top = floor + thickness[thickness > 0.0]
     fits = top.max() <= domain.size[1] + TOUCHING
@@ -204,14 +202,12 @@ class Plan:
         outline = None if mass.outline is None else np.array(mass.outline)
         if outline is not None:
             lower, upper = np.maximum(lower, outline.min(axis=0)), np.minimum(upper, outline.max(axis=0))
-        if (upper <= lower).any():
-            raise InputError("expected a layer that lies in the box, in plan it does not", key=key)
+        require(bool((upper > lower).all()), key, "a layer that lies in the box", "one that in plan does not")
         self.region = shapely.box(*lower, *upper) if spatial else None
         if self.region is not None and outline is not None:
             check_simple(outline, f"{key}.outline")
             self.region = self.region.intersection(shapely.Polygon(outline))
-            if self.region.area <= 0.0:
-                raise InputError("expected an outline that lies in the box", key=f"{key}.outline")
+            require(self.region.area > 0.0, f"{key}.outline", "an outline that lies in the box", "one outside")
             lower, upper = np.array(self.region.bounds).reshape(2, 2)
         shapely.prepare(self.region)
         self.lower: Floats = lower

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats, Integers, grid_triangles, ground_grid
 from datasets.scene import Domain, Solid
 
@@ -86,9 +86,8 @@ def check_simple(points: Floats, key: str) -> None:
         got = f"{points[where].tolist()} twice (the last joins the first by itself)"
         raise InputError(f"expected different vertices, got {got}", key=f"{key}[{where}]")
     polygon = Polygon(points)
-    if not polygon.is_valid:
-        reason = shapely.is_valid_reason(polygon)
-        raise InputError(f"expected a polygon that does not cross or touch itself, got one with {reason}", key=key)
+    reason = shapely.is_valid_reason(polygon)
+    require(polygon.is_valid, key, "a polygon that does not cross or touch itself", f"one with {reason}")
 
 
 def outward(vertices: Floats, triangles: Integers, key: str) -> Integers:
@@ -96,9 +95,8 @@ def outward(vertices: Floats, triangles: Integers, key: str) -> Integers:
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     _, number = np.unique(edges, axis=0, return_counts=True)
     opened, shared = int((number == 1).sum()), int((number > 2).sum())
-    if opened or shared:
-        fault = f"{opened} open edges" if opened else f"{shared} edges of more than two triangles"
-        raise InputError(f"expected a closed surface, got one with {fault}", key=key)
+    fault = f"{opened} open edges" if opened else f"{shared} edges of more than two triangles"
+    require(opened == shared == 0, key, "a closed surface", f"one with {fault}")
     if manifold(vertices, triangles).status() != manifold3d.Error.NoError:
         raise InputError("expected a closed surface whose triangles all face the same way", key=key)
     a, b, c = np.moveaxis(vertices[triangles], 1, 0)

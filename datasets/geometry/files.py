@@ -1,16 +1,7 @@
 """The files that a scene in TOML names, made part of it: a scene is complete without them.
 
-| key | of | becomes |
-|---|---|---|
-| `file` | terrain in 2D, a CSV | `points`, a column `friction` |
-| `file` | terrain in 3D, a raster | `origin`, `spacing` and `heights`, `corner` and `crs` |
-| `thickness` = a raster's path | layer in 3D | `origin`, `spacing` and rows of thicknesses |
-| `file` | mesh, a mass too | `vertices`, `triangles` |
-| `scale`, `at` | of a mesh, of any of these | nothing: they say how to read it |
-
-Rasters are ESRI ASCII or GeoTIFF. Plan coordinates are x, to the east, and z, to the north. A raster's values stand at
-the centres of its cells; by default the lower left corner of a terrain's extent becomes the corner x = 0, z = 0 of the
-box, and a thickness lies beside the terrain.
+Which keys name them, and what they become: docs/formats.md, "Solids and bodies". A raster's values stand at the centres
+of its cells; x runs to the east, z to the north.
 """
 
 import io
@@ -21,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.files import file_size, read_columns, reading
 from datasets.geometry.closed import outward
 from datasets.geometry.ground import BEYOND, Floats, Integers
-from datasets.geometry.shapes import require, usual
+from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 
 Entry = dict[str, Any]
@@ -49,14 +40,10 @@ def with_files(data: Entry, folder: Path) -> Entry:
 
     folder: where relative paths begin. What is wrong with other keys is left to the scene's own checks.
     """
-    reader = Reader(data, folder)
-    new = dict(data)
+    reader, new = Reader(data, folder), dict(data)
     for group in ("solids", "masses"):
         if isinstance(data.get(group), list):
-            new[group] = list(data[group])
-            for index, entry in enumerate(new[group]):
-                if isinstance(entry, dict) and isinstance(entry.get("kind", ""), str):
-                    new[group][index] = reader.complete(entry, f"{group}[{index}]")
+            new[group] = [reader.complete(entry, f"{group}[{index}]") for index, entry in enumerate(data[group])]
     return new
 
 
@@ -72,8 +59,10 @@ class Reader:
         self.cell = float(cell) if isinstance(cell, int | float) else 0.0
         self.offset: tuple[float, float] | None = None
 
-    def complete(self, entry: Entry, key: str) -> Entry:
-        """A solid or a mass with what its files hold."""
+    def complete(self, entry: Any, key: str) -> Any:
+        """A solid or a mass with what its files hold; what is neither as it is."""
+        if not isinstance(entry, dict) or not isinstance(entry.get("kind", ""), str):
+            return entry
         entry, kind = dict(entry), entry.get("kind", "box")
         if key.startswith("masses") and kind != "box":
             refuse(entry, ("lower", "size"), key, f"no such key of a {kind}")
@@ -189,22 +178,16 @@ def read_raster(path: Path) -> Raster:
             georeferenced = not file.transform.is_identity
             transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
             masked = file.read(1, masked=True).astype(np.float64)
-    if not np.isfinite(tuple(transform)).all():
-        raise InputError("expected a raster that lies at finite coordinates")
-    if bands != 1:
-        raise InputError(f"expected a raster of one band, got {bands}")
-    if unit is not None and unit.lower() not in METRES:
-        raise InputError(f"expected elevations in metres, the raster says {unit!r}")
+    require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
+    require(bands == 1, "", "a raster of one band", bands)
+    require(unit is None or unit.lower() in METRES, "", "elevations in metres", repr(unit))
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
-    if name.lower() not in METRES:
-        raise InputError(f"expected a projected coordinate system in metres, got one in {name}")
-    if not georeferenced:
-        raise InputError("expected a raster that says where it lies and how large its cells are, this one does not")
-    if transform.b != 0.0 or transform.d != 0.0 or transform.a <= 0.0 or transform.e >= 0.0:
-        raise InputError("expected a raster with north up, got one that is turned or mirrored")
+    require(name.lower() in METRES, "", "a projected coordinate system in metres", f"one in {name}")
+    require(georeferenced, "", "a raster that says where it lies and how large its cells are", "one that does not")
+    northwards = transform.b == transform.d == 0.0 and transform.a > 0.0 > transform.e
+    require(northwards, "", "a raster with north up", "one that is turned or mirrored")
     rows, columns = masked.shape
-    if min(rows, columns) < 2:
-        raise InputError(f"expected at least 2 x 2 values, got {rows} x {columns}")
+    require(min(rows, columns) >= 2, "", "at least 2 x 2 values", f"{rows} x {columns}")
     values = masked.filled(np.nan)
     values[~np.isfinite(values)] = np.nan
     return Raster(
@@ -241,10 +224,8 @@ def read_mesh(path: Path) -> tuple[Floats, Integers]:
         for block in mesh.cells:
             if block.data.size and not 0 <= block.data.min() <= block.data.max() < len(mesh.points):
                 raise InputError(f"expected cells of the {len(mesh.points)} vertices in the file, got others")
-        if not np.isfinite(mesh.points).all():
-            raise InputError("expected vertices of finite coordinates")
+        require(bool(np.isfinite(mesh.points).all()), "", "vertices of finite coordinates", "others")
         skin = pyvista.from_meshio(mesh).extract_surface(algorithm="dataset_surface").triangulate()
         skin = skin.clean(tolerance=SAME)
-        if not skin.n_cells:
-            raise InputError("expected a mesh with triangles, it has none")
+        require(skin.n_cells > 0, "", "a mesh with triangles", "none")
         return np.asarray(skin.points, np.float64), np.asarray(skin.regular_faces, np.int64)

@@ -4,7 +4,7 @@ The sign is that of the offset along the pseudonormal of the face, edge or corne
 for every closed surface (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
 """
 
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,7 @@ INTERIOR = 1.0e-12
 """Share of a face within which a foot lies on its rim."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Nearest:
+class Nearest(NamedTuple):
     """The nearest places of a surface for N points in D dimensions."""
 
     distance: Floats
@@ -47,8 +46,7 @@ def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest
     search, portion = Search(surface), PAIRS // 50
     firsts = range(0, max(1, len(points)), portion)
     parts = [search.nearest(points[first : first + portion], within) for first in firsts]
-    names = [field.name for field in fields(Nearest)]
-    return Nearest(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+    return Nearest(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def inside(surface: Surface, points: Floats) -> NDArray[np.bool_]:

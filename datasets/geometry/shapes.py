@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Sequence
 
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.scene import Mass, Rows, Solid
 
 KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -24,12 +24,6 @@ KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
 CONTACTS = ("coulomb", "no-slip")
 FARTHEST = 1.0e9
 """Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
-
-
-def require(ok: bool, key: str, expected: str, got: object) -> None:
-    """Raise InputError where `ok` does not hold of `key`."""
-    if not ok:
-        raise InputError(f"expected {expected}, got {got}", key=key)
 
 
 def usual(number: float) -> bool:

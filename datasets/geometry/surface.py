@@ -88,16 +88,15 @@ def surface_of(scene: Scene) -> Surface | None:
 
 def solids_of(scene: Scene) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """Everything solid in `scene`, in the order of its numbers, and the keys of each."""
-    frictions = [scene.baffle_friction if each.friction is None else each.friction for each in scene.baffles]
     baffles = [
         Solid(
             lower=each.lower,
             size=each.size,
             turned_deg=each.turned_deg,
-            friction=coefficient(friction, 0.0),
-            contact="no-slip" if friction == ROUGH else "coulomb",
+            friction=coefficient(scene.friction_of(each), 0.0),
+            contact="no-slip" if scene.friction_of(each) == ROUGH else "coulomb",
         )
-        for each, friction in zip(scene.baffles, frictions, strict=True)
+        for each in scene.baffles
     ]
     return (*baffles, *scene.solids), tuple(keyed(scene, "baffles", "solids"))
 

@@ -153,9 +153,9 @@ class Surroundings:
             np.array([getattr(each, key) for each in scene.baffles], np.float32).reshape(-1, 1, scene.dimension)
             for key in ("lower", "size")
         )
-        frictions = [scene.baffle_friction if each.friction is None else each.friction for each in scene.baffles]
+        frictions = scene.floor_friction, scene.wall_friction, *map(scene.friction_of, scene.baffles)
         # Sand shears above what is rougher than itself.
-        known = [coefficient(each, 1.0) for each in (scene.floor_friction, scene.wall_friction, *frictions)]
+        known = [coefficient(each, 1.0) for each in frictions]
         return Surroundings(
             size=np.array(scene.domain.size, np.float32),
             gravity=np.array(scene.gravity_vector, np.float32),

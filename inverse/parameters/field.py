@@ -33,8 +33,8 @@ from scipy.optimize import brentq
 from scipy.sparse.linalg import splu
 from scipy.special import expit, logit
 
+from datasets.errors import require
 from datasets.field import FRICTION, VELOCITIES, Field, Grid
-from datasets.geometry.shapes import require
 from datasets.particles import initial_particles
 from datasets.scene import Scene
 from inverse.parameters import Parameter

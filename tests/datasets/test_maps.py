@@ -10,14 +10,13 @@ import rasterio
 from shapely.geometry import shape
 
 from datasets.command_line import run
-from datasets.maps import Georeference, command, maps_of, outline, write
+from datasets.field import Grid
+from datasets.maps import PlanMaps, command, maps_of, outline, write
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
 from tests import scenes
 from tests.flows import flow_of
-
-ALPS = Georeference(east=500_000.0, north=5_200_000.0, crs="EPSG:25832")
 
 
 def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[float, ...]], cell: float = 0.05) -> Scene:
@@ -81,11 +80,15 @@ def test_the_ground_of_terrain_and_baffles() -> None:
 
 def test_an_outline_is_a_disc_with_a_hole() -> None:
     """In anticlockwise and clockwise rings, closed, whose area is that of the disc to second order."""
-    cell, georeference = 0.01, Georeference(east=1000.0, north=2000.0)
-    x, z = np.meshgrid(*[(np.arange(100) + 0.5) * cell] * 2, indexing="ij")
+    grid = Grid((0.005, 0.005), (0.01, 0.01), (100, 100))
+    x, z = np.meshgrid(*grid.axes, indexing="ij")
     distance = np.hypot(x - 0.5, z - 0.4)
     values = np.maximum(0.0, np.minimum(0.3 - distance, distance - 0.05))
-    (polygon,) = outline(values, cell, georeference, 0.05).geoms
+    maps = PlanMaps(
+        grid=grid, thickness=values, start=None, depth=values, velocity=None, ground=0.0 * values,
+        threshold=0.05, volume=0.0, left=0.0, corner=(1000.0, 2000.0),
+    )  # fmt: skip
+    (polygon,) = outline(maps, values).geoms
     assert polygon.area == pytest.approx(np.pi * (0.25**2 - 0.1**2), rel=2e-3)
     assert polygon.is_valid
     assert polygon.exterior.is_ccw
@@ -96,8 +99,8 @@ def test_an_outline_is_a_disc_with_a_hole() -> None:
 def test_the_files_of_a_flow(tmp_path: Path) -> None:
     """A block at small x and large z that slides to x = 0.7."""
     flow = sliding(scene_of((1.0, 0.6, 0.5), ((0.1, 0.3, 0.35), (0.2, 0.1, 0.1))))
-    maps = maps_of(flow, 0.05, threshold=0.02)
-    write(flow, maps, tmp_path, ALPS)
+    maps = dataclasses.replace(maps_of(flow, 0.05, threshold=0.02), corner=(500_000.0, 5_200_000.0), crs="EPSG:25832")
+    write(flow, maps, tmp_path)
     names = {"thickness.tif", "depth.tif", "velocity.tif", "maps.png", "outline.geojson", "maps.json"}
     assert {path.name for path in tmp_path.iterdir()} == names
     said = json.loads((tmp_path / "maps.json").read_text())
