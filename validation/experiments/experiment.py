@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
-from datasets.geometry.shapes import require
+from datasets.errors import InputError, require
 from datasets.library import read_scene
 from datasets.measures import FRONT_QUANTILE, Positions, front, height_profile, profile_stations
 from datasets.particles import particle_volumes
