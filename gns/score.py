@@ -192,10 +192,12 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
     text = "\n".join(lines)
     print(text)
     if described is not None:
-        found = {}
+        scores: dict[str, list[Score]] = {}
         for dataset in datasets:
             valid = flows_of(dataset, "valid", settings, progress=True)
-            found[dataset.name] = calibrated(evaluate(loaded.simulator, valid))
+            # Folders of a name are parts of one dataset.
+            scores.setdefault(dataset.name, []).extend(evaluate(loaded.simulator, valid))
+        found = {name: calibrated(each) for name, each in scores.items()}
         card.write(path, dataclasses.replace(described, scores=text).keeping(found))
         print(f"bands by {sum(each.flows for each in found.values())} flows are on {card.card_path(path)}")
 

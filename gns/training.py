@@ -123,9 +123,12 @@ def fit(
         if first:
             stack.enter_context(locked(out))
         flows, valid = load(datasets, model, training, progress=first)
-        scenes = {
-            path.name: [open_trajectory(each).scene for each in trajectory_files(path / "train")] for path in datasets
-        }
+        scenes: dict[str, list[Scene]] = {}
+        for path in datasets:
+            # Folders of a name are parts of one dataset.
+            scenes.setdefault(path.name, []).extend(
+                open_trajectory(each).scene for each in trajectory_files(path / "train")
+            )
         torch.manual_seed(seed)
         if training.correct and begin is None:
             raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
