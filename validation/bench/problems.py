@@ -186,9 +186,10 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
 
 
 def made_of(problem: Problem) -> str:
-    """Digest of the problem and of the surrogate's weights."""
-    text = repr(dataclasses.replace(problem, folder=Path()))
-    return hashlib.sha256(text.encode() + library.shipped(problem.scene.dimension).read_bytes()).hexdigest()[:16]
+    """Digest of the problem and of the weights of a surrogate that may be asked."""
+    text, asked = repr(dataclasses.replace(problem, folder=Path())), problem.surrogate is not Surrogate.NONE
+    weights = library.shipped(problem.scene.dimension).read_bytes() if asked else b""
+    return hashlib.sha256(text.encode() + weights).hexdigest()[:16]
 
 
 def is_current(problem: Problem, folder: Path) -> bool:
