@@ -72,6 +72,8 @@ class Constants:
     """The same around a surrogate's answers, and where runs for other targets are known: for half as many runs."""
     first_checks: int = 2
     """Runs at each answer of a surrogate: as many as two processors make in the time of one."""
+    local_runs: int = 16
+    """Runs around an answer, of those known from other targets, by which the scatter is known to a fifth."""
     lack_of_fit: float = 0.9
     """Quantile of the ratio of variances up to which the scatter about the emulator is that of repeated runs."""
     margin: float = 0.25

@@ -112,7 +112,16 @@ class Search:
         if self.found is None:
             few = self.guide is None or self.guide.region is None
             return None if few else Region(low=points.min(axis=0), high=points.max(axis=0))
+        if self.known and points.shape[1] <= CONSTANTS.few_parameters:
+            return self.local(points)
         return self.found.next_region if self.found.next_region.suffices(points) else self.found.region
+
+    def local(self, points: Matrix) -> Region:
+        """Around the latest samples, where runs at points [n, U] scatter as the target does: known ones lie anywhere."""
+        region = Region.around(self.posterior.plausible)
+        while np.sum(region.inside(points)) < min(CONSTANTS.local_runs, len(points)):
+            region = region.wider()
+        return region
 
     def target_so_far(self) -> Target:
         """The target; of a design the smallest number that is expected at any of the runs so far."""
