@@ -117,7 +117,7 @@ class Search:
         return self.found.next_region if self.found.next_region.suffices(points) else self.found.region
 
     def local(self, points: Matrix) -> Region:
-        """Around the latest samples, where runs at points [n, U] scatter as it does: those known before lie anywhere."""
+        """Around the latest samples, where runs at points [n, U] scatter alike: those known before lie anywhere."""
         region = Region.around(self.posterior.plausible)
         while np.sum(region.inside(points)) < min(CONSTANTS.local_runs, len(points)):
             region = region.wider()
