@@ -11,17 +11,15 @@ resolve are far above s and count linearly only: they would drown the flow other
 | s      | `scale`            | a share of the accelerations per step [m]  |
 """
 
-import itertools
 from collections.abc import Iterable
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from datasets import measures
 from gns.correction import length_of
-from gns.samples import Batch, Ends
-from gns.settings import UP, TrainingSettings
+from gns.samples import Batch, Ends, measured
+from gns.settings import TrainingSettings
 from gns.simulator import Simulator
 from gns.unroll import step_activation_bytes, unroll
 
@@ -53,21 +51,6 @@ class UnrolledLoss(nn.Module):
         kept = int(self.memory / (self._particle_bytes * particles))
         positions = unroll(self.simulator, state, conditions, len(batch.targets), kept_steps=kept)
         return rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
-
-
-def measured(x: Tensor, volume: Tensor) -> Tensor:
-    """`gns.samples.measured`, differentiably: of particles along one axis, x [m] and volume of shape [n]."""
-    whole, (ascending, order) = volume.sum(), x.sort()
-    passed = volume[order].cumsum(dim=0)
-    middle = passed - 0.5 * volume[order]
-    found = []
-    for side, turned in ((1.0, ascending), (-1.0, -ascending.flip(0))):
-        weights = measures.tail_weights(volume[order if side > 0.0 else order.flip(0)].cpu().numpy())
-        found.append(torch.from_numpy(weights).to(x) @ turned)
-    share = (torch.arange(measures.SHARES).to(volume) + 0.5) / measures.SHARES * whole
-    after = torch.searchsorted(middle, share).clamp(1, len(x) - 1)
-    part = ((share - middle[after - 1]) / (middle[after] - middle[after - 1])).clamp(0.0, 1.0)
-    return torch.cat((torch.stack(found), torch.lerp(ascending[after - 1], ascending[after], part)))
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
@@ -115,14 +98,13 @@ class EndLoss(nn.Module):
         conditions = batch.conditions
         positions = batch.end.positions + self.simulator.end_correction(batch.state, batch.end, conditions)
         error = (positions - batch.targets[-1]) / (PLACE * length_of(self.correction.settings))
-        level, found = [axis for axis in range(positions.shape[1]) if axis != UP], []
-        for sample, axis in itertools.product(range(len(conditions.size)), level):
+        found = []
+        for sample in range(len(conditions.size)):
             own = slice(None) if conditions.batch is None else conditions.batch == sample
-            found.append(measured(positions[own, axis], conditions.volume[own]))
-        known = batch.whole.flatten(0, 1)
-        off = (torch.stack(found) - known) / known[:, :2].sum(dim=1, keepdim=True)
+            found.append(measured(positions[own], conditions.volume[own]))
+        off = (torch.stack(found) - batch.whole) / batch.whole[..., :2].sum(dim=2, keepdim=True)
         loss = functional.smooth_l1_loss(error, torch.zeros_like(error))
-        for part in (off[:, :2] / END, off[:, 2:] / SHARE):
+        for part in (off[..., :2] / END, off[..., 2:] / SHARE):
             loss = loss + OF_ENDS * functional.smooth_l1_loss(part, torch.zeros_like(part))
         return loss
 

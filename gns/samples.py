@@ -14,7 +14,7 @@ from torch import Tensor
 from datasets import measures
 from datasets.errors import InputError
 from datasets.training.samples import Flow, Flows, Sample, cut, load_flows, reflected
-from datasets.trajectory import Floats, open_trajectory
+from datasets.trajectory import open_trajectory
 from gns.initial import conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings
 from gns.simulator import Normalisation, Simulator
@@ -199,21 +199,30 @@ class Rollouts(Sampler):
             (
                 dataclasses.replace(sample, targets=sample.targets[step - 1 : step]),
                 State(positions=positions[step].clone(), displacements=moved[step : step + settings.history].clone()),
-                measured(whole.targets[step - 1], whole.volume),
+                measured(torch.from_numpy(whole.targets[step - 1]), torch.from_numpy(whole.volume)),
             )
             for step in moments
         ]
 
 
-def measured(positions: Floats, volume: Floats) -> Tensor:
-    """Of a flow along each level axis: its upper end, its lower one downwards, and the middles of equal shares of its
-    volume [m], shape [A, 2 + SHARES]; positions: [m], [N, D]."""
+def measured(positions: Tensor, volume: Tensor) -> Tensor:
+    """Ends and equal shares of a flow along each level axis [m], shape [A, 2 + SHARES], differentiably.
+
+    The end at larger coordinates, that at smaller ones times -1, and the middles of equal shares of the volume, as
+    `datasets.measures` has them along x. positions: [m], shape [N, D]; volume: of the particles [m^D], shape [N].
+    """
     found = []
     for axis in (axis for axis in range(positions.shape[1]) if axis != UP):
-        line = positions[:, [axis]]
-        rear, front = measures.ends(line, volume)
-        found.append([front, -rear, *measures.equal_shares(line, volume)])
-    return torch.tensor(found, dtype=torch.get_default_dtype())
+        x, order = positions[:, axis].sort()
+        ordered = volume[order]
+        for line, along in ((x, ordered), (-x.flip(0), ordered.flip(0))):
+            found.append((torch.from_numpy(measures.tail_weights(along.cpu().numpy())).to(x) @ line).unsqueeze(0))
+        middle = ordered.cumsum(dim=0) - 0.5 * ordered
+        share = (torch.arange(measures.SHARES).to(x) + 0.5) / measures.SHARES * ordered.sum()
+        after = torch.searchsorted(middle, share).clamp(1, len(x) - 1)
+        part = ((share - middle[after - 1]) / (middle[after] - middle[after - 1])).clamp(0.0, 1.0)
+        found.append(torch.lerp(x[after - 1], x[after], part))
+    return torch.cat(found).view(-1, 2 + measures.SHARES)
 
 
 def turned(sample: Sample, spacing: float, rng: np.random.Generator) -> Sample:

@@ -35,7 +35,7 @@ from datasets.lock import locked
 from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
 from datasets.training.samples import Flow, Flows
-from datasets.trajectory import open_trajectory, trajectory_files
+from datasets.trajectory import stored_scene, trajectory_files
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.correction import Correction
@@ -124,11 +124,9 @@ def fit(
             stack.enter_context(locked(out))
         flows, valid = load(datasets, model, training, progress=first)
         scenes: dict[str, list[Scene]] = {}
-        for path in datasets:
+        for path in datasets if first else ():
             # Folders of a name are parts of one dataset.
-            scenes.setdefault(path.name, []).extend(
-                open_trajectory(each).scene for each in trajectory_files(path / "train")
-            )
+            scenes.setdefault(path.name, []).extend(map(stored_scene, trajectory_files(path / "train")))
         torch.manual_seed(seed)
         if training.correct and begin is None:
             raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from datasets import command_line, measures
-from gns import checkpoint, losses, samples
+from gns import checkpoint
 from gns.correction import Correction, stretched
 from gns.losses import EndLoss
-from gns.samples import Rollouts, flows_of
+from gns.samples import Rollouts, flows_of, measured
 from gns.settings import TrainingSettings
 from gns.simulator import Simulator
 from gns.state import State
@@ -85,11 +85,12 @@ def test_the_gradient_of_a_corrected_end_is_that_of_differences(corrected: Simul
 def test_ends_and_equal_shares_are_the_measured_ones() -> None:
     rng = np.random.default_rng(0)
     positions, volume = rng.random((300, 3)), rng.random(300) + 0.1
-    known = samples.measured(positions, volume)
-    assert known.shape == (2, 2 + measures.SHARES)
-    for axis, row in zip((0, 2), known, strict=True):
-        found = losses.measured(torch.from_numpy(positions[:, axis]), torch.from_numpy(volume))
-        torch.testing.assert_close(found, row.double(), rtol=1e-6, atol=1e-7)
+    found = measured(torch.from_numpy(positions), torch.from_numpy(volume))
+    assert found.shape == (2, 2 + measures.SHARES)
+    for axis, row in zip((0, 2), found.numpy(), strict=True):
+        line = positions[:, [axis]]
+        rear, front = measures.ends(line, volume)
+        np.testing.assert_allclose(row, [front, -rear, *measures.equal_shares(line, volume)], rtol=1e-12)
 
 
 def run(dataset: Path, out: Path, *flags: str) -> int:

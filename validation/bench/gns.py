@@ -102,7 +102,7 @@ class Model:
 
 
 def bench(out: Path, *, quick: bool, keep: Path, model: tuple[Path, ...] = ()) -> str:
-    """Compare models with the MPM on fine cells; some fifteen minutes, most of them for the references.
+    """Compare models with the MPM on fine cells; some twenty minutes, most of them for the references.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ def nearer(led: Search, whole: Outcome) -> Outcome:
 
 
 def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) -> tuple[Search, tuple[Answer, ...]]:
-    """Runs at every answer, and where the answers move by what these show, so many times.
+    """Runs at every answer, and again where an answer moves by what these show, at most `moves` times.
 
     Then an answer is where it was checked: in a long region it would move on. again: once more, too, where the MPM does
     not confirm the first of them.

@@ -61,7 +61,10 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
     assert stored.keys() == {
         *("asked", "reason", "unknowns", "half_widths", "weight", "mpm_error", "answers", "seconds", "predictions")
     }
-    assert stored["mpm_error"]["misfit"] == pytest.approx(((factor - 1.0) * length(24.0)) ** 2, rel=0.9, abs=1e-4)
+    # By two runs there: that of a flow without scatter.
+    there = FakeMpm().run(case.problem.scene_at(np.array([own]), 0))
+    misfit = case.target.misfit(case.target.observation.observe(there))
+    assert stored["mpm_error"]["misfit"] == pytest.approx(misfit, rel=0.4, abs=3e-5)
     assert "- The surrogate found `friction_deg` = " in (tmp_path / "out" / "report.md").read_text()
 
 

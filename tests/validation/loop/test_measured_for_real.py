@@ -92,8 +92,8 @@ def test_the_demo_finds_the_angle_and_the_mpm_confirms(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "validation.demo", "--out", str(tmp_path), "--seed", "11"], check=True)
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["verdict"] == "confirmed"
-    # Fronts of one flow scatter by some 0.4 % with the jitter: the target's, and those of the two to four checks.
-    assert result["error_pct"]["front"] <= 1.0
+    # Of eight seeds 0.0 to 0.9 %: the target is a flow on smaller cells, and fronts scatter with the jitter.
+    assert result["error_pct"]["front"] <= 1.5
     found, truth = result["unknowns"]["friction_deg"], result["truth"]["friction_deg"]
     assert abs(found - truth) <= result["certainty"]["friction_deg"]
     assert result["peak_memory_mib"] < 2048.0
