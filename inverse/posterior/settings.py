@@ -68,7 +68,7 @@ class Constants:
     """Share of the emulator in the variance of the residuals, above which the region narrows."""
     converged: float = 0.15
     """Share of the emulator in the variance of the residuals, below which further runs shorten intervals little."""
-    converged_around: float = 0.5
+    converged_around: float = 0.7
     """The same around a surrogate's answers, and where runs for other targets are known: for half as many runs."""
     first_checks: int = 2
     """Runs at each answer of a surrogate: as many as two processors make in the time of one."""
@@ -92,8 +92,8 @@ class Constants:
     """Different runs in a region, for each coefficient of the trend, from which on they alone make its emulator."""
     checks: int = 4
     """Runs at an answer, whose mean is compared with the target: halves the scatter."""
-    known_checks: int = 2
-    """The same where runs for other targets are known, whose scatter is that of these."""
+    few_checks: int = 2
+    """The same where a surrogate leads, or runs for other targets are known: each run is dear, or told in advance."""
     moves: int = 2
     """Times that an answer is checked where it has moved to."""
     rounds: int = 4

@@ -87,7 +87,7 @@ def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) 
             locations = [state.task.bounds.shares(answers[0].parameters)]
         if state.left < len(locations):
             break
-        checks = CONSTANTS.known_checks if state.known else CONSTANTS.checks
+        checks = CONSTANTS.few_checks if state.known or state.guide is not None else CONSTANTS.checks
         count = min(checks, state.left // len(locations))
         state = state.ran(np.repeat(np.stack(locations), count, axis=0), Purpose.CHECK).inferred()
     return state, answers_of(state, separate(state))
