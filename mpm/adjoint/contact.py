@@ -162,19 +162,29 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
 
 @ti.func
 def jump_reverse(
-    block, scratch, affine: ti.template(), stress: ti.template(), contact: ti.template(), dt, bar, arrays: ti.template()
+    block,
+    scratch,
+    affine: ti.template(),
+    stress: ti.template(),
+    contact: ti.template(),
+    modulus,
+    dt,
+    bar,
+    arrays: ti.template(),
 ):
-    """From the bar of `jump_at_contact` to those of the grid's velocity, in `scratch`, of C and of contact.
+    """From the bar of `jump_at_contact` to those of the grid's velocity, in `scratch`, of C, contact and stress.
 
-    It depends on the stress by its sign alone.
+    Returns that of the modulus.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    numbers = ti.static(((grid_motion(scratch, arrays), affine), contact))
-    jump = ti.static([Pullback(jump_at_contact, numbers, (stress, dt, size))])[0]
-    motion_bar, contacts_bar = ti.static(jump([bar]))
+    numbers = ti.static(((grid_motion(scratch, arrays), affine), contact, stress, modulus))
+    jump = ti.static([Pullback(jump_at_contact, numbers, (dt, size))])[0]
+    motion_bar, contacts_bar, stress_bar, modulus_bar = ti.static(jump([bar]))
     for k in ti.static(range(size)):
         at = scratch + layout.foot + k
         arrays.scratch[at] = arrays.scratch[at] + motion_bar[0][k]
     add_bars(block * layout.width + features.affine, motion_bar[1], arrays)
+    add_bars(block * layout.width + features.stress, stress_bar, arrays)
     add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
+    return modulus_bar

@@ -72,14 +72,14 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     affine = [arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
     contact = contact_of(block, arrays)
     touching, zero = 0, 0.0 * stress[0]
-    jump, slip_shear_bar = zero, zero
+    jump, slip_shear_bar, modulus, modulus_bar = zero, zero, lame + 2.0 * shear, zero
     if ti.static(features.contact):
         touching = touched(block, after, scene, arrays)
         for k in ti.static(range(size)):
             arrays.scratch[scratch + layout.foot + k] = zero
         if touching == 1:
             gather_moments(grid, block, scratch, strides, arrays)
-            jump = jump_at_contact((grid_motion(scratch, arrays), affine), contact, stress, dt, size)
+            jump = jump_at_contact((grid_motion(scratch, arrays), affine), contact, stress, modulus, dt, size)
             slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays)
     gap = [arrays.state[first + features.gap] for _ in ti.static(range(corrected))]
     around = [arrays.scratch[scratch + features.density + k] for k in ti.static(range(corrected * (1 + size)))]
@@ -107,7 +107,7 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     if ti.static(features.contact):
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
         if touching == 1:
-            jump_reverse(block, scratch, affine, stress, contact, dt, jump_bar, arrays)
+            modulus_bar = jump_reverse(block, scratch, affine, stress, contact, modulus, dt, jump_bar, arrays)
     if ti.static(features.volume_correction):
         arrays.adjoints[own + features.gap] = gap_bar[0]
         add_bars(own, x_bar, arrays)
@@ -116,8 +116,8 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         rate_total = lane_sum(arrays.state[first + features.present] * rate_bar, arrays)
         arrays.sums[worker, ti.static(int(Setting.GAP_RATE))] += ti.cast(dt, ti.f64) * rate_total
         add_property_bar(block, Property.DENSITY, density_bar, arrays)
-    add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar, arrays)
-    add_property_bar(block, Property.SHEAR, moduli_bar[1] + shear_bar + slip_shear_bar, arrays)
+    add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar + modulus_bar, arrays)
+    add_property_bar(block, Property.SHEAR, moduli_bar[1] + shear_bar + slip_shear_bar + 2.0 * modulus_bar, arrays)
     strengths_bar[3] = strengths_bar[3] + limit_bar
     if ti.static(features.inertial):
         add_property_bar(block, Property.SIN_PHI_LIMIT, strengths_bar[4], arrays)

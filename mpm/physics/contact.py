@@ -9,7 +9,9 @@ solid, d: a particle's distance). With a delta of width h, that of the first row
 
 is what strains the particle: approaching the surface compresses the sand that touches it. h is a cell
 (`mpm.arrays.properties.CONTACT_WIDTH`): at half a cell particles close to a face are so stiff that a step of 0.9 is
-unstable.
+unstable. Sand that leaves a surface is strained until its pressure on it is spent, by -sigma_nn / M with the modulus
+M = lambda + 2 mu of that strain, and no further. (A rule by the sign of sigma_nn alone would let rounding decide, where
+particles that bear nothing are strained by impact and opening in one step.)
 
 **Forces.** The traction t = -sigma_nn n + q of the surface on the sand does its work on the same velocity v_f. By
 virtual power a particle gives to a node
@@ -104,14 +106,16 @@ def opening_velocity(foot: ti.template(), contact: ti.template(), dimension: ti.
 
 
 @ti.func
-def jump_at_contact(motion: ti.template(), contact: ti.template(), stress: ti.template(), dt, dimension: ti.template()):
-    """What contact adds along n to the strain increment of a particle, dt delta n . v_f [-].
+def jump_at_contact(
+    motion: ti.template(), contact: ti.template(), stress: ti.template(), modulus, dt, dimension: ti.template()
+):
+    """What contact adds along n to the strain increment of a particle, min(dt delta n . v_f, (-sigma_nn)_+ / M) [-].
 
-    Sand without pressure leaves a surface without strain.
+    modulus: M [Pa].
     """
     opening = opening_velocity(foot_velocity(motion, contact, dimension), contact, dimension)
-    separated = (normal_stress(stress, contact, dimension) >= 0.0) & (opening > 0.0)
-    return ti.select(separated, 0.0, dt * contact[Contact.DELTA] * opening)
+    pressed = maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
+    return minimum(dt * contact[Contact.DELTA] * opening, pressed / modulus)
 
 
 @ti.func
@@ -168,14 +172,14 @@ def prepare_contact(block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def strain_at_contact(block, scratch, dt, arrays: ti.template()):
+def strain_at_contact(block, scratch, modulus, dt, arrays: ti.template()):
     """Leave in `scratch` the `jump_at_contact` of each particle of a block."""
     jump = scratch + arrays.features.push
     arrays.scratch[jump] = 0.0 * arrays.state[contact_at(block, Contact.DELTA, arrays)]
     if touches(block, arrays):
         motion, stress = motion_and_stress(block, scratch, arrays)
         contact = contact_of(block, arrays)
-        arrays.scratch[jump] = jump_at_contact(motion, contact, stress, dt, arrays.features.dimension)
+        arrays.scratch[jump] = jump_at_contact(motion, contact, stress, modulus, dt, arrays.features.dimension)
 
 
 @ti.func

@@ -128,7 +128,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     strengths = strength_of(scene, block, dt, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    increment = strain_increment(block, scratch, dt, arrays)
+    increment = strain_increment(block, scratch, lame + 2.0 * shear, dt, arrays)
     opened = 0.0 * stress[0]
     if ti.static(features.volume_correction):
         remembered, bulk = arrays.state[first + features.gap], lame + shear * (2.0 / 3.0)
@@ -152,14 +152,17 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
 
 
 @ti.func
-def strain_increment(block, scratch, dt, arrays: ti.template()):
-    """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids."""
+def strain_increment(block, scratch, modulus, dt, arrays: ti.template()):
+    """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids.
+
+    modulus: M [Pa].
+    """
     features = arrays.features
     first = no_overflow(block * features.block)
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     inside = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):
-        strain_at_contact(block, scratch, dt, arrays)
+        strain_at_contact(block, scratch, modulus, dt, arrays)
         jump = arrays.scratch[scratch + features.push]
         return with_jump(inside, jump, contact_of(block, arrays), features.dimension)
     else:
