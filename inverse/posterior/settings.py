@@ -93,7 +93,7 @@ class Constants:
     checks: int = 4
     """Runs at an answer, whose mean is compared with the target: halves the scatter."""
     few_checks: int = 2
-    """The same where a surrogate leads, or runs for other targets are known: there a run is dear, here its scatter is known."""
+    """The same where a surrogate leads and a run is dear, or runs for other targets are known and with them the scatter."""
     moves: int = 2
     """Times that an answer is checked where it has moved to."""
     rounds: int = 4
