@@ -93,7 +93,7 @@ class Constants:
     checks: int = 4
     """Runs at an answer, whose mean is compared with the target: halves the scatter."""
     few_checks: int = 2
-    """The same where a surrogate leads and a run is dear, or runs for other targets are known and with them the scatter."""
+    """The same where a surrogate leads, a run being dear, or runs for other targets are known and show the scatter."""
     moves: int = 2
     """Times that an answer is checked where it has moved to."""
     rounds: int = 4
