@@ -9,9 +9,9 @@ solid, d: a particle's distance). With a delta of width h, that of the first row
 
 is what strains the particle: approaching the surface compresses the sand that touches it. h is a cell
 (`mpm.arrays.properties.CONTACT_WIDTH`): at half a cell particles close to a face are so stiff that a step of 0.9 is
-unstable. Sand that leaves a surface is strained until its pressure on it is spent, by -sigma_nn / M with the modulus
-M = lambda + 2 mu of that strain, and no further. (A rule by the sign of sigma_nn alone would let rounding decide, where
-particles that bear nothing are strained by impact and opening in one step.)
+unstable. Sand that leaves a surface, n . v_f > 0, is strained in a step by (-sigma_nn)_+ / M at most, with the modulus
+M = lambda + 2 mu of uniaxial strain: until it presses on the surface no longer. That is continuous in sigma_nn; by the
+sign of sigma_nn alone rounding would decide, where particles bear nothing.
 
 **Forces.** The traction t = -sigma_nn n + q of the surface on the sand does its work on the same velocity v_f. By
 virtual power a particle gives to a node
@@ -114,8 +114,8 @@ def jump_at_contact(
     modulus: M [Pa].
     """
     opening = opening_velocity(foot_velocity(motion, contact, dimension), contact, dimension)
-    pressed = maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
-    return minimum(dt * contact[Contact.DELTA] * opening, pressed / modulus)
+    pressure = maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
+    return minimum(dt * contact[Contact.DELTA] * opening, pressure / modulus)
 
 
 @ti.func
