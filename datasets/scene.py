@@ -348,6 +348,10 @@ class Scene(Record):
         """Friction of the faces of `baffle`: its own, else that of all baffles."""
         return self.baffle_friction if baffle.friction is None else baffle.friction
 
+    def with_cell(self, cell: float) -> "Scene":
+        """The scene on cells of another size [m]. Raises InputError unless the box is a whole number of them."""
+        return dataclasses.replace(self, domain=dataclasses.replace(self.domain, cell=cell))
+
     def with_friction_deg(self, friction_deg: float) -> "Scene":
         """The same scene, its shared material at another angle of friction [deg]."""
         return dataclasses.replace(self, material=dataclasses.replace(self.material, friction_deg=friction_deg))

@@ -171,6 +171,7 @@ def check_target(problem: "Problem") -> None:
     require(len(given) < 2, "target", "one of twin = true, trajectory and minimise = true", " and ".join(given))
     if not target.twin:
         require(not target.truth, "target.truth", "twin = true beside a truth", "none")
+        require(target.cell is None, "target.cell", "twin = true beside cells of the twin", "none")
         return
     other = target.seed >= 0 and target.seed != scene.seed
     require(other, "target.seed", f"a seed of at least 0 and other than the scene's {scene.seed}", target.seed)
@@ -178,6 +179,14 @@ def check_target(problem: "Problem") -> None:
     for name in target.truth:
         require(name in known, f"target.truth.{name}", f"one of the unknowns {', '.join(known)}", name)
     _check_scene(scene, [known[name] for name in target.truth], list(target.truth.values()), "target.truth")
+    if target.cell is not None:
+        try:
+            scene.with_cell(target.cell)
+        except InputError as error:
+            message = f"expected cells of which the box is a whole number, but {error}"
+            raise InputError(message, key="target.cell") from None
+        single = [each.kind for each in problem.observations if KINDS[each.kind].every_particle]
+        require(not single, "target.cell", "an observation other than of every particle", "".join(single))
 
 
 def check_search(problem: "Problem") -> None:

@@ -153,11 +153,15 @@ class Problem:
 
     @property
     def twin_scene(self) -> Scene:
-        """The scene of a twin experiment: the true parameters and a jitter of its own."""
-        truth = self.target.truth
+        """The scene of a twin experiment: the true parameters, a jitter and, where asked for, cells of its own.
+
+        Raises InputError for cells that do not fit.
+        """
+        truth, cell = self.target.truth, self.target.cell
         scene = with_parameters(self.scene, list(truth), list(truth.values()))
         values = np.array([each.kind.read(scene) for each in self.numbers])
-        return self.scene_at(values, self.target.seed, self.true_fields if self.fields else ())
+        twin = self.scene_at(values, self.target.seed, self.true_fields if self.fields else ())
+        return twin if cell is None else twin.with_cell(cell)
 
     @property
     def seeds(self) -> range:

@@ -107,6 +107,8 @@ class TargetSettings(Record):
     """Seed of the jitter and the noise of the twin; another one than any of the inversion's."""
     truth: dict[str, float] = field(default_factory=dict)
     """Number -> its value in the twin; the scene's own where absent."""
+    cell: float | None = None
+    """Cells of the twin [m], the scene's unless given: with others the answer has the error of the scene's cells."""
     trajectory: str | None = None
     """A trajectory (NPZ) that was observed."""
     minimise: bool = False

@@ -61,6 +61,13 @@ def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
     np.testing.assert_allclose(true, np.array([0.341, 0.812]) - 0.1)
 
 
+def test_a_twin_on_other_cells_is_the_flow_of_these() -> None:
+    problem = read_problem("friction-tall-42")
+    finer = dataclasses.replace(problem, target=dataclasses.replace(problem.target, cell=0.005))
+    assert finer.twin_scene == problem.twin_scene.with_cell(0.005)
+    assert finer.scene.domain.cell == 0.01
+
+
 def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="friction_deg") as caught:
         read_problem(written(tmp_path, GOOD.replace('"friction_deg"', '"phi"')))
@@ -80,6 +87,8 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
         ("value = 0.55", 'csv = "profile.csv"', "profile.csv"),
         ("value = 0.55\n[target]", "[target]\ntwin = true\nseed = 0", "target.seed"),
         ("value = 0.55\n[target]", "[target]\ntwin = true\ntruth = {cohesion = 3.0}", "target.truth.cohesion"),
+        ("value = 0.55\n[target]", "[target]\ntwin = true\ncell = 0.03", "target.cell"),
+        ("[target]", "[target]\ncell = 0.005", "target.cell"),
         ('"friction_deg"', '"frictoin_deg"', "unknowns[0].name"),
         ("upper = 52.0", "upper = 90.0", "unknowns[0].upper"),
         ('"column-tall-42"', '"column-tall-43"', "column-tall-43"),

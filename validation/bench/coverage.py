@@ -8,7 +8,6 @@ highest density regions, Am. Stat. 50 (1996) 120-126).
 """
 
 import dataclasses
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from datasets.records import Record, from_mapping, read_json
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.settings import Surrogate, TargetSettings
-from mpm import LAST, simulate_many
+from mpm import simulate_many
 from mpm.cluster import connected
 from validation.loop.solve import solve
 from validation.report.page import GNS, MPM, Page, Row
@@ -49,10 +48,12 @@ class Family:
     title: str
     problem: str
     """Name of a shipped problem, whose scene, numbers and observation the twins have."""
-    noise: float | str = 0.0
-    """Of each observed number, as in `inverse.settings.ObservationSettings`."""
-    finer: float = 1.0
-    """Cells of the target's flow, as a share of the scene's: what the inversion's own cells get wrong."""
+    noise: float | str | None = None
+    """Of each observed number, as in `inverse.settings.ObservationSettings`; unless given the problem's own."""
+    cell: float | None = None
+    """Cells of the inversion [m]; unless given those of the problem."""
+    finer: float | None = None
+    """Cells of the target's flow, as a share of the inversion's: what the inversion's own cells get wrong."""
     surrogate: Surrogate = Surrogate.NONE
     """Whether one leads."""
     adapted: bool = False
@@ -65,9 +66,25 @@ FAMILIES = {
     "front": Family(title="Friction, front", problem="friction-tall-42"),
     "profile": Family(title="Friction, profile", problem="friction-tall-42-profile"),
     "front-noise": Family(title="Friction, front with 1 % noise", problem="friction-short-21", noise="1%"),
-    "cohesion": Family(title="Friction and cohesion, profile", problem="cohesion-friction"),
     "front-fine": Family(title="Friction, front of half the cells", problem="friction-tall-42", finer=0.5),
     "profile-fine": Family(title="Friction, profile of half the cells", problem="friction-tall-42-profile", finer=0.5),
+    "cohesion": Family(title="Friction and cohesion, profile", problem="cohesion-friction"),
+    "cohesion-fine": Family(
+        title="Friction and cohesion, profile of half the cells to 1 mm",
+        problem="cohesion-friction",
+        noise=0.001,
+        finer=0.5,
+    ),
+    "floor": Family(title="Friction of sand and floor, profile to 1 mm", problem="floor-friction"),
+    "floor-fine": Family(
+        title="Friction of sand and floor, profile of half the cells to 1 mm", problem="floor-friction", finer=0.5
+    ),
+    "terrain": Family(
+        title="Friction and thickness on a terrain, front and heights of two thirds of the cells to 0.5 and 0.1 m",
+        problem="hillside",
+        cell=1.5,
+        finer=2.0 / 3.0,
+    ),
     "layers": Family(title="Friction of four layers, deposit", problem="slope-layers"),
     "velocities": Family(title="Velocities of ten layers, deposit", problem="velocity-layers-10"),
     "baffles": Family(title="Two baffles, toe", problem="baffles-2"),
@@ -134,9 +151,9 @@ def bench(
     twins
         Of each family, in place of 40, or 20 of velocities-gns and baffles-gns.
     only
-        Families to solve (front, profile, front-noise, cohesion, front-fine, profile-fine, layers, velocities,
-        baffles; where the surrogate leads: front-gns, velocities-gns, baffles-gns, front-adapted); the page has all
-        that there are in `keep`.
+        Families to solve (front, profile, front-noise, front-fine, profile-fine, cohesion, cohesion-fine, floor,
+        floor-fine, terrain, layers, velocities, baffles; where the surrogate leads: front-gns, velocities-gns,
+        baffles-gns, front-adapted); the page has all that there are in `keep`.
     model
         Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
     scheduler
@@ -189,35 +206,28 @@ def read_twin(path: Path) -> Twin | None:
 def solve_twin(family: Family, number: int, model: Path | None = None, threads: int | None = None) -> Twin:
     """Solve the twin of this number; model: of an adaptation; threads: of the MPM, all cores unless given."""
     simulate = simulate_many if threads is None else partial(simulate_many, threads=threads)
-    with tempfile.TemporaryDirectory() as folder:
-        problem = drawn(family, number)
-        truth = problem.target.truth
-        if family.finer != 1.0:
-            problem = with_finer_target(problem, family.finer, Path(folder))
-        found = solve(problem, simulate=simulate, model=model if family.adapted else None)
-        return located(found, truth, FIRST_SEED + number)
+    found = solve(drawn(family, number), simulate=simulate, model=model if family.adapted else None)
+    return located(found, found.problem.target.truth, FIRST_SEED + number)
 
 
 def drawn(family: Family, number: int) -> Problem:
     """The twin experiment of this number, with its truth and its jitter seeds."""
     asked, rng = read_problem(family.problem), np.random.default_rng([FIRST_SEED, number])
     truth = asked.named(asked.box.at(rng.random(len(asked.names))))
+    scene = dataclasses.replace(asked.scene, seed=int(rng.integers(2**31)))
+    if family.cell is not None:
+        scene = scene.with_cell(family.cell)
+    finer = None if family.finer is None else family.finer * scene.domain.cell
     return dataclasses.replace(
         asked,
-        scene=dataclasses.replace(asked.scene, seed=int(rng.integers(2**31))),
-        observations=tuple(dataclasses.replace(each, noise=family.noise) for each in asked.observations),
-        target=TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth),
+        scene=scene,
+        observations=tuple(
+            dataclasses.replace(each, noise=each.noise if family.noise is None else family.noise)
+            for each in asked.observations
+        ),
+        target=TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=finer),
         surrogate=family.surrogate,
     )
-
-
-def with_finer_target(problem: Problem, finer: float, folder: Path) -> Problem:
-    """The problem with the trajectory of its twin on other cells as what was observed."""
-    scene = problem.twin_scene
-    fine = dataclasses.replace(scene, domain=dataclasses.replace(scene.domain, cell=finer * scene.domain.cell))
-    (flow,) = simulate_many([fine], record=LAST)
-    flow.save(folder / "target.npz")
-    return dataclasses.replace(problem, target=TargetSettings(trajectory=str(folder / "target.npz")))
 
 
 def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:

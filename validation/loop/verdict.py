@@ -166,8 +166,8 @@ def on_coarse_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     if task.target.cell == scene.domain.cell or task.target.observation.every_particle:
         return ()
     try:
-        domain = dataclasses.replace(scene.domain, cell=2.0 * scene.domain.cell)
-        scenes = [dataclasses.replace(scene, domain=domain, seed=each.trajectory.scene.seed) for each in answer.checks]
+        coarse = scene.with_cell(2.0 * scene.domain.cell)
+        scenes = [dataclasses.replace(coarse, seed=each.trajectory.scene.seed) for each in answer.checks]
     except InputError:
         return ()
     return task.compared([answer.parameters] * len(scenes), scenes, Purpose.CELLS)
