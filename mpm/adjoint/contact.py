@@ -15,7 +15,7 @@ import taichi as ti
 
 from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.boundary import after_contact_reverse
-from mpm.adjoint.faces import depends, found_reverse
+from mpm.adjoint.faces import add_face, depends, found_reverse
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.layout import Contact, Property, Worker
 from mpm.physics.boundary import after_contact
@@ -26,11 +26,12 @@ from mpm.physics.contact import (
     present,
     sheared_traction,
     surface_force,
+    taken_by,
     touches,
 )
 from mpm.physics.grid import relaxation_factor
 from mpm.physics.transfer import property_of
-from mpm.solids.face_lookup import solid_of
+from mpm.solids.face_lookup import face_vector, solid_of
 
 
 @ti.func
@@ -49,25 +50,29 @@ def touched(block, after, scene, arrays: ti.template()):
 def solids_reverse(bar, v, mass, n, worker, arrays: ti.template()):
     """Bars of a node's velocity `v` before `mpm.physics.contact.apply_solids`, shape [D], and of its mass.
 
-    bar: of the velocity after it; n: its entry in `fixed_nodes`. Adds the bars of the held node's normal and friction.
+    bar: of the velocity after it; n: its entry in `node_holds`. Adds the bars of the holds and of their faces' normals.
     """
     features = arrays.features
-    line, mass_bar = arrays.fixed_nodes[n] - 1, 0.0 * mass
-    if line >= 0:
-        normal = ti.Vector([arrays.node_contacts[line, k] for k in ti.static(range(features.dimension))])
+    v_bar, mass_bar = bar, 0.0 * mass
+    for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
+        face, taken = taken_by(hold, v, arrays)
+        normal = face_vector(face, features.face_normal, arrays)
         if v.dot(normal) < 0.0:
-            friction = arrays.node_contacts[line, features.dimension]
-            momentum_bar = 0.0 * bar
+            friction, share = arrays.holds[hold, 1], arrays.holds[hold, 2]
+            taken_bar = 0.0 - bar
             if ti.static(arrays.layout.impulses):
-                solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
-                momentum_bar = impulse_bar(solid, worker, arrays)
-                mass_bar = momentum_bar.dot(v - after_contact(v, normal, friction))
-            v_bar, normal_bar, friction_bar = after_contact_reverse(bar - mass * momentum_bar, v, normal, friction)
-            bar = v_bar + mass * momentum_bar
+                momentum_bar = impulse_bar(solid_of(face, arrays), worker, arrays)
+                mass_bar += momentum_bar.dot(taken)
+                taken_bar = taken_bar + mass * momentum_bar
+            left_bar = (0.0 - share) * taken_bar
+            through_bar, normal_bar, friction_bar = after_contact_reverse(left_bar, v, normal, friction)
+            v_bar = v_bar + through_bar - left_bar
             for k in ti.static(range(features.dimension)):
-                arrays.node_contact_adjoints[line, k] += ti.cast(normal_bar[k], ti.f64)
-            arrays.node_contact_adjoints[line, features.dimension] += ti.cast(friction_bar, ti.f64)
-    return bar, mass_bar
+                add_face(face, features.face_normal + k, normal_bar[k], arrays)
+            arrays.hold_adjoints[hold, 1] += ti.cast(friction_bar, ti.f64)
+            whole = taken_bar.dot(v - after_contact(v, normal, friction))
+            arrays.hold_adjoints[hold, 2] += ti.cast(whole, ti.f64)
+    return v_bar, mass_bar
 
 
 @ti.func

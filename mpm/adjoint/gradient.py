@@ -62,8 +62,8 @@ class Gradient:
     """To the faces of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
     cut: float
     """Share of the bars of all particles and steps that were cut (`mpm.adjoint.tape.CUT`); 0 where it is exact."""
-    node_contacts: Floats
-    """To what nodes deep in solids know of them, `mpm.solids.obstacles.Obstacles.node_contacts`, shape [K, D + 2]."""
+    holds: Floats
+    """To the holds of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
 
     def of_mass(self, values: Floats) -> Floats:
         """What particles have, summed over those of each mass, shape [masses, ...]."""
@@ -138,7 +138,7 @@ class Gradient:
             self.stress,
             self.properties,
             self.settings,
-            *((self.faces, self.node_contacts) if len(self.faces) else ()),
+            *((self.faces, self.holds) if len(self.faces) else ()),
         )
         slopes = differences(inputs, at, "the path", step)
         flat = np.concatenate([bar.ravel() for bar in adjoints])
@@ -147,17 +147,22 @@ class Gradient:
 
 
 def solids_of(scene: Scene, base: Scene) -> tuple[Floats, Floats]:
-    """Faces of the solids of a scene, and what the nodes deep in those of `base` know of them.
+    """Faces of the solids of a scene, and its holds where `base` has some, of no share where it has none itself.
 
-    A node that is deep in one of them alone knows what it does in `base`: that it begins to be is a jump of the flow,
-    not a slope. Raises InputError where the scenes have different faces.
+    Raises InputError where the scenes have different faces.
     """
     ours, here = obstacles_in(scene), obstacles_in(base)
     if ours.faces.shape != here.faces.shape:
         raise InputError("expected solids with as many faces, a change of their number has no derivative")
-    rows, nodes = here.node_contacts.copy(), here.fixed_nodes > 0
-    both = nodes & (ours.fixed_nodes > 0)
-    rows[here.fixed_nodes[both] - 1] = ours.node_contacts[ours.fixed_nodes[both] - 1]
+    keys, our_keys = (
+        np.repeat(np.arange(len(each.node_holds) - 1), np.diff(each.node_holds)) * (len(each.faces) + 1)
+        + each.holds[:, 0].astype(np.int64)
+        for each in (here, ours)
+    )
+    rows = here.holds.copy()
+    rows[:, 2] = 0.0
+    _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
+    rows[at] = ours.holds[our_at]
     return ours.faces, rows
 
 
@@ -221,7 +226,7 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
                     settings=ours["settings"][index].copy(),
                     faces=ours["face_adjoints"][faces],
                     cut=float(ours["cut"][index]),
-                    node_contacts=ours["node_contact_adjoints"][nodes],
+                    holds=ours["hold_adjoints"][nodes],
                 )
             )
         found.append(own)

@@ -232,9 +232,9 @@ class Tape:
         return slice(first, first + int(self.batch.offsets[index, Offset.PARTICLES]))
 
     def solids(self, index: int) -> tuple[slice, slice]:
-        """Where the faces of scene `index`, and the nodes that its solids hold, lie among those of all scenes."""
+        """Where the faces of scene `index`, and its holds of nodes, lie among those of all scenes."""
         obstacles = [obstacles_in(scene) for scene in self.batch.scenes] if self.features.contact else []
-        counts = np.array([(len(each.faces), len(each.node_contacts)) for each in obstacles] or [(0, 0)] * (index + 1))
+        counts = np.array([(len(each.faces), len(each.holds)) for each in obstacles] or [(0, 0)] * (index + 1))
         first, last = counts[:index].sum(axis=0), counts[: index + 1].sum(axis=0)
         return slice(int(first[0]), int(last[0])), slice(int(first[1]), int(last[1]))
 
@@ -254,8 +254,8 @@ class Tape:
         """Bars of what the run began with for each of any number of objectives; segments are replayed once for all.
 
         flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
-        settings of each scene (`settings`), faces (`face_adjoints`) and nodes that solids hold
-        (`node_contact_adjoints`), and the share of the bars of each scene that were cut (`cut`). Raises WorkFailed
+        settings of each scene (`settings`), faces (`face_adjoints`) and holds of nodes
+        (`hold_adjoints`), and the share of the bars of each scene that were cut (`cut`). Raises WorkFailed
         where a gradient grows without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout
@@ -276,7 +276,7 @@ class Tape:
                 "adjoints": aligned((len(batch.state), layout.width, lanes), real),
                 "sums": np.zeros((len(batch.workers), len(Setting))),
                 "face_adjoints": np.zeros(batch.faces.shape),
-                "node_contact_adjoints": np.zeros(batch.node_contacts.shape),
+                "hold_adjoints": np.zeros(batch.holds.shape),
                 "impulse_adjoints": np.zeros(len(batch.impulse), real),
                 "cuts": self.cuts(per_scene).astype(real),
             }

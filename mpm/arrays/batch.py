@@ -153,9 +153,9 @@ class Batch:
             """`values` as the kernel takes them: never empty."""
             return values.astype(kind) if len(values) else np.zeros((1, *values.shape[1:]), kind)
 
-        self.faces, self.node_contacts = table(obstacles.faces, real), table(obstacles.node_contacts, real)
+        self.faces, self.holds = table(obstacles.faces, real), table(obstacles.holds, real)
         self.cell_faces, self.near_faces = table(obstacles.cell_faces, np.int32), table(obstacles.near_faces, np.int32)
-        self.fixed_nodes = table(obstacles.fixed_nodes, np.int32)
+        self.node_holds = table(obstacles.node_holds, np.int32)
 
     def add_barriers(self) -> None:
         """The lines of `barriers`, `retained` and `settling` of all scenes."""

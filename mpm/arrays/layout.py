@@ -83,7 +83,7 @@ class Offset(Column):
     RECORD = auto()  # the first of its particles in `positions`, -1 where the kernel records none
     WINDOW = auto()  # frames over which a deposit must have been at rest
     ENERGY = auto()  # its first line in `energy`
-    GEOMETRY = auto()  # its first entry in `cell_faces` and `fixed_nodes`
+    GEOMETRY = auto()  # its first entry in `cell_faces` and `node_holds`
     OBSTACLES = auto()  # how many solids stand in the box: the baffles, then the others
     OPEN = auto()  # bit k: side k of the box, x-, x+, y-, ..., is open
     SOLIDS = auto()  # whose impulses are recorded: those and, where asked for, the box's 2 D sides and the barriers

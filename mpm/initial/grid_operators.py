@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
+from datasets.geometry.surface import surface_of
 from datasets.particles import Particles
 from datasets.scene import Mass, Scene
 from mpm.arrays.layout import Contact, node_shape
@@ -107,16 +108,18 @@ class ContactOperator:
         return np.asarray(scale[:, None] * traction)
 
     def fixed_components(self, scene: Scene, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which components of `nodes`, indices of shape [n, D], solids hold, shape [n, D]: across faces along an axis
+        """Which components of `nodes`, indices of shape [n, D], solids hold by half, shape [n, D]: across faces along
 
-        that component; else all, for such a node lies deep and is in the support of the first row of particles alone.
+        an axis that component; else all, for such a node lies deep and is in the support of the first row alone.
         """
-        solids, fixed = obstacles_in(scene), np.zeros(nodes.shape, bool)
-        line = solids.fixed_nodes[np.ravel_multi_index(tuple(nodes.T), node_shape(scene.domain))]
-        normal = np.abs(solids.node_contacts[line[line > 0] - 1, : scene.dimension])
-        straight = normal.max(axis=1) > 1.0 - 1.0e-9
-        fixed[line > 0] = np.where(straight[:, None], normal > 0.5, True)
-        return fixed
+        solids, surface = obstacles_in(scene), surface_of(scene)
+        if surface is None:
+            return np.zeros(nodes.shape, bool)
+        normal = np.abs(surface.normals[solids.holds[:, 0].astype(np.int64)])
+        held = np.where((normal.max(axis=1) > 1.0 - 1.0e-9)[:, None], normal > 0.5, True) * solids.holds[:, [2]]
+        total = np.concatenate([np.zeros((1, scene.dimension)), np.cumsum(held, axis=0)])
+        node = np.ravel_multi_index(tuple(nodes.T), node_shape(scene.domain))
+        return np.asarray(total[solids.node_holds[node + 1]] - total[solids.node_holds[node]] >= 0.5 - 1.0e-9)
 
     def diagonal(self, lame: Floats, shear: Floats) -> Floats:
         """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""

@@ -26,8 +26,9 @@ particle's own stress as the multiplier and no penalty; the delta is that of an 
 **Friction.** The shear traction q is elastic until it slips, dq/dt = -mu_s delta (v_f - n (n . v_f)) with the sand's
 shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
 
-**Deep nodes.** A node deep in a solid (`mpm.solids.obstacles.FIXED_DEPTH`) is in the support of the first row alone,
-which could not keep it in balance; it is held like a node behind a wall of the box (`mpm.physics.boundary`).
+**Deep nodes.** A node deep in a solid is in the support of the first row alone, which could not keep it in balance.
+It is held like a node behind a wall of the box (`mpm.physics.boundary`), by each face k that it lies behind in part:
+v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares: `mpm.solids.obstacles`).
 
 **Position.** No particle passes a face: a displacement that crosses one ends there and goes on along it.
 """
@@ -223,26 +224,34 @@ def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.templat
 
 @ti.func
 def apply_solids(v, mass, n, worker, arrays: ti.template()):
-    """Velocity `v` [m/s] after the solids of the node with the `mass` [kg] and the entry `n` in `fixed_nodes`, [D]."""
-    features = arrays.features
-    stopped, line = after_solid(v, n, arrays), arrays.fixed_nodes[n] - 1
-    if line >= 0:
-        solid = ti.cast(arrays.node_contacts[line, features.dimension + 1], ti.i32)
-        for k in ti.static(range(features.dimension)):
-            add_impulse(solid, k, mass * (v[k] - stopped[k]), 0, worker, arrays)
-    return stopped
+    """Velocity `v` [m/s] after the holds of the node with the `mass` [kg] and the entry `n` in `node_holds`, [D]."""
+    after = v
+    for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
+        face, taken = taken_by(hold, v, arrays)
+        after = after - taken
+        for k in ti.static(range(arrays.features.dimension)):
+            add_impulse(solid_of(face, arrays), k, mass * taken[k], 0, worker, arrays)
+    return after
 
 
 @ti.func
-def after_solid(v, n, arrays: ti.template()):
+def after_solids(v, n, arrays: ti.template()):
     """Velocity `v` [m/s] as `apply_solids` leaves it, without its impulse."""
-    features = arrays.features
-    line = arrays.fixed_nodes[n] - 1
-    if line >= 0:
-        normal = ti.Vector([arrays.node_contacts[line, k] for k in ti.static(range(features.dimension))])
-        if v.dot(normal) < 0.0:
-            v = after_contact(v, normal, arrays.node_contacts[line, features.dimension])
-    return v
+    after = v
+    for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
+        _, taken = taken_by(hold, v, arrays)
+        after = after - taken
+    return after
+
+
+@ti.func
+def taken_by(hold, v, arrays: ti.template()):
+    """The face of a hold and what it takes of a velocity `v` [m/s], share_k (v - A_k v)."""
+    face, taken = ti.cast(arrays.holds[hold, 0], ti.i32), 0.0 * v
+    normal = face_vector(face, arrays.features.face_normal, arrays)
+    if v.dot(normal) < 0.0:
+        taken = arrays.holds[hold, 2] * (v - after_contact(v, normal, arrays.holds[hold, 1]))
+    return face, taken
 
 
 @ti.func

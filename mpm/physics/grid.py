@@ -178,7 +178,7 @@ def damping_terms(v, a, scene, arrays: ti.template()):
 
 @ti.func
 def geometry_node(i, j, k, scene, arrays: ti.template()):
-    """Index of node (i, j, k) in `fixed_nodes`."""
+    """Index of node (i, j, k) in `node_holds`."""
     strides = node_strides(scene, arrays)
     return arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
 

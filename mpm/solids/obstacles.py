@@ -1,4 +1,4 @@
-"""The solids in the box for the kernel: faces near cells, nodes deep inside, contact of the particles at the start.
+"""The solids in the box for the kernel: faces near cells, holds of nodes deep inside, contact at the start.
 
 Cells and nodes are numbered alike, as `mpm.arrays.access.node_strides` numbers nodes: a cell by its lowest node.
 
@@ -6,6 +6,12 @@ Cells and nodes are numbered alike, as `mpm.arrays.access.node_strides` numbers 
 F. So F can be the nearest one of a point at a distance of at most `cutoff` only where d(c, F) <= min(smallest + 2 h,
 cutoff + h), `smallest` being the distance of c from its nearest face, and a segment of length `travel` that starts in
 the cell can cut F only where d(c, F) <= h + travel.
+
+**Holds.** A node in a solid is held by every face that it lies behind and that is nearly the nearest, each with a share
+that is continuous in the place of the solid. With d_k the distance of face k, N_k its normal and n_k the direction from
+the node to its nearest point, b = `BLEND` and s a smooth step of the depth over `FADE`,
+
+    share_k = s(min d) w_k / sum_l w_l,    w_k = (n_k . N_k)_+ (1 - (d_k - min d) / b)_+^2
 """
 
 import dataclasses
@@ -28,13 +34,15 @@ Array = NDArray[Any]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-FIXED_DEPTH = 0.5
-"""Depth [cells] from which nodes in a solid are held."""
+FADE = (0.25, 0.75)
+"""Depths [cells] in a solid between which its hold of a node grows from nothing to all."""
+BLEND = 0.5
+"""Distance beyond that of the nearest face [cells] from which another one holds a node no more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Obstacles:
-    """Solids for the kernel: F faces, C cells, K nodes that are held."""
+    """Solids for the kernel: F faces, C cells, K holds of nodes."""
 
     faces: Array
     """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], number
@@ -43,10 +51,10 @@ class Obstacles:
     """Where the list of each cell begins in `near_faces`, shape [C + 1]."""
     near_faces: Array
     """The faces near the cells."""
-    fixed_nodes: Array
-    """1 + the line of each node in `node_contacts`, 0 where no solid holds it, shape [C + 1]."""
-    node_contacts: Array
-    """Of each held node the normal, friction and the number of its solid, shape [K, D + 2]."""
+    node_holds: Array
+    """Where those of each node begin in `holds`, shape [C + 1]."""
+    holds: Array
+    """Of each hold its face, the friction there [-] and its share [-], shape [K, 3]."""
 
 
 def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers, Integers]:
@@ -55,15 +63,15 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers, Integers
     Raises InputError as `datasets.geometry.surface.surface_of`.
     """
     parts = [obstacles_in(scene) for scene in scenes]
-    counts = [(len(part.cell_faces), len(part.faces), len(part.near_faces), len(part.node_contacts)) for part in parts]
+    counts = [(len(part.cell_faces), len(part.faces), len(part.near_faces), len(part.holds)) for part in parts]
     firsts = np.cumsum([(0, 0, 0, 0), *counts], axis=0)[:-1].tolist()
     lists: dict[str, list[Array]] = {field.name: [] for field in dataclasses.fields(Obstacles)}
-    for part, (_, face, near, node) in zip(parts, firsts, strict=True):
+    for part, (_, face, near, hold) in zip(parts, firsts, strict=True):
         lists["faces"].append(part.faces)
         lists["cell_faces"].append(part.cell_faces + near)
         lists["near_faces"].append(part.near_faces + face)
-        lists["fixed_nodes"].append(np.where(part.fixed_nodes > 0, part.fixed_nodes + node, 0))
-        lists["node_contacts"].append(part.node_contacts)
+        lists["node_holds"].append(part.node_holds + hold)
+        lists["holds"].append(part.holds + np.array([face, 0.0, 0.0]))
     together = Obstacles(**{name: np.concatenate(each) for name, each in lists.items()})
     return together, np.array([cell for cell, *_ in firsts]), np.array([face for _, face, *_ in firsts])
 
@@ -80,8 +88,8 @@ def obstacles_in(scene: Scene) -> Obstacles:
             faces=np.zeros((0, features_of([scene], "f32").face_columns)),
             cell_faces=none,
             near_faces=none[:0],
-            fixed_nodes=none,
-            node_contacts=np.zeros((0, scene.dimension + 2)),
+            node_holds=none,
+            holds=np.zeros((0, 3)),
         )
     return obstacles_with(surface, scene.domain, 1.0 + search_distance(scene) / scene.domain.cell)
 
@@ -90,25 +98,41 @@ def obstacles_in(scene: Scene) -> Obstacles:
 def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles:
     """The solids with `surface` in a box, listed up to `cutoff` cells from it; runs of one geometry share them."""
     cell_faces, near_faces = faces_near(domain, surface, cutoff=cutoff)
-    nodes = np.flatnonzero(np.diff(cell_faces))
-    near = nearest(surface, node_positions(domain, nodes), cutoff * domain.cell)
-    depth = -near.distance / domain.cell
-    deep = (depth >= FIXED_DEPTH * (1.0 - 1.0e-9)) & (depth <= cutoff)
-    nodes, face, normal = nodes[deep], near.face[deep], near.normal[deep]
-    fixed = np.zeros(len(cell_faces), np.int32)
-    fixed[nodes] = np.arange(1, len(nodes) + 1)
-    _, _, weights = feet(surface.corners[face], node_positions(domain, nodes))
-    corners = np.minimum(surface.friction, NO_SLIP)[face]
-    friction = np.where((corners == NO_SLIP).any(axis=1), NO_SLIP, (weights * corners).sum(axis=1))
+    node_holds, holds = holds_of(domain, surface, np.flatnonzero(np.diff(cell_faces)), cutoff=cutoff)
     count, normals = len(surface.corners), (surface.normals, surface.corner_normals, surface.edge_normals)
     described = surface.corners, *normals, np.minimum(surface.friction, NO_SLIP), surface.solid
     return Obstacles(
         faces=np.concatenate([each.reshape(count, -1) for each in described], axis=1),
         cell_faces=cell_faces,
         near_faces=near_faces,
-        fixed_nodes=fixed,
-        node_contacts=np.concatenate([normal, friction[:, None], surface.solid[face, None]], axis=1),
+        node_holds=node_holds,
+        holds=holds,
     )
+
+
+def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float) -> tuple[NDArray[np.int32], Floats]:
+    """Where the holds of each node begin, and these, of those `nodes` that are up to `cutoff` cells deep."""
+    cell = domain.cell
+    depth = -nearest(surface, node_positions(domain, nodes), cutoff * cell).distance
+    deep = (depth > FADE[0] * cell) & (depth <= cutoff * cell)
+    nodes, depth = nodes[deep], depth[deep]
+    places = node_positions(domain, nodes)
+    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64)), *Search(surface).pairs(places, depth + BLEND * cell)]
+    node, face = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = np.lexsort((face, node))
+    node, face = node[order], face[order]
+    foot, distance, corner_weights = feet(surface.corners[face], places[node])
+    behind = ((foot - places[node]) * surface.normals[face]).sum(axis=1) / distance
+    near = 1.0 - (distance - depth[node]) / (BLEND * cell)
+    weight = np.maximum(behind, 0.0) * np.maximum(near, 0.0) ** 2
+    part = np.clip((depth / cell - FADE[0]) / (FADE[1] - FADE[0]), 0.0, 1.0)
+    whole = np.maximum(np.bincount(node, weight, len(nodes)), np.finfo(float).tiny)
+    share = (part * part * (3.0 - 2.0 * part) / whole)[node] * weight
+    corners = np.minimum(surface.friction, NO_SLIP)[face]
+    friction = np.where((corners == NO_SLIP).any(axis=1), NO_SLIP, (corner_weights * corners).sum(axis=1))
+    kept = share > 0.0
+    counts = np.bincount(nodes[node[kept]] + 1, minlength=int(np.prod(node_shape(domain))) + 1)
+    return np.cumsum(counts).astype(np.int32), np.stack([face, friction, share], axis=1)[kept]
 
 
 def faces_near(

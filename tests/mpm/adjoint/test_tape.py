@@ -135,7 +135,7 @@ def test_one_scene_on_two_threads(scene: Scene, monkeypatch: pytest.MonkeyPatch)
     alone = gradient(scene, Weighted(scene), threads=1)[1]
     monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
     runs = [gradient(scene, Weighted(scene), threads=2)[1] for _ in range(2)]
-    for name in ("positions", "velocities", "stress", "properties", "settings", "faces", "node_contacts"):
+    for name in ("positions", "velocities", "stress", "properties", "settings", "faces", "holds"):
         expected, found, again = (getattr(each, name) for each in (alone, *runs))
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max(initial=1e-300))
         if not scene.baffles:
