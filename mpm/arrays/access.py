@@ -40,15 +40,24 @@ def magnitude(a):
 
 
 @ti.func
-def over_lanes(operation: ti.template(), a, arrays: ti.template()):
-    """What an operation of two numbers, `ti.min` or `ti.max`, makes of all lanes, from the first on."""
+def over_lanes(operation: ti.template(), a: ti.template(), arrays: ti.template()):
+    """What an operation of two numbers, `ti.min` or `ti.max`, makes of all lanes."""
     if ti.static(arrays.features.lanes == 1):
         return a
     else:
-        value = a[0]
-        for lane in ti.static(range(1, arrays.features.lanes)):
-            value = operation(value, a[lane])
-        return value
+        return over_range(operation, a, 0, arrays.features.lanes)
+
+
+@ti.func
+def over_range(operation: ti.template(), a: ti.template(), first: ti.template(), count: ti.template()):
+    """What it makes of the lanes [first, first + count), a power of two: in a tree, whose branches do not wait."""
+    if ti.static(count == 1):
+        return a[first]
+    else:
+        half = ti.static(count // 2)
+        return operation(
+            over_range(operation, a, first, half), over_range(operation, a, ti.static(first + half), half)
+        )
 
 
 @ti.func

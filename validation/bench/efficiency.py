@@ -2,7 +2,7 @@
 
 The paper's column of ten layers is cut into 1 to 100 blocks of unknown velocity. Gradients are compared with the
 MPM's differences averaged over `JITTERS` seeds: along the path of one run the adjoint has its corners, which the mean
-over runs has not.
+over runs has not. So has that of two baffles in 3D.
 """
 
 import dataclasses
@@ -26,11 +26,11 @@ from gns.simulator import Simulator
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
 from inverse.forward.mpm import MpmForward
-from inverse.parameters import Parameter, Vector
+from inverse.parameters import Parameter
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 from mpm import simulate_many
-from validation.bench.searches import By, Models, Searched, by_reverse, by_runs, methods, search, slope_of
+from validation.bench.searches import By, Evaluation, Models, Searched, by_reverse, by_runs, methods, search, slope_of
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, INK, ORANGE, RED, figure
 
@@ -47,8 +47,11 @@ MOST_COLUMNS = 10
 """Unknowns whose differences are run; the seconds of more are multiplied."""
 HUNDRED = "velocity-blocks-100"
 """The problem of a hundred blocks; a start of 0.75 m/s and the bounds of `velocity-layers-10`."""
+BLOCKS, BAFFLES = "blocks", "baffles-2"
+BAFFLE_STEP = 0.02
+"""Step of the differences of two baffles [m]."""
 JITTERS = 4
-"""Jitter seeds of the MPM's differences that gradients are compared with."""
+"""Jitter seeds over which gradients of the MPM are averaged."""
 LIMITS = {"friction-tall-42": 15.0, "velocity-layers-10": 40.0, HUNDRED: 50.0}
 """Seconds for each method, by problem."""
 QUICK_S, QUICK_LIMIT = 0.2, 3.0
@@ -74,15 +77,18 @@ COLOURS = {Method.SURROGATE: ORANGE, Method.ADJOINT: RED, Method.DIFFERENCES: BL
 class Gradient:
     """One gradient by one method."""
 
+    problem: str
     method: Method
     unknowns: int
     seconds: float
     columns: int
     """Unknowns whose differences were run; the seconds of the others are taken to be the same."""
     cosine: float
-    """Of the angle between it and the mean of the MPM's differences of `JITTERS` seeds, over those unknowns."""
+    """Of the angle between its mean over the jitters and that of the MPM's differences, over those unknowns."""
     length: float
-    """Over that of this mean."""
+    """Over that of the differences' mean."""
+    scatter: float
+    """Of the gradient of one jitter, rms over the length of their mean; of the surrogate, which has one, 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,8 +182,10 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     gradients = [
         each
         for number in tqdm([*CUTS][: 2 if quick else None], desc="gradients", unit="cut")
-        for each in gradients_of(blocks_problem(number, duration=duration), simulator)
+        for each in gradients_of(BLOCKS, blocks_problem(number, duration=duration), STEPS[number], simulator)
     ]
+    if not quick:
+        gradients += gradients_of(BAFFLES, read_problem(BAFFLES), BAFFLE_STEP, gns.load("obstacle3d"))
     compared = []
     for name in [*LIMITS][: 1 if quick else None]:
         problem = hundred_problem() if name == HUNDRED else read_problem(name)
@@ -193,50 +201,58 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     return page(gradients, compared, quick=quick).write(out / "efficiency.md")
 
 
-def gradients_of(problem: Problem, simulator: Simulator) -> list[Gradient]:
+def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator) -> list[Gradient]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     models = Models.build(problem, simulator)
     observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
     chosen, own = sampled(unknowns), models.mpm.select(values)
 
-    def reverse(forward: GnsForward | AdjointForward) -> tuple[float, Vector]:
-        evaluate = by_reverse(forward, forward.select(values), observation.components)
+    def reverse(*forwards: GnsForward | AdjointForward) -> list[Evaluation]:
+        found = []
         # The first one compiles kernels.
-        evaluate(problem.initial)
-        found = evaluate(problem.initial)
-        return found.seconds, slope_of(found)[chosen]
+        for forward in (forwards[0], *forwards):
+            evaluate = by_reverse(forward, forward.select(values), observation.components)
+            found.append(evaluate(problem.initial))
+        return found[1:]
 
     seeds = [problem.scene.seed, *range(20_003, 20_002 + JITTERS)]
     seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
-    moves = STEPS[unknowns] * np.eye(unknowns)[chosen]
+    moves = step * np.eye(unknowns)[chosen]
     differences = [
         by_runs(MpmForward(each, observation, simulate_many), own, observation.components, moves)(problem.initial)
         for each in seeded
     ]
     runs, whole = (1 + 2 * count for count in (len(chosen), unknowns))
-    found = {
-        Method.SURROGATE: reverse(models.surrogate),
-        Method.ADJOINT: reverse(models.adjoint),
-        Method.DIFFERENCES: (differences[0].seconds * whole / runs, slope_of(differences[0])),
-    }
-    mean = np.mean([slope_of(each) for each in differences], axis=0)
-    norm = float(np.linalg.norm(mean))
-    return [
-        Gradient(
+    adjoints = [AdjointForward(each, observation, simulate_many) for each in seeded]
+    expected = np.mean([slope_of(each) for each in differences], axis=0)
+
+    def compared(method: Method, found: Sequence[Evaluation], share: float = 1.0) -> Gradient:
+        slopes = np.stack([slope_of(each) for each in found])
+        slopes = slopes if method is Method.DIFFERENCES else slopes[:, chosen]
+        mean = slopes.mean(axis=0)
+        length, off = float(np.linalg.norm(mean)), np.linalg.norm(slopes - mean, axis=1)
+        return Gradient(
+            problem=name,
             method=method,
             unknowns=unknowns,
-            seconds=seconds,
+            seconds=found[0].seconds * share,
             columns=len(chosen) if method is Method.DIFFERENCES else unknowns,
-            cosine=float(slope @ mean / (np.linalg.norm(slope) * norm)),
-            length=float(np.linalg.norm(slope)) / norm,
+            cosine=float(mean @ expected / (length * np.linalg.norm(expected))),
+            length=length / float(np.linalg.norm(expected)),
+            scatter=float(np.sqrt(np.sum(off**2) / max(1, len(found) - 1))) / length,
         )
-        for method, (seconds, slope) in found.items()
+
+    return [
+        compared(Method.SURROGATE, reverse(models.surrogate)),
+        compared(Method.ADJOINT, reverse(*adjoints)),
+        compared(Method.DIFFERENCES, differences, whole / runs),
     ]
 
 
 def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> list[str]:
     """The price of a gradient, its direction, and who gets first to the MPM's own scatter."""
-    seconds = {method: {e.unknowns: e.seconds for e in gradients if e.method is method} for method in Method}
+    of_blocks = [each for each in gradients if each.problem == BLOCKS]
+    seconds = {method: {e.unknowns: e.seconds for e in of_blocks if e.method is method} for method in Method}
     numbers = sorted(seconds[Method.SURROGATE])
 
     def listed(values: Sequence[str]) -> str:
@@ -244,14 +260,14 @@ def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> l
 
     prices = [f"{method} {listed([f'{seconds[method][n]:.2g} s' for n in numbers])}" for method in Method]
     cosines = [
-        f"{method} {listed([f'{e.cosine:.2f}' for e in gradients if e.method is method and e.unknowns > 1])}"
+        f"{method} {listed([f'{e.cosine:.2f}' for e in of_blocks if e.method is method and e.unknowns > 1])}"
         for method in (Method.SURROGATE, Method.ADJOINT)
     ]
     sentences = [f"A gradient in {listed([f'{n:,}' for n in numbers])} unknowns: {'; '.join(prices)}."]
     if any(n > 1 for n in numbers):
         many = listed([f"{n:,}" for n in numbers if n > 1])
         sentences.append(
-            f"Cosine to the MPM's differences (mean of {JITTERS} jitters) in {many}: {'; '.join(cosines)}."
+            f"Cosine to the MPM's differences (means of {JITTERS} jitters) in {many}: {'; '.join(cosines)}."
         )
     for each in compared[: 5 - len(sentences)]:
         there = {s.by: s.seconds_to(each.level) for s in each.searches}
@@ -279,8 +295,9 @@ def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: 
         The paper's sand of ten layers, cut into blocks between its particles; the velocity of each along x is unknown.
         True ones fall from {AT_FLOOR:g} m/s at the floor to {AT_TOP:g} at the top; the gradient of the deposit's loss
         is evaluated at {FRACTION:g} of them. "≈": the differences of {MOST_COLUMNS} unknowns were run and their seconds
-        multiplied; cosine and length are over those unknowns, to the mean of the MPM's differences over {JITTERS}
-        jitters. The row of differences is that of one jitter.
+        multiplied; cosine and length are over those unknowns, of the mean over {JITTERS} jitters to that of the
+        differences; the scatter is how far the gradient of one jitter lies from this mean, over its length. Seconds are
+        those of one jitter. `{BAFFLES}`: the places of two baffles by the toe, differences of {BAFFLE_STEP:g} m.
     """)
     result.table([gradient_row(each) for each in gradients])
     result.picture(f"{PICTURES}/efficiency-unknowns.png", "seconds of a gradient over unknowns")
@@ -302,11 +319,13 @@ def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: 
 def gradient_row(each: Gradient) -> Row:
     """A line of the first table."""
     return {
+        "problem": each.problem,
         "unknowns": f"{each.unknowns:,}",
         "by": each.method,
         "seconds": f"{'≈ ' if each.columns < each.unknowns else ''}{each.seconds:.2f}",
         "cosine": f"{each.cosine:.3f}",
         "length": f"{each.length:.2f}",
+        "scatter of one jitter": "-" if each.method is Method.SURROGATE else f"{each.scatter:.2f}",
     }
 
 
@@ -329,7 +348,7 @@ def draw_gradients(path: Path, gradients: Sequence[Gradient]) -> None:
     with figure(path, size=(6.0, 4.0)) as axes:
         axis = axes[0, 0]
         for method, colour in COLOURS.items():
-            curve = [each for each in gradients if each.method is method]
+            curve = [each for each in gradients if each.method is method and each.problem == BLOCKS]
             axis.plot([e.unknowns for e in curve], [e.seconds for e in curve], color=colour, lw=1.2, label=method)
             for each in curve:
                 fill = "none" if each.columns < each.unknowns else colour

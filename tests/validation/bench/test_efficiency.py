@@ -77,7 +77,7 @@ def test_when_the_scatter_was_met() -> None:
 
 
 def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    values: dict[str, Any] = {"cosine": 0.95, "length": 1.1}
+    values: dict[str, Any] = {"problem": "blocks", "cosine": 0.95, "length": 1.1, "scatter": 0.1}
     gradients = [
         Gradient(method=method, unknowns=number, seconds=seconds * number**power, columns=min(number, 10), **values)
         for number in (1, 100)
