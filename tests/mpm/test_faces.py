@@ -1,5 +1,7 @@
 """Lists of faces hold every face that a particle of the cell can need, and nodes see what the reference sees."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -7,7 +9,7 @@ from numpy.typing import NDArray
 from datasets.geometry.nearest import feet, nearest
 from datasets.scene import Baffle, Mass, Scene, Solid
 from mpm.arrays.layout import PADDING
-from mpm.solids.obstacles import faces_near, node_shape
+from mpm.solids.obstacles import BLEND, FADE, faces_near, holds_of, node_positions, node_shape
 from tests import scenes
 from tests.datasets.geometry.solids import surface
 
@@ -74,3 +76,31 @@ def test_a_cell_lists_what_its_points_need(dimension: int, cutoff: float) -> Non
     lengths = np.diff(first)
     assert lengths.max() < (25 if dimension == 2 else 120)
     assert (lengths == 0).sum() > 0.2 * len(lengths)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int) -> None:
+    """What all holds of a node take of any velocity into them, sum_k share_k N_k N_k^T."""
+    scene = scene_of(dimension)
+    whole = surface(scene)
+    nodes = np.arange(np.prod(node_shape(scene.domain)))
+
+    def taken(shift: float) -> NDArray[np.float64]:
+        moved = dataclasses.replace(whole, corners=whole.corners + shift)
+        first, holds = holds_of(scene.domain, moved, nodes, cutoff=2.0)
+        normal = moved.normals[holds[:, 0].astype(int)]
+        found = np.zeros((len(nodes), dimension, dimension))
+        node = np.repeat(nodes, np.diff(first))
+        np.add.at(found, node, holds[:, 2, None, None] * normal[:, :, None] * normal[:, None, :])
+        return found
+
+    here = taken(0.0)
+    depth = -nearest(whole, node_positions(scene.domain, nodes)).distance / CELL
+    share = np.trace(here, axis1=1, axis2=2)
+    assert np.abs(share[depth <= FADE[0]]).max() == 0.0
+    held = (depth > FADE[1]) & (depth < 2.0)
+    assert held.sum() > 10
+    np.testing.assert_allclose(share[held], 1.0, atol=1e-12)
+    # Shares fall from 1 to 0 over half a cell.
+    for shift in (1e-9, -1e-9):
+        assert np.abs(taken(shift) - here).max() < 20.0 * abs(shift) / (BLEND * CELL)
