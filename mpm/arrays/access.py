@@ -55,9 +55,7 @@ def over_range(operation: ti.template(), a: ti.template(), first: ti.template(),
         return a[first]
     else:
         half = ti.static(count // 2)
-        return operation(
-            over_range(operation, a, first, half), over_range(operation, a, ti.static(first + half), half)
-        )
+        return operation(over_range(operation, a, first, half), over_range(operation, a, ti.static(first + half), half))
 
 
 @ti.func

@@ -161,23 +161,30 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
 def prepare_contact(block, scratch, arrays: ti.template()):
     """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
     features = arrays.features
-    zero = 0.0 * arrays.state[contact_at(block, Contact.DELTA, arrays)]
-    for k in ti.static(range(2 * features.dimension)):
-        arrays.scratch[scratch + features.push + k] = zero
     if touches(block, arrays):
-        first = block * features.block + features.stress
-        stress = [arrays.state[first + k] for k in ti.static(range(features.stresses))]
-        pushed = surface_force(stress, contact_of(block, arrays), features.dimension)
+        push(block, scratch, arrays)
+    else:
         for k in ti.static(range(2 * features.dimension)):
-            arrays.scratch[scratch + features.push + k] = pushed[k]
+            arrays.scratch[scratch + features.push + k] = 0.0 * arrays.state[block * features.block]
 
 
 @ti.func
-def strain_at_contact(block, scratch, modulus, dt, arrays: ti.template()):
-    """Leave in `scratch` the `jump_at_contact` of each particle of a block."""
+def push(block, scratch, arrays: ti.template()):
+    """As `prepare_contact`, of a block that touches."""
+    features = arrays.features
+    first = block * features.block + features.stress
+    stress = [arrays.state[first + k] for k in ti.static(range(features.stresses))]
+    pushed = surface_force(stress, contact_of(block, arrays), features.dimension)
+    for k in ti.static(range(2 * features.dimension)):
+        arrays.scratch[scratch + features.push + k] = pushed[k]
+
+
+@ti.func
+def strain_at_contact(block, scratch, near, modulus, dt, arrays: ti.template()):
+    """Leave in `scratch` the `jump_at_contact` of each particle of a block; near: whether it touches."""
     jump = scratch + arrays.features.push
     arrays.scratch[jump] = 0.0 * arrays.state[contact_at(block, Contact.DELTA, arrays)]
-    if touches(block, arrays):
+    if near:
         motion, stress = motion_and_stress(block, scratch, arrays)
         contact = contact_of(block, arrays)
         arrays.scratch[jump] = jump_at_contact(motion, contact, stress, modulus, dt, arrays.features.dimension)
@@ -195,17 +202,16 @@ def shear_traction_step(block, scratch, dt, shear, arrays: ti.template()):
 
 @ti.func
 def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
-    """Add what contact takes of the momentum of a block in a step, -dt V0 delta t, to its solids' impulses."""
+    """Add what contact takes of the momentum of a block that touches, -dt V0 delta t in a step, to its solids."""
     features, lanes = arrays.features, arrays.features.lanes
-    if touches(block, arrays):
-        prepare_contact(block, scratch, arrays)
-        face, value = contact_at(block, Contact.FACE, arrays), contact_at(block, Contact.IMPULSE, arrays)
-        for k in ti.static(range(features.dimension)):
-            force = arrays.scratch[scratch + features.push + k]
-            arrays.state[value] = (0.0 - dt) * volume * present(block, arrays) * force
-            for lane in range(lanes):
-                solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
-                add_impulse(solid, k, arrays.lanes[value * lanes + lane], lane, worker, arrays)
+    push(block, scratch, arrays)
+    face, value = contact_at(block, Contact.FACE, arrays), contact_at(block, Contact.IMPULSE, arrays)
+    for k in ti.static(range(features.dimension)):
+        force = arrays.scratch[scratch + features.push + k]
+        arrays.state[value] = (0.0 - dt) * volume * present(block, arrays) * force
+        for lane in range(lanes):
+            solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
+            add_impulse(solid, k, arrays.lanes[value * lanes + lane], lane, worker, arrays)
 
 
 @ti.func

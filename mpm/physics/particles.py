@@ -53,13 +53,16 @@ def update_block(worker, grid, scene, block, scratch, dt, kappa, strides: ti.tem
     """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
     features = arrays.features
     volume = property_of(scene, block, Property.VOLUME, arrays)
+    near = False
     if ti.static(features.contact):
-        record_traction(block, scratch, volume, dt, worker, arrays)
+        near = touches(block, arrays)
+        if near:
+            record_traction(block, scratch, volume, dt, worker, arrays)
         for k in ti.static(range(features.dimension)):
             arrays.scratch[scratch + features.origin + k] = arrays.state[block * features.block + k]
     grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kappa, strides, arrays)
     step_particles(scene, block, scratch, dt, kappa, arrays)
-    update_stress(scene, block, scratch, dt, arrays)
+    update_stress(scene, block, scratch, near, dt, arrays)
     if ti.static(features.outflow):
         remove_outflow(block, scene, arrays)
     if ti.static(features.contact):
@@ -118,9 +121,10 @@ def remove_outflow(block, scene, arrays: ti.template()):
 
 
 @ti.func
-def update_stress(scene, block, scratch, dt, arrays: ti.template()):
+def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     """Stress, and plastic strain where it is needed, of a block after its new velocity gradient.
 
+    near: whether it touches a solid.
     Where the material softens, the strength of the step is that of the plastic strain at its start: explicit.
     """
     features = arrays.features
@@ -128,7 +132,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     strengths = strength_of(scene, block, dt, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    increment = strain_increment(block, scratch, lame + 2.0 * shear, dt, arrays)
+    increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
     opened = 0.0 * stress[0]
     if ti.static(features.volume_correction):
         remembered, bulk = arrays.state[first + features.gap], lame + shear * (2.0 / 3.0)
@@ -142,7 +146,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
     if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
-        if touches(block, arrays):
+        if near:
             shear_traction_step(block, scratch, dt, shear, arrays)
     if ti.static(features.volume_correction):
         arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
@@ -152,7 +156,7 @@ def update_stress(scene, block, scratch, dt, arrays: ti.template()):
 
 
 @ti.func
-def strain_increment(block, scratch, modulus, dt, arrays: ti.template()):
+def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids.
 
     modulus: M [Pa].
@@ -162,7 +166,7 @@ def strain_increment(block, scratch, modulus, dt, arrays: ti.template()):
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     inside = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):
-        strain_at_contact(block, scratch, modulus, dt, arrays)
+        strain_at_contact(block, scratch, near, modulus, dt, arrays)
         jump = arrays.scratch[scratch + features.push]
         return with_jump(inside, jump, contact_of(block, arrays), features.dimension)
     else:
