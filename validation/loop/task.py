@@ -1,5 +1,6 @@
 """What a loop is given, and runs of the MPM at chosen parameters, compared with the target."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.errors import InputError
 from datasets.scene import Scene
 from inverse.forward import Simulate
 from inverse.found import MpmRun, Purpose
@@ -87,6 +89,12 @@ class Task:
             )
             for location, flow, file in zip(locations, flows, files, strict=True)
         )
+
+    def coarse(self, scene: Scene) -> Scene:
+        """`scene` on cells twice as large. Raises InputError where single particles are compared or no such cells fit."""
+        if self.target.observation.every_particle:
+            raise InputError("expected no deposit, whose particles are others on larger cells", key="observations")
+        return dataclasses.replace(scene, domain=dataclasses.replace(scene.domain, cell=2.0 * scene.domain.cell))
 
     def seed(self, number: int) -> int:
         """Jitter seed of a run by its number."""
