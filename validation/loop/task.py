@@ -91,7 +91,7 @@ class Task:
         )
 
     def coarse(self, scene: Scene) -> Scene:
-        """`scene` on cells twice as large. Raises InputError where single particles are compared or no such cells fit."""
+        """`scene` on cells twice as large. Raises InputError where particles are compared or none fit."""
         if self.target.observation.every_particle:
             raise InputError("expected no deposit, whose particles are others on larger cells", key="observations")
         return dataclasses.replace(scene, domain=dataclasses.replace(scene.domain, cell=2.0 * scene.domain.cell))
