@@ -3,7 +3,7 @@
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,15 +16,15 @@ from datasets.memory import spoken
 from datasets.scene import Scene
 from datasets.trajectory import open_trajectory
 from inverse.parameters import Parameter
-from inverse.problem import Problem
-from inverse.settings import LoopSettings, ObservationSettings, Surrogate, TargetSettings
+from inverse.problem import Problem, read_problem
+from inverse.settings import LoopSettings, Surrogate, TargetSettings
 from mpm import Recording, simulate
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import INDEX_LIMIT, node_shape
 from mpm.runtime import workers_for
 from validation.loop.solve import RUNS, solve
 from validation.report.measuring import isolated, resident
-from validation.report.page import Page
+from validation.report.page import Page, Row
 from validation.runs import SHARE, Run
 
 CELL, QUICK = 0.375, 1.5
@@ -50,14 +50,12 @@ def slide(cell: float) -> Scene:
 
 
 def friction(cell: float) -> Problem:
-    """The friction of its bed from where it stopped and how thick it lies there, as in the problem `hillside`."""
-    heights = ObservationSettings(kind="height", x=(20.0, 30.0, 40.0, 50.0), spacing=5.0, noise=0.1)
-    return Problem(
-        name="bed friction",
+    """The problem `hillside` on that slope with the friction of its bed in place of the soil's and of the thickness."""
+    return replace(
+        read_problem("hillside"),
         scene=slide(cell),
         parameters=(Parameter(name=BED, initial=0.45, lower=0.3, upper=0.6),),
-        observations=(ObservationSettings(kind="front", noise=0.5), heights),
-        target=TargetSettings(twin=True, seed=1, truth={BED: TRUTH}),
+        target=TargetSettings(twin=True, truth={BED: TRUTH}),
         surrogate=Surrogate.COARSE,
         loop=LoopSettings(mpm_runs=MPM_RUNS),
     )
@@ -69,20 +67,18 @@ def flow(cell: float, folder: Path) -> Found:
     with FrameWriter(path) as file:
         found = simulate(scene, record=Recording(frames=EVERY), file=file, progress=True)
         file.put(**found.arrays())
-    summary, disk = found.summary, path.stat().st_size
-    before = time.perf_counter() - began - summary["wall_s"] - summary["compile_s"]
-    workers, nodes = workers_for(summary["particles"]), node_shape(scene.domain)
+    summary, nodes, workers = found.summary, node_shape(scene.domain), workers_for(found.summary["particles"])
     features = features_of([scene], "f32", shared=workers > 1)
-    per_particle = features.node * workers * math.prod(nodes) / summary["particles"]
+    grid = features.node * workers * math.prod(nodes) / summary["particles"]
     return {
         **{key: summary[key] for key in ("particles", "steps", "front", "remarks")},
         "seconds": summary["wall_s"],
+        "before": time.perf_counter() - began - summary["wall_s"] - summary["compile_s"],
         "memory": resident(peak=True),
-        "disk": disk,
-        "before": before,
+        "disk": path.stat().st_size,
         "cell": cell,
         "nodes": " x ".join(map(str, nodes)),
-        "most": min(INDEX_LIMIT / features.block, 2**31 / per_particle),
+        "most": min(INDEX_LIMIT / features.block, 2**31 / grid),
     }
 
 
@@ -91,29 +87,24 @@ def mapped(cell: float, folder: Path) -> Found:
     began, trajectory = time.perf_counter(), open_trajectory(folder / f"{cell:g}.h5")
     make_folder(folder / "maps")
     said = maps.write(trajectory, maps.maps_of(trajectory, cell, progress=True), folder / "maps")
-    seconds = time.perf_counter() - began
-    frames = len(trajectory.time)
-    return {
-        **said,
-        "frames": frames,
-        "seconds": seconds,
-        "memory": resident(peak=True),
-        "disk": size(folder / "maps", "*"),
-    }
+    disk = sum(path.stat().st_size for path in (folder / "maps").iterdir())
+    price = {"seconds": time.perf_counter() - began, "memory": resident(peak=True), "disk": disk}
+    return {**said, **price, "frames": len(trajectory.time)}
 
 
 def inverted(cell: float, folder: Path) -> Found:
     """The back-analysis; seconds are those of the runs in its folder, whichever command made them."""
-    result, runs = solve(friction(cell), folder / "friction"), folder / "friction" / RUNS
+    result = solve(friction(cell), folder / "friction")
+    runs = list((folder / "friction" / RUNS).glob("*.npz"))
     seconds: dict[bool, list[float]] = {True: [], False: []}
-    for path in runs.glob("*.npz"):
+    for path in runs:
         summary = json.loads(str(read_arrays(path, "summary")["summary"]))
         seconds[path.name.startswith("coarse-")].append(summary[SHARE])
     return {
         "runs": [len(each) for each in seconds.values()],
         "seconds": [sum(each) for each in seconds.values()],
         "memory": resident(peak=True),
-        "disk": size(runs, "*.npz"),
+        "disk": sum(path.stat().st_size for path in runs),
         "found": result.unknowns[BED],
         "half_width": result.certainty[BED],
         "coarse_found": (result.surrogate or {})["unknowns"][BED],
@@ -121,29 +112,24 @@ def inverted(cell: float, folder: Path) -> Found:
     }
 
 
-def size(folder: Path, pattern: str) -> int:
-    """Of files [bytes]."""
-    return sum(path.stat().st_size for path in folder.glob(pattern))
-
-
 def measured(keep: Path, *, quick: bool) -> dict[str, Found]:
     """Every stage by name, each in a process of its own; what is in `keep` is not done again."""
-    cell = QUICK if quick else CELL
+    cell, found = QUICK if quick else CELL, {}
     folder = keep / f"large-{Run(scene=slide(cell)).digest}"
     make_folder(folder)
-    stages: dict[str, tuple[Callable[[float, Path], Found], float]] = {
-        "coarse": (flow, 2.0 * cell),
-        "flow": (flow, cell),
-        "maps": (mapped, cell),
-        "friction": (inverted, cell),
-    }
-    found = {}
+    stages = {"coarse": (flow, 2.0 * cell), "flow": (flow, cell), "maps": (mapped, cell), "friction": (inverted, cell)}
     for name, (work, on_cells) in stages.items():
         path = folder / f"{name}.json"
         if not path.exists():
             write_json(path, dict(isolated(work, on_cells, folder)))
         found[name] = json.loads(path.read_text())
     return found
+
+
+def row(stage: str, seconds: float, found: Found) -> Row:
+    """A line of the table; memory and disk where `found` has them."""
+    sizes = {key: f"{found[key] / 2**20:.0f}" if key in found else "-" for key in ("memory", "disk")}
+    return {"stage": stage, "seconds": f"{seconds:.1f}", **{f"{key} [MiB]": size for key, size in sizes.items()}}
 
 
 def add_section(page: Page, found: Mapping[str, Found]) -> None:
@@ -158,24 +144,14 @@ def add_section(page: Page, found: Mapping[str, Found]) -> None:
         front and four heights of a twin, on cells of {2.0 * cell:g} m first (`surrogate = "coarse"`).
     """)
     (coarse_runs, runs), (coarse_seconds, seconds) = bed["runs"], bed["seconds"]
-    rows: list[tuple[str, float, int | None, int | None]] = [
-        ("raster to particles and contact", flow["before"], None, None),
-        (
-            f"run of {flow['steps']:,} steps, every {EVERY}th frame to HDF5",
-            flow["seconds"],
-            flow["memory"],
-            flow["disk"],
-        ),
-        (f"maps of {maps['frames']} frames", maps["seconds"], maps["memory"], maps["disk"]),
-        (f"friction: {coarse_runs} runs on cells of {2.0 * cell:g} m", coarse_seconds, None, None),
-        (f"friction: {runs} runs on cells of {cell:g} m, the twin's too", seconds, bed["memory"], bed["disk"]),
+    rows = [
+        row("raster to particles and contact", flow["before"], {}),
+        row(f"run of {flow['steps']:,} steps, every {EVERY}th frame to HDF5", flow["seconds"], flow),
+        row(f"maps of {maps['frames']} frames", maps["seconds"], maps),
+        row(f"friction: {coarse_runs} runs on cells of {2.0 * cell:g} m", coarse_seconds, {}),
+        row(f"friction: {runs} runs on cells of {cell:g} m, the twin's too", seconds, bed),
     ]
-    heads = ("stage", "seconds", "memory [MiB]", "disk [MiB]")
-    texts = [
-        (stage, f"{each:.1f}", *("-" if size is None else f"{size / 2**20:.0f}" for size in sizes))
-        for stage, each, *sizes in rows
-    ]
-    page.table([dict(zip(heads, each, strict=True)) for each in texts])
+    page.table(rows)
     page.text(f"""
         Friction {bed["found"]:.3f} ± {bed["half_width"]:.3f}, {bed["verdict"]}; the truth is {TRUTH:g}, by the larger
         cells alone {bed["coarse_found"]:.3f}. The deposit of the first run is up to {maps["thickness_max"]:.1f} m

@@ -68,7 +68,9 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | Non
     if requested is Surrogate.COARSE:
         problem = dataclasses.replace(problem, scene=task.coarse(problem.scene))
         store = RunStore(task.folder, task.simulate, label="coarse-")
-        return MpmForward(problem, task.target.observation, store), "it is the MPM on cells twice as large"
+        # Off by about a cell of the scene, four times the scatter of its flows.
+        coarse = MpmForward(problem, task.target.observation, store, band=4.0 * task.scatter)
+        return coarse, "it is the MPM on cells twice as large"
     run = particle_steps(problem.scene) / (SPEED[problem.scene.dimension] * processors())
     by_price = requested is Surrogate.AUTO and model is None
     if by_price and run < PREDICTIONS * QUICKEST:
