@@ -58,7 +58,7 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | Non
     """The surrogate that is asked, or None, and the reason in words.
 
     model: weights, which are asked at any price; those that ship where absent; load: `learned`. Raises InputError for a
-    problem that asks for one that there is none of.
+    problem that asks for one that there is none of. The MPM on larger cells is asked by `coarse` alone.
     """
     problem, requested = task.problem, task.problem.surrogate
     if requested is Surrogate.NONE:
