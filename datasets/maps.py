@@ -34,7 +34,7 @@ from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.geometry.placement import tops_beneath
 from datasets.geometry.surface import surface_of
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory, read_trajectory
+from datasets.trajectory import Trajectory, open_trajectory, trajectory_file
 
 KINDS = {
     "thickness": ("thickness of the deposit", "m", "YlOrBr"),
@@ -283,7 +283,7 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
     threshold
         Thickness [m] above which the ground counts as covered; the spacing of the particles unless given.
     """
-    flow = read_trajectory(trajectory)
+    flow = open_trajectory(trajectory_file(trajectory), "velocities")
     make_folder(out)
     maps = maps_of(flow, flow.scene.domain.cell if cell is None else cell, threshold=threshold, progress=True)
     said = write(flow, maps, out)

@@ -101,11 +101,13 @@ def initial_particles(scene: Scene) -> Particles:
     materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
     of_mass = np.array([materials.index(scene.material_of(mass)) for mass in scene.masses], np.int32)
     number = np.repeat(np.arange(len(scene.masses), dtype=np.int32), mass_counts(scene))
+    spins = np.array([mass.spin for mass in scene.masses])
+    alike = np.broadcast_to(spins[0], (len(number), *spins.shape[1:]))  # takes no memory
     particles = Particles(
         positions=np.concatenate(positions),
         velocities=np.concatenate(velocities),
         mass=number,
-        velocity_gradients=np.array([mass.spin for mass in scene.masses])[number],
+        velocity_gradients=alike if (spins == spins[0]).all() else spins[number],
         material=of_mass[number],
         materials=materials,
         volume=initial_volumes(scene),

@@ -123,13 +123,14 @@ class Trajectory:
             return _checked(read_arrays(Path(path)))
 
 
-def open_trajectory(path: str | Path) -> Trajectory:
-    """The trajectory at `path`, its positions read when they are used, without the recorded fields and the summary.
+def open_trajectory(path: str | Path, *fields: str) -> Trajectory:
+    """The trajectory at `path`, its positions read when they are used, without the summary and recorded fields but
+    `fields`, where they are there.
 
     Checks what there is to check without reading the positions. Raises InputError, which names the file and the key.
     """
     path = Path(path)
-    arrays = read_arrays(path, *(key for key in REQUIRED if key != "positions"), optional=("volume", "mass"))
+    arrays = read_arrays(path, *(key for key in REQUIRED if key != "positions"), optional=("volume", "mass", *fields))
     with naming(path):
         return _checked({**arrays, "positions": open_frames(path, "positions")}, lazily=True)
 

@@ -59,7 +59,7 @@ def forward_model(
         from inverse.forward.adjoint import AdjointForward
 
         return AdjointForward(problem, target.observation, simulate_many)
-    if forward is ForwardModel.MPM or (forward is None and problem.surrogate is Surrogate.NONE):
+    if forward is ForwardModel.MPM or (forward is None and problem.surrogate in (Surrogate.NONE, Surrogate.COARSE)):
         return MpmForward(problem, target.observation, simulate_many)
     require_predicted(problem)
     weights, scene = model_path(model or shipped(problem.scene.dimension)), problem.scene_at(problem.initial)

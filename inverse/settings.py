@@ -45,12 +45,14 @@ class ForwardModel(StrEnum):
 
 
 class Surrogate(StrEnum):
-    """Whether a learned surrogate is asked besides the MPM."""
+    """Which surrogate, if any, is asked besides the MPM."""
 
     AUTO = "auto"
     """Where the flow, the unknowns and the observations are what it has learned, and it saves more than it costs."""
     GNS = "gns"
     """Always: an error where it cannot."""
+    COARSE = "coarse"
+    """The MPM on cells twice as large, at a sixteenth of the price in 3D: where a run takes minutes."""
     NONE = "none"
     """Never: the loop runs on the MPM alone."""
 

@@ -70,11 +70,13 @@ def with_boxes(scene: Scene) -> tuple[Mass, ...]:
 def filling(scene: Scene, mass: Mass, key: str = "masses") -> Filling:
     """The particles that fill a mass of `scene` that is no box. Raises InputError."""
     shape = dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None)
-    ground = tuple(solid for solid in scene.solids if solid.kind == "terrain") if mass.kind == "layer" else ()
+    # Without friction, so that scenes which differ by that alone share what is found.
+    terrain = (dataclasses.replace(each, friction=0.0) for each in scene.solids if each.kind == "terrain")
+    ground = tuple(terrain) if mass.kind == "layer" else ()
     return fill(shape, scene.domain, ground, scene.particle_spacing, key)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
     """The particles of `mass` on a lattice of about `share` [m]. Raises InputError."""
     check_shape(mass, key, domain.dimension)

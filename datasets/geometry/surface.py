@@ -101,7 +101,7 @@ def solids_of(scene: Scene) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     return (*baffles, *scene.solids), tuple(keyed(scene, "baffles", "solids"))
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=8)
 def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...]) -> Surface:
     """The surface of `solids` in a box; errors name the keys."""
     bodies = [body_of(*each, domain) for each in zip(solids, keys, strict=True)]

@@ -19,7 +19,11 @@ PARTICLES = 400
 class MpmForward:
     """Runs the problem's scene with its own jitter seed; of a whole deposit it follows `PARTICLES`, drawn at random."""
 
-    def __init__(self, problem: Problem, observation: Observation, simulate: Simulate) -> None:
+    def __init__(
+        self, problem: Problem, observation: Observation, simulate: Simulate, *, band: Values | None = None
+    ) -> None:
+        """band: standard deviation of each number by the error of its cells, shape [M]; none where absent."""
+        self.band = band
         self.problem, self.observation, self.simulate = problem, observation, simulate
         self.indices = np.arange(particle_count(problem.scene) if observation.every_particle else 0)
         if len(self.indices) > PARTICLES:
@@ -32,8 +36,8 @@ class MpmForward:
         return [self.select(self.observation.observe(trajectory)) for trajectory in trajectories]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
-        """Columns of the covariance of its errors at parameters [U]: none, shape [0, 1]."""
-        return np.zeros((0, 1))
+        """Columns of the covariance of its errors at parameters [U], those of its band: shape [K, m]."""
+        return np.zeros((0, 1)) if self.band is None else np.diag(self.select(self.band))
 
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
         """Final positions of the particles [m], shape [N, D]."""

@@ -43,6 +43,8 @@ from mpm.output.request import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, obstacles_of
 
 Array = NDArray[Any]
+PORTION = 2**18
+"""Particles whose nearest faces are found together at the start: some 250 bytes each."""
 
 
 class Batch:
@@ -184,11 +186,12 @@ class Batch:
         if features.compensated:
             put(features.remainder, particles.positions - particles.positions.astype(np.float32))
         put(features.velocity, particles.velocities)
-        if features.contact:
-            contacts = initial_contacts(scene, particles.positions)
+        for first in range(0, len(source) if features.contact else 0, PORTION):
+            contacts = initial_contacts(scene, particles.positions[source[first : first + PORTION]])
             contacts[:, Contact.FACE] += self.first_faces[index]
-            put(features.contacts, contacts)
-        put(features.affine, particles.velocity_gradients.reshape(count, -1))
+            put_vectors(state[first // features.lanes :][: PORTION // features.lanes], features.contacts, contacts)
+        if particles.velocity_gradients.any():
+            put(features.affine, particles.velocity_gradients.reshape(count, -1))
         if any(mass.k0 is not None for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.
             from mpm.initial.stress import initial_tractions
@@ -210,7 +213,7 @@ class Batch:
             self.store(index, 0)
         mass = particles.density * particles.volume
         energies = self.energies(index)
-        affine = 0.25 * scene.domain.cell**2 * np.sum(particles.velocity_gradients**2, axis=(1, 2))
+        affine = 0.25 * scene.domain.cell**2 * np.einsum("nij,nij->n", *2 * [particles.velocity_gradients])
         energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))
         energies[0, Energy.POTENTIAL] = -np.sum(mass * (particles.positions @ scene.gravity_vector))
 
@@ -231,15 +234,12 @@ class Batch:
 
     def store(self, index: int, slot: int) -> None:
         """Record the present state of one scene as kept frame `slot`, or as the next one of the file."""
-        features, numbers, order = self.features, self.numbers(index), self.order_of(index)
-        present = {
-            "positions": numbers[: features.dimension],
-            "velocities": numbers[features.velocity :][: features.dimension],
-            "stress": numbers[features.stress :][: features.stresses],
-            "plastic_strain": numbers[features.plastic_strain],
-        }
+        features, order = self.features, self.order_of(index)
+        first = {"positions": 0, "velocities": features.velocity, "stress": features.stress}
+        first["plastic_strain"] = features.plastic_strain
         for name, array in self.record[index].items():
-            array[0 if self.file is not None else slot, order] = present[name].T
+            numbers = self.numbers(index, first[name], math.prod(array.shape[2:]))
+            array[0 if self.file is not None else slot, order] = numbers.T.reshape(array.shape[1:])
         if self.file is not None:
             self.file.append(positions=self.record[index]["positions"])
 
@@ -254,15 +254,15 @@ class Batch:
     def sort(self, index: int) -> None:
         """Put the particles of one scene in the order of their cells, so that neighbours in space are so in memory."""
         state, features, scene = self.state_of(index), self.features, self.scenes[index]
-        numbers = np.moveaxis(state, 1, 0).reshape(features.block, -1)
-        cells = np.floor(numbers[: features.dimension] / scene.domain.cell).astype(np.int64)
-        key = cells[0]
-        for axis in range(1, features.dimension):
-            key = key * (round(scene.domain.size[axis] / scene.domain.cell) + 1) + cells[axis]
+        key = np.zeros(state.shape[0] * features.lanes, np.int64)
+        for axis in range(features.dimension):
+            cells = np.floor(state[:, axis].ravel() / scene.domain.cell).astype(np.int64)
+            key = key * (round(scene.domain.size[axis] / scene.domain.cell) + 1) + cells
         count = len(self.particles[index].positions)
         key[count:] = np.iinfo(np.int64).max
         order = np.argsort(key, kind="stable")
-        state[:] = np.moveaxis(numbers[:, order].reshape(features.block, -1, features.lanes), 0, 1)
+        for vector in range(features.block):
+            state[:, vector] = state[:, vector].ravel()[order].reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(order)] = self.order[first : first + len(order)][order]
 
@@ -276,9 +276,9 @@ class Batch:
         first = self.offsets[index, Offset.BLOCK]
         return self.state[first : first - (-self.offsets[index, Offset.PARTICLES] // self.features.lanes)]
 
-    def numbers(self, index: int) -> Array:
-        """The state of the particles of one scene in the order of memory, shape [vectors, N]."""
-        flat = np.moveaxis(self.state_of(index), 1, 0).reshape(self.features.block, -1)
+    def numbers(self, index: int, first: int, count: int) -> Array:
+        """`count` vectors, from `first` on, of the particles of one scene in the order of memory, shape [count, N]."""
+        flat = np.moveaxis(self.state_of(index)[:, first : first + count], 1, 0).reshape(count, -1)
         return flat[:, : self.offsets[index, Offset.PARTICLES]]
 
     def order_of(self, index: int) -> NDArray[np.int32]:

@@ -23,7 +23,7 @@ from mpm.runtime import Arch
 def failure(batch: Batch, index: int) -> WorkFailed | None:
     """Why scene `index` of a batch blew up; None where it did not."""
     scene, features, frames = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
-    motion = batch.numbers(index)[: features.velocity + features.dimension]
+    motion = batch.numbers(index, 0, features.velocity + features.dimension)
     if frames == scene.frames and np.isfinite(motion).all():
         return None
     return WorkFailed(explain(scene, batch.particles[index], motion[features.velocity :].T, frames - 1))
@@ -32,14 +32,14 @@ def failure(batch: Batch, index: int) -> WorkFailed | None:
 def outflow(batch: Batch, index: int) -> dict[str, float]:
     """Mass that has left through each open side [kg, in 2D per metre of width]."""
     scene, features, particles = batch.scenes[index], batch.features, batch.particles[index]
-    numbers, order = batch.numbers(index), batch.order_of(index)
+    order, (present,) = batch.order_of(index), batch.numbers(index, features.present, 1)
     mass = (particles.density * particles.volume)[order]
-    removed = numbers[features.present] == 0.0
+    removed = present == 0.0
     # Through the side that it lies farthest beyond.
     beyond = np.full((len(DOMAIN_SIDES), len(order)), -np.inf)
     for side in scene.open_sides:
         axis, upper = "xyz".index(side[0]), side[1] == "+"
-        coordinate = numbers[axis]
+        (coordinate,) = batch.numbers(index, axis, 1)
         beyond[DOMAIN_SIDES.index(side)] = coordinate - scene.domain.size[axis] if upper else -coordinate
     through = beyond.argmax(axis=0)
     return {side: float(mass[removed & (through == DOMAIN_SIDES.index(side))].sum()) for side in scene.open_sides}

@@ -26,7 +26,7 @@ BENCHES = {
     "stability": "hard cases and exact solutions of the MPM; fronts over stiffness and step",
     "problems": "the shipped inverse problems, beside their criteria and the reference paper",
     "coverage": "how often the posterior of an inverse problem holds the truth, in twin experiments",
-    "speed": "rates of the MPM over sizes, price of a gradient by the adjoint, a network's step",
+    "speed": "rates of the MPM over sizes, price of a gradient, a network's step, a large terrain",
     "efficiency": "price of a gradient by surrogate, adjoint and differences; whole searches by each, and by Optuna",
     "gns": "the shipped surrogates beside the MPM: error, price, bands, ranges",
 }

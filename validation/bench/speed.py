@@ -1,4 +1,4 @@
-"""`python -m validation.bench speed`: rates of the MPM, price of a gradient by the adjoint, a step of the network."""
+"""`python -m validation.bench speed`: rates, price of a gradient, a step of the network, a large terrain."""
 
 import statistics
 from collections.abc import Mapping, Sequence
@@ -20,6 +20,7 @@ from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE
+from validation.bench import large
 from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, spread, turns
 from validation.report.page import GNS, MPM, Page, Row, between
 from validation.report.plots import BLUE, ORANGE, figure
@@ -220,16 +221,16 @@ def network_rows(*, rounds: int, sizes: int) -> list[dict[str, str]]:
 
 
 def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
-    """Measure rates over sizes, the price of a gradient, a step of the network; needs a quiet machine.
+    """Measure rates over sizes, the price of a gradient, a step of the network, a large terrain; needs a quiet machine.
 
     Parameters
     ----------
     out
         Folder for speed.md and its picture.
     quick
-        A single frame of two small cases, one small gradient.
+        A single frame of two small cases, one small gradient, a coarse terrain.
     keep
-        Not used: times are of one run.
+        Where the stages of the large terrain stay; other times are of one command.
     rounds
         How often everything is measured, in turn; the tables give the median and the range.
     """
@@ -243,18 +244,24 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     rates = {key: spread(found) for key, found in timed.items()}
     prices = [isolated(price, enlarged(*each), rounds) for each in (((0.5, 0.1),) if quick else SCALES)]
     networks = network_rows(rounds=rounds, sizes=1 if quick else 3)
+    terrain = large.measured(keep, quick=quick)
     draw(out / "speed.png", rates, prices)
     command = f"python -m validation.bench speed --rounds {rounds}"
-    return page(rates, prices, networks, command=command, quick=quick).write(out / "speed.md")
+    return page(rates, prices, networks, terrain, command=command, quick=quick).write(out / "speed.md")
 
 
 def page(
-    rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping[str, str]], *, command: str, quick: bool = False
+    rates: Rates,
+    prices: Sequence[Price],
+    networks: Sequence[Mapping[str, str]],
+    terrain: Mapping[str, large.Found],
+    *,
+    command: str,
+    quick: bool = False,
 ) -> Page:
     """The page, from what was measured."""
-    text = Page(
-        "Speed", command=command, conclusion=conclusion(rates, prices, networks), packages=MPM | GNS, quick=quick
-    )
+    said = [*conclusion(rates, prices, networks), large.sentence(terrain)]
+    text = Page("Speed", command=command, conclusion=said, packages=MPM | GNS, quick=quick)
     text.picture("speed.png", "rate of the MPM over particles; a run and its gradient")
     text.section("Million particle-steps a second of the MPM")
     text.text(f"""
@@ -291,6 +298,7 @@ def page(
     text.section("A step of the network")
     text.text("Seconds of one step of the shipped models on a body of sand, over its nodes; one thread.")
     text.table(networks)
+    large.add_section(text, terrain)
     return text
 
 

@@ -39,8 +39,9 @@ def main(
         Weights of the surrogate or the folder of `inverse.adapt`, whose runs of the MPM are then known; unless given,
         the weights that ship for 2D or for 3D. One that is given is asked unless the problem says "none".
     surrogate
-        "gns": always asked; "none": the MPM alone; unless given, as the problem says, by default where a run
-        of the MPM costs more than five of its predictions. It leads: the MPM runs first where its answers are.
+        "gns": always asked; "coarse": the MPM on cells twice as large; "none": the MPM alone; unless given, as the
+        problem says, by default the learned one where a run of the MPM costs more than five of its predictions. It
+        leads: the MPM runs first where its answers are.
     scheduler
         Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM
         instead: the runs of a wave side by side.

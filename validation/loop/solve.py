@@ -16,13 +16,14 @@ from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.adaptation import deposits as adapted_runs
 from inverse.forward import Simulate
+from inverse.forward.mpm import MpmForward
 from inverse.found import MpmRun, Purpose, Verdict
-from inverse.optimise import Inversion, inverted
+from inverse.optimise import ROUGH, Inversion, inverted
 from inverse.parameters import Vector
 from inverse.posterior.information import information, measurements
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
-from inverse.target import read_target
+from inverse.target import read_each, read_target
 from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
 from validation.loop.search import Search, first, searched
@@ -77,7 +78,7 @@ def _solve(asked: Problem, out: Path, model: Path | None, simulate: Simulate, kn
 
         return invert(asked)
     folder = out / RUNS
-    recorded = LAST if len(asked.observations) == 1 and asked.observations[0].times is None else ALL
+    recorded = ALL if any(each.observation.over_time for each in read_each(asked)) else LAST
     target = read_target(asked, lambda scene: RunStore(folder, simulate, label=TWIN)([scene], record=recorded)[0])
     made = [] if model is None or target.observation.over_time else adapted_runs(model, asked)
     task = Task(problem=asked, target=target, folder=folder, simulate=simulate)
@@ -97,7 +98,8 @@ def run(
     forward, reason = surrogate.choose(task, model=model, load=load)
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
-        led = inverted(forward, task.problem, task.target, task.scatter)
+        rough = 1.0 if isinstance(forward, MpmForward) else ROUGH
+        led = inverted(forward, task.problem, task.target, task.scatter, rough=rough)
         state, confirmed = surrogate.guided(task, led, before)
         # Runs are dear here, and its answers were checked.
         outcome = concluded(state, moves=0) if confirmed else judged(state)

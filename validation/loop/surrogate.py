@@ -1,4 +1,4 @@
-"""Whether a learned surrogate is asked: where the scene is in its range, its band narrow and a run of the MPM dear.
+"""Whether a surrogate is asked: where the scene is in its range, its band narrow and a run of the MPM dear.
 
 It inverts first (`inverse.optimise`) and leads: the MPM runs at its answers first, then around them, and corrects them.
 No run is made beyond the surrogate's region unless the MPM contradicts: where it is off by more than the band allows,
@@ -24,6 +24,7 @@ from gns.ranges import outside
 from gns.simulator import Simulator
 from inverse.forward import Forward
 from inverse.forward.gns import Flow, GnsForward, band_of
+from inverse.forward.mpm import MpmForward
 from inverse.found import MpmRun, Purpose
 from inverse.optimise import Inversion
 from inverse.posterior.emulator import fewest_runs
@@ -36,6 +37,7 @@ from mpm.resolution import particle_steps
 from validation.loop.search import Search
 from validation.loop.task import Task
 from validation.loop.verdict import checked
+from validation.runs import RunStore
 
 Load = Callable[[Problem, Target, Path | None], tuple[Forward | None, str]]
 """Problem, target, weights -> the surrogate, or None and why there is none."""
@@ -56,13 +58,19 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | Non
     """The surrogate that is asked, or None, and the reason in words.
 
     model: weights, which are asked at any price; those that ship where absent; load: `learned`. Raises InputError for a
-    problem that asks for one that there is none of.
+    problem that asks for one that there is none of. The MPM on larger cells is asked by `coarse` alone.
     """
     problem, requested = task.problem, task.problem.surrogate
     if requested is Surrogate.NONE:
         return None, "the problem asks for none"
     if problem.target.minimise:
         return None, "a design is looked for by the MPM alone"
+    if requested is Surrogate.COARSE:
+        problem = dataclasses.replace(problem, scene=task.coarse(problem.scene))
+        store = RunStore(task.folder, task.simulate, label="coarse-")
+        # Off by about a cell of the scene, four times the scatter of its flows.
+        coarse = MpmForward(problem, task.target.observation, store, band=4.0 * task.scatter)
+        return coarse, "it is the MPM on cells twice as large"
     run = particle_steps(problem.scene) / (SPEED[problem.scene.dimension] * processors())
     by_price = requested is Surrogate.AUTO and model is None
     if by_price and run < PREDICTIONS * QUICKEST:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.errors import InputError
 from datasets.scene import Scene
 from inverse.forward import Simulate
 from inverse.found import MpmRun, Purpose
@@ -87,6 +88,12 @@ class Task:
             )
             for location, flow, file in zip(locations, flows, files, strict=True)
         )
+
+    def coarse(self, scene: Scene) -> Scene:
+        """`scene` on cells twice as large. Raises InputError where particles are compared or none fit."""
+        if self.target.observation.every_particle:
+            raise InputError("expected no deposit, whose particles are others on larger cells", key="observations")
+        return scene.with_cell(2.0 * scene.domain.cell)
 
     def seed(self, number: int) -> int:
         """Jitter seed of a run by its number."""

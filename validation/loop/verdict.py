@@ -163,11 +163,11 @@ def on_coarse_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     particles, and where the box does not divide into such cells.
     """
     scene = task.problem.scene_at(answer.parameters)
-    if task.target.cell == scene.domain.cell or task.target.observation.every_particle:
+    if task.target.cell == scene.domain.cell:
         return ()
     try:
-        coarse = scene.with_cell(2.0 * scene.domain.cell)
-        scenes = [dataclasses.replace(coarse, seed=each.trajectory.scene.seed) for each in answer.checks]
+        scene = task.coarse(scene)
+        scenes = [dataclasses.replace(scene, seed=each.trajectory.scene.seed) for each in answer.checks]
     except InputError:
         return ()
     return task.compared([answer.parameters] * len(scenes), scenes, Purpose.CELLS)

@@ -10,6 +10,7 @@ from datasets.lock import locked
 from datasets.particles import particle_count
 from validation.bench import __main__
 from validation.bench.__main__ import BENCHES, bench_of, main
+from validation.bench.large import CELL, QUICK, Found, friction, slide
 from validation.bench.speed import CASES, Price, column, draw, enlarged, mean_x, modes, page
 from validation.report.measuring import spread
 from validation.report.page import Page
@@ -83,12 +84,29 @@ PRICES = [
 ]
 
 
+RUN = {"particles": 1_000_000, "steps": 1000, "seconds": 100.0, "memory": 2e9, "disk": 1e8, "before": 10.0}
+TERRAIN: dict[str, Found] = {
+    "coarse": {"particles": 125_000, "memory": 2e9 - 8.75e8},
+    "flow": {**RUN, "cell": 0.5, "nodes": "9 x 9 x 9", "most": 2e7, "front": 61.0, "remarks": ["not at rest"]},
+    "maps": {"seconds": 20.0, "frames": 17, "memory": 6e8, "disk": 1e6, "thickness_max": 5.2},
+    "friction": {"runs": [11, 7], "seconds": [50.0, 650.0], "memory": 2e9, "disk": 2e8, "found": 0.39}
+    | {"half_width": 0.02, "coarse_found": 0.38, "verdict": "confirmed"},
+}
+
+
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
-    text = page(RATES, PRICES, [{"model": "`flow2d`", "nodes": "500", "µs per node": "148"}], command="it")
+    text = page(RATES, PRICES, [{"model": "`flow2d`", "nodes": "500", "µs per node": "148"}], TERRAIN, command="it")
     assert "In 2D the MPM makes 22 to 55 million particle-steps a second, at 3,200 to " in text.conclusion
     assert "5.0 to 5.5 runs, for any number of unknowns, and at most 16 MiB (12,800" in text.conclusion
     assert "takes 148 µs for each node" in text.conclusion
+    assert "takes 130 s from raster to maps, and 700 s for the friction of its bed by 7 such runs." in text.conclusion
     assert "GeoTaichi" in str(text)
+    assert "| maps of 17 frames " in str(text)
+    # 1,000 bytes each; the third root of a hundred times as many steps.
+    assert "take 94.1 GiB of memory, 1000 bytes for each more\nparticle with its cells; 4,642 steps in 13 hours" in str(
+        text
+    )
+    assert "It is not at rest." in str(text)
     draw(tmp_path / "speed.png", RATES, PRICES)
     assert (tmp_path / "speed.png").stat().st_size > 10_000
 
@@ -98,6 +116,13 @@ def test_columns_have_the_particles_that_the_cases_state() -> None:
     assert particle_count(enlarged(2.0, 0.1)) == 4 * particle_count(enlarged(1.0, 0.1)) == 12800
     assert modes(CASES[0]) == [("f32", 1), ("f64", 1)]
     assert column(3, 32, 10).frames == 11
+
+
+def test_the_large_terrain_has_about_a_million_particles() -> None:
+    assert particle_count(slide(CELL)) == 1_013_760
+    # The larger cells of its search fit the box too.
+    assert [particle_count(slide(2.0 * cell)) for cell in (CELL, QUICK)] == [130_560, 1920]
+    assert friction(QUICK).loop.budget(1) == 6
 
 
 def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:

@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import norm
 
 from datasets.errors import InputError
-from datasets.scene import Scene, Solid
+from datasets.scene import Domain, Scene, Solid
 from gns import card, checkpoint
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
@@ -20,10 +20,11 @@ from inverse.forward.gns import GnsForward
 from inverse.found import Purpose, Verdict
 from inverse.parameters import Parameter
 from inverse.problem import read_problem
-from inverse.settings import ObservationSettings, Surrogate, TargetSettings
+from inverse.settings import LoopSettings, ObservationSettings, Surrogate, TargetSettings
 from inverse.target import read_target
 from tests.validation.loop.flows import (
     Case,
+    Coarse,
     FakeMpm,
     Folded,
     FoldedFormula,
@@ -249,6 +250,33 @@ def test_a_surrogate_is_asked_where_a_run_of_the_mpm_is_dear(tmp_path: Path, mon
     found, reason = choose(auto, model=None, load=load)
     assert found is not None
     assert "a run of the MPM takes" in reason
+
+
+def test_runs_on_larger_cells_lead_to_few_on_those_of_the_scene(tmp_path: Path) -> None:
+    case = wedge(tmp_path, truth=24.0, mpm=Coarse(scatter=0.001))
+    loop = LoopSettings(mpm_runs=6)
+    case = dataclasses.replace(case, problem=dataclasses.replace(case.problem, loop=loop))
+    result = run(task(case, tmp_path, Surrogate.COARSE))
+    assert result.verdict is Verdict.CONFIRMED
+    assert result.surrogate is not None
+    # Cells of 20 mm shorten a deposit by 2 % more than those of 10 mm do: 1 degree.
+    own, corrected = result.surrogate["unknowns"]["friction_deg"], result.unknowns["friction_deg"]
+    assert 0.5 < 24.0 - own < 1.5
+    assert abs(corrected - 24.0) < 2.0 * result.certainty["friction_deg"] < 1.5
+    cells = [each.domain.cell for each in case.mpm.scenes]
+    assert cells.count(0.01) == len(result.mpm_runs) <= 6
+    assert cells.count(0.02) == result.surrogate["predictions"]
+    # Found again by a command that was cut short.
+    assert run(task(case, tmp_path, Surrogate.COARSE)).unknowns == result.unknowns
+    assert len(case.mpm.scenes) == len(cells)
+
+
+def test_larger_cells_must_fit_the_box(tmp_path: Path) -> None:
+    case = wedge(tmp_path)
+    narrow = dataclasses.replace(case.problem.scene, domain=Domain(size=(1.2, 0.41), cell=0.01))
+    case = dataclasses.replace(case, problem=dataclasses.replace(case.problem, scene=narrow))
+    with pytest.raises(InputError, match="cell"):
+        choose(task(case, tmp_path, Surrogate.COARSE), model=None, load=learned)
 
 
 def test_a_model_that_is_given_and_not_asked_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
