@@ -94,7 +94,7 @@ def obstacles_in(scene: Scene) -> Obstacles:
     return obstacles_with(surface, scene.domain, 1.0 + search_distance(scene) / scene.domain.cell)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=4)
 def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles:
     """The solids with `surface` in a box, listed up to `cutoff` cells from it; runs of one geometry share them."""
     cell_faces, near_faces = faces_near(domain, surface, cutoff=cutoff)
