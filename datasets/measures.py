@@ -35,7 +35,7 @@ def runout(positions: Positions) -> float:
 def front(positions: Positions, volume: float | NDArray[np.floating] = 1.0) -> float:
     """The x [m] that 99.5 % of the volume is behind, by a fit; volume: one for all or shape [N]."""
     x = positions[:, 0].astype(np.float64)
-    order = np.argsort(x, kind="stable")
+    order = np.argsort(x)
     return float((tail_weights(np.broadcast_to(volume, x.shape)[order]) * x[order]).sum())
 
 
