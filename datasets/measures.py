@@ -2,13 +2,14 @@
 
 Every function takes the positions of one moment [m], shape [N, D]; volumes are those of the particles [m^D], shape [N].
 
-The 99.5 % quantile of some 400 particles is the second of them, and scatters by 1 to 2 % of the extent with the choice
-of the particles. `fitted_front` reads the same x from the whole tail, by least squares of
+The front is a quantile of the volume along x. That of the sample scatters with single particles; here it is that of
+the least-squares fit of
 
-    x(p) = c + a sqrt(1 - p) + b (1 - p)
+    x(p) = c + a sqrt(1 - p) + b (1 - p),    p in `TAIL`,
 
-for the x that a share p of the volume is behind, evaluated at `FRONT_QUANTILE`. A wedge has b = 0 (its volume ahead of
-x falls with the square of the distance to its tip), a block a = 0.
+to the quantile function of the sample, the x that a share p of the volume is behind. A wedge has b = 0 (its volume
+ahead of x falls with the square of the distance to its tip), a block a = 0. A particle is a step of the quantile
+function as wide as its volume: the fit is continuous in the positions. The furthest 0.1 % of the volume do not count.
 """
 
 import math
@@ -19,6 +20,8 @@ from numpy.typing import NDArray
 from datasets.scene import Scene
 
 FRONT_QUANTILE = 0.995
+TAIL = (0.98, 0.999)
+"""Shares of the volume p between which the front is fitted [-]."""
 TOE_FRACTION = 0.10
 
 Positions = NDArray[np.floating]
@@ -29,9 +32,29 @@ def runout(positions: Positions) -> float:
     return float(positions[:, 0].max())
 
 
-def front(positions: Positions) -> float:
-    """The x [m] that 99.5 % of the particles are behind: d without the fate of single particles."""
-    return float(np.quantile(positions[:, 0].astype(np.float64), FRONT_QUANTILE))
+def front(positions: Positions, volume: float | NDArray[np.floating] = 1.0) -> float:
+    """The x [m] that 99.5 % of the volume is behind, by a fit; volume: one for all or shape [N]."""
+    x = positions[:, 0].astype(np.float64)
+    order = np.argsort(x)
+    return float((tail_weights(np.broadcast_to(volume, x.shape)[order]) * x[order]).sum())
+
+
+def tail_weights(volume: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Weights w [-], shape [N], with which sum_i w_i x_i is the front of particles in the order of x.
+
+    volume: of the particles in this order. w_i is the integral of the fit's weight over the particle's step.
+    """
+    behind = np.append(0.0, np.cumsum(volume, dtype=np.float64))
+    ahead = 1.0 - np.clip(behind / behind[-1], *TAIL)
+    powers = np.array([0.0, 0.5, 1.0])
+    products = np.subtract(*(_integral(1.0 - share, powers[:, None] + powers) for share in TAIL))
+    fitted = np.linalg.solve(products, (1.0 - FRONT_QUANTILE) ** powers)
+    return np.asarray(-np.diff(_integral(ahead[:, None], powers) @ fitted))
+
+
+def _integral(ahead: float | NDArray[np.float64], power: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of s^power over s = 1 - p from 0 to `ahead` [-]."""
+    return np.asarray(ahead ** (power + 1.0) / (power + 1.0))
 
 
 def toe(positions: Positions) -> tuple[float, ...]:
@@ -67,48 +90,9 @@ def height_profile(
     return np.asarray(height / length)
 
 
-TAIL = np.linspace(0.97, 0.999, 30)
-"""Shares of the volume p whose x the fit goes through [-]."""
-FEWEST = 50
-"""Particles of which the fit is made; of fewer the front is the quantile itself."""
-
-
-def tail_weights(volume: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Weights w [-], shape [N], with which sum_i w_i x_(i) over particles in the order of x is their `fitted_front`.
-
-    volume: of the particles in this order. x is linear in p between the middles of two particles' volumes.
-    """
-    whole = volume.astype(np.float64)
-    middle = (np.cumsum(whole) - 0.5 * whole) / whole.sum()
-    tail, part = np.array([FRONT_QUANTILE]), np.ones(1)
-    if len(volume) >= FEWEST:
-        tail, part = TAIL, _terms(np.array([FRONT_QUANTILE]))[0] @ np.linalg.pinv(_terms(TAIL))
-    after = np.clip(np.searchsorted(middle, tail), min(1, len(middle) - 1), len(middle) - 1)
-    before = np.maximum(after - 1, 0)
-    step = np.where(after > before, middle[after] - middle[before], 1.0)
-    share = np.clip((tail - middle[before]) / step, 0.0, 1.0)
-    weights = np.zeros(len(middle))
-    np.add.at(weights, before, part * (1.0 - share))
-    np.add.at(weights, after, part * share)
-    return weights
-
-
-def _terms(shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """1, sqrt(1 - p) and 1 - p of shares p [P], shape [P, 3]."""
-    ahead = 1.0 - shares
-    return np.stack((np.ones_like(ahead), np.sqrt(ahead), ahead), axis=1)
-
-
-def fitted_front(positions: Positions, volume: NDArray[np.floating]) -> float:
-    """The x [m] that 99.5 % of the volume is behind, by a fit through the tail."""
-    x = positions[:, 0].astype(np.float64)
-    order = np.argsort(x, kind="stable")
-    return float(tail_weights(volume[order]) @ x[order])
-
-
 def ends(positions: Positions, volume: NDArray[np.floating]) -> tuple[float, float]:
-    """The x [m] that 0.5 % and that 99.5 % of the volume is behind: the rear and the front of a deposit, fitted."""
-    return -fitted_front(-positions, volume), fitted_front(positions, volume)
+    """The x [m] that 0.5 % and that 99.5 % of the volume is behind: the rear and the front of a deposit."""
+    return -front(-positions, volume), front(positions, volume)
 
 
 SHARES = 20

@@ -74,7 +74,7 @@ def simulate(
     deposit, volume = positions[-1], initial.conditions.volume.numpy()
     summary = {
         "runout": measures.runout(deposit),
-        "front": measures.fitted_front(deposit, volume),
+        "front": measures.front(deposit, volume),
         "toe": list(measures.toe(deposit)),
         "steps": initial.steps,
         "particles": len(initial.indices),

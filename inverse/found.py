@@ -84,7 +84,7 @@ class MpmRun:
     @property
     def front_error(self) -> float:
         """Relative, with its sign; nan where the target has no front."""
-        return self.target.front_error(self.trajectory.positions[-1])
+        return self.target.front_error(self.trajectory)
 
     def as_json(self, problem: Problem) -> dict[str, Any]:
         """As `result.json` has it."""
@@ -92,7 +92,7 @@ class MpmRun:
             "purpose": self.purpose.value,
             "unknowns": problem.named(self.parameters),
             "observation": plain(self.observation),
-            "front": measures.front(self.trajectory.positions[-1]),
+            "front": measures.front(self.trajectory.positions[-1], self.trajectory.volumes),
             "front_error_pct": 100.0 * self.front_error,
             "loss": self.target.misfit(self.observation),
             "seconds": self.seconds,

@@ -19,6 +19,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from datasets import files, measures
+from datasets.particles import particle_volumes
 from datasets.scene import Scene
 from inverse.found import FoundField
 from inverse.observations.deposit import Passed, Toe
@@ -141,8 +142,9 @@ def mark(axis: Axes, found: "Result", deposit: Deposit, colour: str) -> str:
         axis.plot(own[0], own[across], "o", color=colour, label="toe of this deposit", **style)
         axis.plot(target[0], target[across], "k+", markersize=13, markeredgewidth=2, zorder=6, label="target toe")
     else:
-        axis.axvline(measures.front(deposit), color=colour, linewidth=0.9)
-        return f"front at {measures.front(deposit):.4f} m"
+        front = measures.front(deposit, particle_volumes(found.problem.scene, len(deposit)))
+        axis.axvline(front, color=colour, linewidth=0.9)
+        return f"front at {front:.4f} m"
     return f"{observation.kind} {observation.text(observation.exact(deposit))}"
 
 

@@ -37,9 +37,9 @@ class Target(Measurement):
         """Misfit of `values` [M]; see `Observation.misfit`."""
         return self.observation.misfit(values, self.values)
 
-    def front_error(self, deposit: NDArray[np.floating]) -> float:
-        """Relative error of the front of `deposit`, positions [m], shape [N, D]; nan where the target has none."""
-        return (measures.front(deposit) - self.front) / self.front
+    def front_error(self, run: Trajectory) -> float:
+        """Relative error of the front of the deposit of `run`; nan where the target has none."""
+        return (measures.front(run.positions[-1], run.volumes) - self.front) / self.front
 
     def errors_of(self, combinations: Matrix) -> Matrix:
         """Covariance [r, r] of `combinations` [M, r] of the values by errors of the measurement."""
@@ -114,7 +114,7 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
     whole = only if len(parts) == 1 else joined(measurements, parts)
     front = math.nan
     if run is not None:
-        front = measures.front(run.positions[-1])
+        front = measures.front(run.positions[-1], run.volumes)
     elif whole is only and not problem.target.minimise:
         front = only.observation.front(only.values)
     return Target(

@@ -37,8 +37,8 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     truth_deg, jitter = float(stream.uniform(*ANGLES_DEG)), int(stream.integers(1, 2**31))
     stated = read_problem("friction-tall-42")
     scene = dataclasses.replace(stated.scene.with_friction_deg(truth_deg), seed=jitter)
-    deposit = simulate(scene, record=LAST).positions[-1]
-    front = measures.front(deposit)
+    flow = simulate(scene, record=LAST)
+    front = measures.front(flow.positions[-1], flow.volumes)
     print(f"A column {scene.masses[0].size[0]} m long and {scene.masses[0].size[1]} m high ran to x = {front:.4f} m.")
     print("Which friction angle did it have? The front is all that the inversion is given.\n")
 
@@ -55,7 +55,7 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     )
     result = solve(problem, out, model=model)
 
-    target = dataclasses.replace(result.target, deposit=deposit, truth={parameter.name: truth_deg})
+    target = dataclasses.replace(result.target, deposit=flow.positions[-1], truth={parameter.name: truth_deg})
     result = dataclasses.replace(result, target=target)
     result.save(out)
     print_outcome(result, out)

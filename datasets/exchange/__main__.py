@@ -22,6 +22,7 @@ from datasets.exchange.geoelements import Sand
 from datasets.files import read_json, write_json
 from datasets.library import read_scene
 from datasets.measures import front, runout, toe
+from datasets.particles import particle_volumes
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from datasets.training.statistics import MotionStatistics, metadata, motion_statistics
@@ -148,7 +149,11 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
         velocity0=((positions[1] - positions[0]) / foreign.dt).astype(np.float32),
         friction=friction.astype(np.float32),
         scene=replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt),
-        summary={"runout": runout(positions[-1]), "front": front(positions[-1]), "toe": list(toe(positions[-1]))},
+        summary={
+            "runout": runout(positions[-1]),
+            "front": front(positions[-1], particle_volumes(scene, len(positions[-1]))),
+            "toe": list(toe(positions[-1])),
+        },
     )
 
 

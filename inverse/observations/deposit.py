@@ -23,10 +23,10 @@ DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)
 
 
 class Front(Observation):
-    """The x that 99.5 % of the particles are behind."""
+    """The x that 99.5 % of the volume is behind, by a fit (`measures.front`)."""
 
     kind = "front"
-    label = "the front, the x that 99.5 % of the particles are behind"
+    label = "the front, the x that 99.5 % of the volume is behind"
     sources = ("value", "values", "csv")
     options = ("times", "unit")
     columns: ClassVar = {"time": "times", "front": "values"}
@@ -37,7 +37,7 @@ class Front(Observation):
         self.limits = (0.0, scene.domain.size[0])
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
-        return np.array([measures.front(positions)])
+        return np.array([measures.front(positions, particle_volumes(self.scene, len(positions)))])
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         return fitted_tail(positions[:, 0], volumes).reshape(1)
@@ -163,7 +163,8 @@ class Deposit(Observation):
         return positions.double().flatten()
 
     def front(self, values: Values) -> float:
-        return measures.front(values.reshape(-1, self.components))
+        positions = values.reshape(-1, self.components)
+        return measures.front(positions, particle_volumes(self.scene, len(positions)))
 
     def of_particles(self, values: Values, indices: NDArray[np.int64]) -> Values:
         return np.asarray(values.reshape(-1, self.components)[indices].ravel())
@@ -175,8 +176,7 @@ class Deposit(Observation):
 class Outline(Observation):
     """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan.
 
-    The quantile of (p - c) . n that a front is along x: the support function of the outline, robust against single
-    particles.
+    What a front is along x, of (p - c) . n: the support function of the outline, robust against single particles.
     """
 
     kind = "outline"
@@ -210,7 +210,8 @@ class Outline(Observation):
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         extent = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions
-        return np.asarray(np.quantile(extent, measures.FRONT_QUANTILE, axis=0))
+        volumes = particle_volumes(self.scene, len(positions))
+        return np.array([measures.front(each[:, None], volumes) for each in extent.T])
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         extent = (positions[:, [0, 2]].double() - torch.from_numpy(self.centre)) @ torch.from_numpy(self.directions)

@@ -283,7 +283,7 @@ def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: V
 
 
 def fitted_tail(values: Tensor, volumes: Tensor) -> Tensor:
-    """The value that 99.5 % of the volume is behind, by a smooth fit (`measures.fitted_front`); both of shape [n]."""
+    """The value that 99.5 % of the volume is behind, by a fit (`measures.front`), differentiable; both of shape [n]."""
     ordered, order = torch.sort(values.double())
     weights = measures.tail_weights(volumes.detach().double().numpy()[order.numpy()])
     return (torch.from_numpy(weights) * ordered).sum()

@@ -29,12 +29,12 @@ READING = 0.25
 
 def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> dict[str, float]:
     """What could be measured of a deposit, positions [m], shape [N, D]; extent: of the stations along x [m]."""
-    toe = measures.toe(deposit)
-    found = {"the front": measures.front(deposit)}
+    toe, volumes = measures.toe(deposit), particle_volumes(scene, len(deposit))
+    found = {"the front": measures.front(deposit, volumes)}
     found |= {f"{axis} of the toe": float(value) for axis, value in zip("xyz", toe, strict=False) if axis != "y"}
     edges = [np.linspace(0.0, extent, STATIONS + 1)]
     edges += [np.linspace(0.0, width, ACROSS + 1) for width in scene.domain.size[2:]]
-    plan, volumes = deposit[:, [0, 2][: len(edges)]], particle_volumes(scene, len(deposit))
+    plan = deposit[:, [0, 2][: len(edges)]]
     heights = np.histogramdd(plan, bins=edges, weights=volumes)[0] / np.prod([each[1] - each[0] for each in edges])
     for index in np.ndindex(heights.shape):
         middles = (0.5 * (each[number] + each[number + 1]) for each, number in zip(edges, index, strict=True))

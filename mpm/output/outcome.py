@@ -84,7 +84,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     deposit = positions[-1]
     summary: dict[str, Any] = {
         "runout": runout(deposit),
-        "front": front(deposit),
+        "front": front(deposit, particles.volume),
         "toe": list(toe(deposit)),
         "steps": int(offset[Offset.STEPS]),
         "particles": len(deposit),

@@ -53,7 +53,7 @@ def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> No
         np.testing.assert_allclose(trajectory.time, np.arange(26) * 0.01)
         assert trajectory.positions.shape == (26, 12 * 16, 2)
         assert (summary["start"], summary["steps"], summary["particles"]) == (kind, steps, 192)
-        assert summary["front"] == pytest.approx(measures.fitted_front(trajectory.positions[-1], trajectory.volumes))
+        assert summary["front"] == pytest.approx(measures.front(trajectory.positions[-1], trajectory.volumes))
         assert trajectory.scene.frames == len(trajectory.time)
         assert trajectory.volumes.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
         assert trajectory.mass is not None

@@ -144,7 +144,7 @@ def test_a_twin_has_its_own_angle_and_jitter(tmp_path: Path) -> None:
     problem = small("front", tmp_path, settings)
     target = read_target(problem, fall)
     assert target.truth == {"friction_deg": 37.0}
-    assert target.front == pytest.approx(0.995 * (1.0 - 0.37 - 0.003), rel=1e-6)
+    assert target.front == pytest.approx(0.995 * (1.0 - 0.37 - 0.003), rel=2e-3)
     assert target.values == pytest.approx([target.front])
     unstated = small("front", tmp_path, TargetSettings(twin=True, seed=3))
     assert read_target(unstated, fall).truth == {"friction_deg": 42.0}
@@ -159,4 +159,6 @@ def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
     target = read_target(problem, fall)
     assert target.truth is None
     np.testing.assert_allclose(target.values, observation.exact(seen.positions[-1]))
-    assert target.front_error(1.01 * seen.positions[-1]) == pytest.approx(0.01, rel=1e-4)
+    assert target.front_error(dataclasses.replace(seen, positions=1.01 * seen.positions)) == pytest.approx(
+        0.01, rel=1e-4
+    )

@@ -249,7 +249,7 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
     """)
     result.section("Held-out scenes")
     result.text("""
-        Front: the end of the deposit that the flow has moved farther, which 99.5 % of the particles are behind;
+        Front: the end of the deposit that the flow has moved farther, which 99.5 % of the volume is behind;
         without the scenes where the wall ahead holds it. Profile: rms distance along x of equal shares of the two
         deposits. Both over the deposit's extent: mean of the amounts and, in brackets, the worst. Depth before
         baffles: mean over a baffle's width and, upstream, its height, each particle a cube of its volume; rms over

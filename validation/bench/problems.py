@@ -238,7 +238,7 @@ def page(
         Each problem is solved by one `python -m validation.loop`. Targets of twin experiments are runs of the MPM with
         another initial jitter than the inversion's. Loss and front are those of the MPM at the answer; ± are 95 %
         half-widths, of a problem with more than one answer those of the heaviest. The paper (Choi and Kumar 2024)
-        takes its targets from its own MPM; its front is the largest x, here the x that 99.5 % of the particles are
+        takes its targets from its own MPM; its front is the largest x, here the x that 99.5 % of the volume is
         behind. The surrogate's own answer is found by its gradient alone, before any run of the MPM, which then shows
         the loss and the front there.
     """)

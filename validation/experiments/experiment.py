@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError, require
 from datasets.library import read_scene
-from datasets.measures import FRONT_QUANTILE, Positions, front, height_profile, profile_stations
+from datasets.measures import Positions, front, height_profile, profile_stations
 from datasets.particles import particle_volumes
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Domain, Scene
@@ -112,7 +112,7 @@ class Measured(Record):
     """A measured number, or a measured profile."""
 
     quantity: Quantity
-    """front: x [m] that 99.5 % of the particles are behind, or where the deposit first gets thinner than
+    """front: x [m] that 99.5 % of the volume is behind, or where the deposit first gets thinner than
     `thicker_than`; radius: the same share by distance from the vertical axis; height: of the surface [m] next to the
     wall x = 0; profile: root mean square difference of the heights [m], of which the measured value is 0; radii: that
     of the radius over time."""
@@ -266,9 +266,9 @@ def quantity(measured: Measured, flow: Trajectory) -> float:
     """The quantity of `measured` [m] in the deposit of a flow, its last frame; of radii in all of its frames."""
     scene, positions = flow.scene, flow.positions[-1]
     if measured.quantity is Quantity.RADIUS:
-        return radius(positions)
+        return radius(positions, flow.volumes)
     if measured.quantity is Quantity.RADII:
-        computed = np.interp(measured.times, flow.time, [radius(each) for each in flow.positions])
+        computed = np.interp(measured.times, flow.time, [radius(each, flow.volumes) for each in flow.positions])
         return float(np.sqrt(np.mean((computed - measured.radii) ** 2)))
     if measured.quantity is Quantity.HEIGHT:
         assert measured.within is not None, "a measured height has been checked"
@@ -276,15 +276,14 @@ def quantity(measured: Measured, flow: Trajectory) -> float:
     if measured.quantity is Quantity.PROFILE:
         return profile_difference(np.array(measured.x), np.array(measured.heights), scene, positions)
     if measured.thicker_than is None:
-        return front(positions)
+        return front(positions, flow.volumes)
     stations = profile_stations(scene, STATION * scene.domain.cell)
     return edge(stations, mean_profile(scene, positions, stations, measured.beside_walls), measured.thicker_than)
 
 
-def radius(positions: Positions) -> float:
-    """Distance from the vertical axis [m] that FRONT_QUANTILE of the particles are within; positions: shape [N, D]."""
-    x = positions.astype(np.float64)
-    return float(np.quantile(np.hypot(x[:, 0], x[:, -1]), FRONT_QUANTILE))
+def radius(positions: Positions, volume: Floats) -> float:
+    """Distance from the vertical axis [m] that 99.5 % of the volume is within; positions: shape [N, D], volume: [N]."""
+    return front(np.hypot(positions[:, [0]], positions[:, [-1]]), volume)
 
 
 def mean_profile(scene: Scene, positions: Positions, stations: Floats, beside_walls: float | None = None) -> Floats:

@@ -171,9 +171,9 @@ def further(outcome: Outcome) -> dict[str, float]:
         return {}
     state, scene = outcome.state, outcome.state.task.problem.scene
     near = state.posterior.near
-    deposits = [run.trajectory.positions[-1] for run, each in zip(state.every, near, strict=True) if each]
-    extent = max(measures.front(deposit) for deposit in deposits)
-    shown = [measurements(scene, deposit, extent) for deposit in deposits]
+    flows = [run.trajectory for run, each in zip(state.every, near, strict=True) if each]
+    extent = max(measures.front(flow.positions[-1], flow.volumes) for flow in flows)
+    shown = [measurements(scene, flow.positions[-1], extent) for flow in flows]
     # That of the target is known.
     known = {"the front"} if math.isfinite(state.task.target.front) else set()
     found = information(

@@ -59,10 +59,10 @@ def error(flow: Trajectory, reference: Trajectory) -> float:
     The profile's is `measures.transport_distance`; the extent is from the rear of the masses at the start to the front.
     """
     found, exact = flow.positions[-1], reference.positions[-1]
-    front = measures.front(exact)
+    front = measures.front(exact, reference.volumes)
     apart = measures.transport_distance(found, flow.volumes, exact, reference.volumes)
     extent = front - min(mass.lower[0] for mass in flow.scene.masses)
-    return max(abs(measures.front(found) - front), apart) / extent
+    return max(abs(measures.front(found, flow.volumes) - front), apart) / extent
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +225,7 @@ def page(
         Cells across the smallest side of the mass, particles per axis and step (over cell / wave speed) that a
         tolerance selects: the cheapest whose **bound** is within it (`mpm/resolution.toml`, measured on ten scenes in
         2D and four in 3D, by `--ship`). The bound is what {COVERAGE * 10:.0f} of 10 further scenes like these stay
-        within. An error is that of the **front**, the x that 99.5 % of the particles are behind, or of the **profile**,
+        within. An error is that of the **front**, the x that 99.5 % of the volume is behind, or of the **profile**,
         the rms distance along x of twenty equal shares of the deposit, the larger of the two over the
         **extent** from the rear of the mass at the start to the front; against the same scene on a fine grid.
     """)

@@ -18,8 +18,9 @@ from datasets import measures
 from datasets.files import read_toml
 from datasets.library import read_scene
 from datasets.material import Material
-from datasets.measures import Positions, runout
+from datasets.measures import runout
 from datasets.scene import Domain, Mass, Scene
+from datasets.trajectory import Trajectory
 from mpm import AT_REST
 from validation.experiments.experiment import radius
 from validation.report.page import Page, Row, percent, signed
@@ -73,9 +74,10 @@ def column(dimension: int, aspect: float, cells: int) -> Scene:
     )
 
 
-def front(positions: Positions) -> float:
-    """(d - L) / L, with d the radius that 99.5 % of the particles are within."""
-    return (measures.front(positions) if positions.shape[1] == 2 else radius(positions)) / LENGTH - 1.0
+def front(flow: Trajectory) -> float:
+    """(d - L) / L, with d the radius that 99.5 % of the volume is within."""
+    extent = measures.front if flow.scene.dimension == 2 else radius
+    return extent(flow.positions[-1], flow.volumes) / LENGTH - 1.0
 
 
 def collapse(store: RunStore, *, quick: bool) -> Fronts:
@@ -89,7 +91,7 @@ def collapse(store: RunStore, *, quick: bool) -> Fronts:
         for aspect in ASPECTS[dimension][1 : 3 if quick else None]
     }
     flows = store.run(list(runs.values()))
-    return {key: front(flow.positions[-1]) for key, flow in zip(runs, flows, strict=True)}
+    return {key: front(flow) for key, flow in zip(runs, flows, strict=True)}
 
 
 def laws() -> Fronts:
@@ -117,7 +119,7 @@ def aspect_tables(page: Page, found: Fronts) -> None:
     page.text(f"""
         Columns of length (in 3D: cylinders of radius) L and height H = a L, dry sand of {FRICTION_DEG:g}° on a floor as
         rough, undamped, {CELLS[2]} cells across the smaller of L and H in 2D, {CELLS[3]} in 3D, until they rest: the
-        front, (d - L) / L of 99.5 % of the particles. The laws of the literature are of the furthest grains; side walls
+        front, (d - L) / L of 99.5 % of the volume. The laws of the literature are of the furthest grains; side walls
         brake the experiments in channels, not discs and rods. Other codes ran on the same grids.
     """)
     known = {**found, **laws(), **codes()}

@@ -140,7 +140,7 @@ def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFai
         kept = [dataclasses.replace(each, maximum=row.energy) if each.check == "energy" else each for each in kept]
     own = [check.finding(flow) for check in row.checks]
     if isinstance(other, Trajectory):
-        value = front(flow.positions[-1]) / front(other.positions[-1])
+        value = front(flow.positions[-1], flow.volumes) / front(other.positions[-1], other.volumes)
         name = f"front over that of {row.over}"
         own.append(Finding(check=name, value=value, minimum=1.0 - row.within, maximum=1.0 + row.within))
     return Verdict(row=row, kept=tuple(kept), own=tuple(own))
@@ -160,7 +160,7 @@ def fronts(dimensions: Sequence[int] = (2, 3)) -> Fronts:
         scene = dataclasses.replace(with_resolution(stiff, chosen), relaxation_time=TRANSFERS[transfer])
         scenes[dimension, transfer, stiffness, step] = scene
     flows = simulate_many(list(scenes.values()), record=LAST, progress=True)
-    return {key: front(flow.positions[-1]) for key, flow in zip(scenes, flows, strict=True)}
+    return {key: front(flow.positions[-1], flow.volumes) for key, flow in zip(scenes, flows, strict=True)}
 
 
 def spread(found: Fronts, dimension: int, transfer: str) -> float:

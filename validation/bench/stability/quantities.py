@@ -151,7 +151,7 @@ def stands(flow: Trajectory) -> float:
 @quantity("front over that of repose", minimum=1.0)
 def spreads(flow: Trajectory) -> float:
     """The front lies at least where that of a pile of the same area at the angle of friction would."""
-    return front(flow.positions[-1]) / exact.repose_front(flow.scene)
+    return front(flow.positions[-1], flow.volumes) / exact.repose_front(flow.scene)
 
 
 @quantity("creep", "cells", maximum=0.1)
@@ -165,7 +165,7 @@ def creeps(flow: Trajectory) -> float:
 @quantity("front moved", "cells", minimum=2.0)
 def runs_out(flow: Trajectory) -> float:
     """How far the front has moved."""
-    return in_cells(front(flow.positions[-1]) - front(flow.positions[0]), flow)
+    return in_cells(front(flow.positions[-1], flow.volumes) - front(flow.positions[0], flow.volumes), flow)
 
 
 @quantity("share moved by a cell")
