@@ -24,9 +24,9 @@ from mpm.physics.contact import (
     contact_of,
     jump_at_contact,
     present,
+    removed_by,
     sheared_traction,
     surface_force,
-    taken_by,
     touches,
 )
 from mpm.physics.grid import relaxation_factor
@@ -55,22 +55,22 @@ def solids_reverse(bar, v, mass, n, worker, arrays: ti.template()):
     features = arrays.features
     v_bar, mass_bar = bar, 0.0 * mass
     for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
-        face, taken = taken_by(hold, v, arrays)
+        face, removed = removed_by(hold, v, arrays)
         normal = face_vector(face, features.face_normal, arrays)
         if v.dot(normal) < 0.0:
             friction, share = arrays.holds[hold, 1], arrays.holds[hold, 2]
-            taken_bar = 0.0 - bar
+            removed_bar = 0.0 - bar
             if ti.static(arrays.layout.impulses):
                 momentum_bar = impulse_bar(solid_of(face, arrays), worker, arrays)
-                mass_bar += momentum_bar.dot(taken)
-                taken_bar = taken_bar + mass * momentum_bar
-            left_bar = (0.0 - share) * taken_bar
+                mass_bar += momentum_bar.dot(removed)
+                removed_bar = removed_bar + mass * momentum_bar
+            left_bar = (0.0 - share) * removed_bar
             through_bar, normal_bar, friction_bar = after_contact_reverse(left_bar, v, normal, friction)
             v_bar = v_bar + through_bar - left_bar
             for k in ti.static(range(features.dimension)):
                 add_face(face, features.face_normal + k, normal_bar[k], arrays)
             arrays.hold_adjoints[hold, 1] += ti.cast(friction_bar, ti.f64)
-            whole = taken_bar.dot(v - after_contact(v, normal, friction))
+            whole = removed_bar.dot(v - after_contact(v, normal, friction))
             arrays.hold_adjoints[hold, 2] += ti.cast(whole, ti.f64)
     return v_bar, mass_bar
 

@@ -233,10 +233,10 @@ def apply_solids(v, mass, n, worker, arrays: ti.template()):
     """Velocity `v` [m/s] after the holds of the node with the `mass` [kg] and the entry `n` in `node_holds`, [D]."""
     after = v
     for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
-        face, taken = taken_by(hold, v, arrays)
-        after = after - taken
+        face, removed = removed_by(hold, v, arrays)
+        after = after - removed
         for k in ti.static(range(arrays.features.dimension)):
-            add_impulse(solid_of(face, arrays), k, mass * taken[k], 0, worker, arrays)
+            add_impulse(solid_of(face, arrays), k, mass * removed[k], 0, worker, arrays)
     return after
 
 
@@ -245,19 +245,19 @@ def after_solids(v, n, arrays: ti.template()):
     """Velocity `v` [m/s] as `apply_solids` leaves it, without its impulse."""
     after = v
     for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
-        _, taken = taken_by(hold, v, arrays)
-        after = after - taken
+        _, removed = removed_by(hold, v, arrays)
+        after = after - removed
     return after
 
 
 @ti.func
-def taken_by(hold, v, arrays: ti.template()):
+def removed_by(hold, v, arrays: ti.template()):
     """The face of a hold and what it takes of a velocity `v` [m/s], share_k (v - A_k v)."""
-    face, taken = ti.cast(arrays.holds[hold, 0], ti.i32), 0.0 * v
+    face, removed = ti.cast(arrays.holds[hold, 0], ti.i32), 0.0 * v
     normal = face_vector(face, arrays.features.face_normal, arrays)
     if v.dot(normal) < 0.0:
-        taken = arrays.holds[hold, 2] * (v - after_contact(v, normal, arrays.holds[hold, 1]))
-    return face, taken
+        removed = arrays.holds[hold, 2] * (v - after_contact(v, normal, arrays.holds[hold, 1]))
+    return face, removed
 
 
 @ti.func

@@ -85,7 +85,7 @@ def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int
     whole = surface(scene)
     nodes = np.arange(np.prod(node_shape(scene.domain)))
 
-    def taken(shift: float) -> NDArray[np.float64]:
+    def removed(shift: float) -> NDArray[np.float64]:
         moved = dataclasses.replace(whole, corners=whole.corners + shift)
         first, holds = holds_of(scene.domain, moved, nodes, cutoff=2.0)
         normal = moved.normals[holds[:, 0].astype(int)]
@@ -94,7 +94,7 @@ def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int
         np.add.at(found, node, holds[:, 2, None, None] * normal[:, :, None] * normal[:, None, :])
         return found
 
-    here = taken(0.0)
+    here = removed(0.0)
     depth = -nearest(whole, node_positions(scene.domain, nodes)).distance / CELL
     share = np.trace(here, axis1=1, axis2=2)
     assert np.abs(share[depth <= FADE[0]]).max() == 0.0
@@ -103,4 +103,4 @@ def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int
     np.testing.assert_allclose(share[held], 1.0, atol=1e-12)
     # Shares fall from 1 to 0 over half a cell.
     for shift in (1e-9, -1e-9):
-        assert np.abs(taken(shift) - here).max() < 20.0 * abs(shift) / (BLEND * CELL)
+        assert np.abs(removed(shift) - here).max() < 20.0 * abs(shift) / (BLEND * CELL)
