@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.material import Material
+from datasets.measures import front
 from datasets.particles import particle_count
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
@@ -30,6 +31,7 @@ from validation.loop.task import Task
 PARTICLES = 600
 # Quantiles of a wedge: the deposit thins out towards its front.
 SHAPE = 1.0 - np.sqrt(1.0 - (np.arange(PARTICLES) + 0.5) / PARTICLES)
+FRONT = front(SHAPE[:, None])
 WIDTH = 4.0
 """Of the bounds of each velocity [m/s]."""
 

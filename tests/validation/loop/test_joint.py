@@ -15,11 +15,10 @@ from inverse.parameters import Parameter
 from inverse.problem import Problem
 from inverse.result import Result
 from inverse.settings import ObservationSettings, Surrogate, TargetSettings
-from tests.validation.loop.flows import SHAPE, Case, FakeMpm, TwinAngles, length, wedge
+from tests.validation.loop.flows import FRONT, Case, FakeMpm, TwinAngles, length, wedge
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
 
-FRONT = float(np.quantile(SHAPE, 0.995))
 JOINT = (
     ObservationSettings(kind="front", noise="1%"),
     ObservationSettings(kind="profile", noise="3%"),

@@ -12,7 +12,7 @@ from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.found import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS
-from tests.validation.loop.flows import WIDTH, Coarse, Folded, layers, length, wedge
+from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, layers, length, wedge
 from validation.loop import verdict
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
@@ -177,7 +177,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
 def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> None:
     """Cells of 10 mm shorten the deposit by 2 %; one that was measured was not made of cells."""
     twin = wedge(tmp_path, truth=24.0, mpm=Coarse(scatter=0.001)).solve(tmp_path / "twin")
-    true = length(24.0) * float(np.quantile(1.0 - np.sqrt(1.0 - (np.arange(600) + 0.5) / 600), 0.995))
+    true = length(24.0) * FRONT
     measured = wedge(tmp_path, value=true, mpm=Coarse(scatter=0.001)).solve(tmp_path / "seen")
     assert twin.certainty["friction_deg"] < 0.4
     assert abs(twin.unknowns["friction_deg"] - 24.0) < 0.5
