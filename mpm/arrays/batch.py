@@ -254,15 +254,15 @@ class Batch:
     def sort(self, index: int) -> None:
         """Put the particles of one scene in the order of their cells, so that neighbours in space are so in memory."""
         state, features, scene = self.state_of(index), self.features, self.scenes[index]
-        numbers = np.moveaxis(state, 1, 0).reshape(features.block, -1)
-        cells = np.floor(numbers[: features.dimension] / scene.domain.cell).astype(np.int64)
-        key = cells[0]
-        for axis in range(1, features.dimension):
-            key = key * (round(scene.domain.size[axis] / scene.domain.cell) + 1) + cells[axis]
+        key = np.zeros(state.shape[0] * features.lanes, np.int64)
+        for axis, length in enumerate(scene.domain.size):
+            cells = np.floor(state[:, axis].reshape(-1) / scene.domain.cell).astype(np.int64)
+            key = key * (round(length / scene.domain.cell) + 1) + cells
         count = len(self.particles[index].positions)
         key[count:] = np.iinfo(np.int64).max
         order = np.argsort(key, kind="stable")
-        state[:] = np.moveaxis(numbers[:, order].reshape(features.block, -1, features.lanes), 0, 1)
+        for vector in range(features.block):
+            state[:, vector] = state[:, vector].reshape(-1)[order].reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(order)] = self.order[first : first + len(order)][order]
 

@@ -14,8 +14,8 @@ from datasets.scene import Scene
 from mpm.arrays.layout import Contact, Precision, Property
 from mpm.output.request import ALL, Recording
 
-REGISTER = 64
-"""Bytes of a vector of lanes: a register of AVX-512. LLVM computes it in parts where registers are shorter."""
+REGISTER = 128
+"""Bytes of a vector of lanes: two registers of AVX-512, so that one is computed while the other waits for a root."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,6 +149,8 @@ def parts(features: Features) -> list[dict[str, int]]:
             "values": features.node * (1 + size),  # what a block gives: a node's value at the lowest one, and D slopes
             "lowest": 3 * size,  # each particle's lowest node, the grid's velocity at it and its change
             "density": 1 + size if features.volume_correction else 0,  # the grid's mass at each particle, its slopes
+            "gradient": size**2 if features.volume_correction else 0,  # of the grid's velocity at each particle
+            "changes": size**2 if features.volume_correction else 0,  # of its change
             "origin": size * contact,  # the positions before a step
             "push": 2 * size * contact,  # the contact's force per volume and its arm
             "scratch": 0,
