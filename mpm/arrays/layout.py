@@ -16,6 +16,8 @@ INDEX_LIMIT = 2**30
 """Numbers that an array of the particles may hold (`mpm.arrays.access.no_overflow`)."""
 PADDING = 3
 """Cells of grid beyond every wall: the support of a quadratic B-spline is one and a half to either side."""
+CACHE_LINE = 64
+"""Bytes."""
 ALIGNMENT = 128
 """Bytes: loads of a whole vector of lanes fail on less."""
 

@@ -32,7 +32,7 @@ a particle gives to a node is linear in the node's position: its value at the lo
 import taichi as ti
 
 from mpm.arrays.access import add, magnitude, maximum, no_overflow
-from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker, component
+from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import prepare_contact
 from mpm.physics.principal import TINY
@@ -236,7 +236,7 @@ def particles_in(scene, block, arrays: ti.template()):
 
 
 @ti.func
-def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), arrays: ti.template()):
+def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.template(), arrays: ti.template()):
     """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.block)
@@ -249,6 +249,8 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
             arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (4.0 * per_dx) * w * apart
     stride_x, stride_y = strides[0], strides[1]
     for lane in range(lanes):
+        if ti.static(features.prefetch):
+            read_ahead(scene, block, scratch, lane, arrays)
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
         lever = weight + 3 * features.dimension * lanes
@@ -274,6 +276,23 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
         store_sums(v, [x_slope, y_slope, z_slope], first, scratch, lane, arrays)
     if ti.static(features.volume_correction):
         hold_affine(first, scratch, kappa, arrays)
+
+
+@ti.func
+def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
+    """Read a lane's share of the next block's cache lines, so that they are there when this block is done.
+
+    A processor computes on while it waits for a few, not while it waits for all of a block's at once.
+    """
+    features, lanes = arrays.features, arrays.features.lanes
+    lines = ti.static(-(-features.block * features.register // (features.lanes * CACHE_LINE)))
+    last = arrays.offsets[scene, Offset.BLOCK] + (arrays.offsets[scene, Offset.PARTICLES] - 1) // lanes
+    at = no_overflow((ti.min(block + 1, last) * lanes + lane) * features.block)
+    found = arrays.lanes[at]
+    for k in ti.static(range(1, lines)):
+        found = found + arrays.lanes[at + ti.static(k * features.block // lines)]
+    # Kept, though nobody needs it: else nothing would be read.
+    arrays.scratch_lanes[no_overflow(scratch * lanes + lane) + features.ahead * lanes] = found
 
 
 @ti.func
