@@ -69,7 +69,7 @@ class Features(Record):
 
     @property
     def lanes(self) -> int:
-        """Particles in a block: what a register holds; one on a GPU."""
+        """Particles in a block: what `register` bytes hold; one on a GPU."""
         return 1 if self.gpu else self.register // (4 if self.precision == "f32" else 8)
 
     @property

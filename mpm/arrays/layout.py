@@ -1,6 +1,6 @@
 """Where the kernels find things: what a batch needs compiled, and the columns of the arrays that describe it.
 
-Particles live in blocks of `lanes` particles, one vector register wide. A block holds one such vector per number of a
+Particles live in blocks of `lanes` particles, two vector registers wide. A block holds one such vector per number of a
 particle (its first coordinate, its second, ...), so a block is brought forward by vector instructions; the transfers to
 and from the grid address single lanes of the same memory through a second, scalar view of it.
 """
