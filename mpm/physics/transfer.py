@@ -31,11 +31,10 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.arrays.access import add, magnitude, maximum, no_overflow
+from mpm.arrays.access import add, magnitude, no_overflow
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import prepare_contact
-from mpm.physics.principal import TINY
 
 
 @ti.func
@@ -350,10 +349,9 @@ def hold_affine(first, scratch, kappa, arrays: ti.template()):
         old = kappa * arrays.state[first + features.affine + k]
         new = arrays.scratch[scratch + features.gradient + k] - arrays.scratch[scratch + features.changes + k]
         before_squared, now_squared = before_squared + old * old, now_squared + new * new
-    loose = (arrays.state[first + features.gap] > 0.0) | (bears <= 0.0)
+    held = ((arrays.state[first + features.gap] > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
     # Where nothing is held back the root is 1.
-    least = maximum(maximum(before_squared, now_squared), TINY)
-    excess = 1.0 - ti.sqrt(ti.select(loose, before_squared, least) / least)
+    excess = 1.0 - ti.sqrt(ti.select(held, before_squared, 1.0) / ti.select(held, now_squared, 1.0))
     for k in ti.static(range(features.dimension**2)):
         slope = arrays.scratch[scratch + features.gradient + k]
         new = slope - arrays.scratch[scratch + features.changes + k]
