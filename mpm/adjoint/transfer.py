@@ -158,7 +158,7 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
 
 
 def held_affine(slopes, changes, affine, kappa, stress, gap, dimension):
-    """C as `mpm.physics.transfer.store_affine` leaves it, from the slopes of the grid's velocity and change; traced."""
+    """C as `mpm.physics.transfer.hold_affine` leaves it, from the slopes of the grid's velocity and change; traced."""
     before_squared, now_squared, bears = 0.0 * kappa, 0.0 * kappa, 0.0 * kappa
     for k in range(dimension * dimension):
         old, new = kappa * affine[k], slopes[k] - changes[k]

@@ -8,14 +8,17 @@ from typing import ClassVar
 
 from datasets.field import FRICTION
 from datasets.geometry.placement import remembers_gaps
-from datasets.particles import mass_particle_volumes
+from datasets.particles import mass_particle_volumes, particle_count
 from datasets.records import Record
 from datasets.scene import Scene
 from mpm.arrays.layout import Contact, Precision, Property
 from mpm.output.request import ALL, Recording
 
-REGISTER = 64
-"""Bytes of a vector of lanes: a register of AVX-512. LLVM computes it in parts where registers are shorter."""
+REGISTER = 128
+"""Bytes of a vector of lanes: two registers of AVX-512, so that one is computed while the other waits for a root."""
+
+PREFETCHED = 50_000
+"""Particles of a scene in 3D from which they are read ahead: its state is beyond the cache. In 2D that does not pay."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +51,8 @@ class Features(Record):
     """The momentum that floor and walls take is recorded."""
     shared: bool = False
     """One scene, on several threads."""
+    prefetch: bool = False
+    """The next block of particles is read ahead of its turn."""
     gpu: bool = False
     """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
     barriers: bool = False
@@ -64,7 +69,7 @@ class Features(Record):
 
     @property
     def lanes(self) -> int:
-        """Particles in a block: what a register holds; one on a GPU."""
+        """Particles in a block: what `register` bytes hold; one on a GPU."""
         return 1 if self.gpu else self.register // (4 if self.precision == "f32" else 8)
 
     @property
@@ -147,8 +152,11 @@ def parts(features: Features) -> list[dict[str, int]]:
             "weights": 3 * size,  # of the three nodes along each axis,
             "levers": 3 * size,  # and these times their distances
             "values": features.node * (1 + size),  # what a block gives: a node's value at the lowest one, and D slopes
+            "ahead": int(features.prefetch),  # what was read of the next block
             "lowest": 3 * size,  # each particle's lowest node, the grid's velocity at it and its change
             "density": 1 + size if features.volume_correction else 0,  # the grid's mass at each particle, its slopes
+            "gradient": size**2 if features.volume_correction else 0,  # of the grid's velocity at each particle
+            "changes": size**2 if features.volume_correction else 0,  # of its change
             "origin": size * contact,  # the positions before a step
             "push": 2 * size * contact,  # the contact's force per volume and its arm
             "scratch": 0,
@@ -199,6 +207,7 @@ def features_of(
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
         until_rest=record.until_rest,
         shared=shared,
+        prefetch=not gpu and any(s.dimension == 3 and particle_count(s) >= PREFETCHED for s in scenes),
         gpu=gpu,
         register=REGISTER,
     )

@@ -1,6 +1,6 @@
 """Where the kernels find things: what a batch needs compiled, and the columns of the arrays that describe it.
 
-Particles live in blocks of `lanes` particles, one vector register wide. A block holds one such vector per number of a
+Particles live in blocks of `lanes` particles, two vector registers wide. A block holds one such vector per number of a
 particle (its first coordinate, its second, ...), so a block is brought forward by vector instructions; the transfers to
 and from the grid address single lanes of the same memory through a second, scalar view of it.
 """
@@ -16,8 +16,10 @@ INDEX_LIMIT = 2**30
 """Numbers that an array of the particles may hold (`mpm.arrays.access.no_overflow`)."""
 PADDING = 3
 """Cells of grid beyond every wall: the support of a quadratic B-spline is one and a half to either side."""
-ALIGNMENT = 64
-"""Bytes: vector loads of a whole register fail on less."""
+CACHE_LINE = 64
+"""Bytes."""
+ALIGNMENT = 128
+"""Bytes: loads of a whole vector of lanes fail on less."""
 
 
 class Column(IntEnum):

@@ -60,7 +60,7 @@ def update_block(worker, grid, scene, block, scratch, dt, kappa, strides: ti.tem
             record_traction(block, scratch, volume, dt, worker, arrays)
         for k in ti.static(range(features.dimension)):
             arrays.scratch[scratch + features.origin + k] = arrays.state[block * features.block + k]
-    grid_to_block(grid, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kappa, strides, arrays)
+    grid_to_block(grid, scene, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kappa, strides, arrays)
     step_particles(scene, block, scratch, dt, kappa, arrays)
     update_stress(scene, block, scratch, near, dt, arrays)
     if ti.static(features.outflow):

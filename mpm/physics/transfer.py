@@ -31,8 +31,8 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.arrays.access import add, no_overflow
-from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker, component
+from mpm.arrays.access import add, magnitude, no_overflow
+from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import prepare_contact
 
@@ -68,12 +68,10 @@ def volume_of(scene, block, arrays: ti.template()):
 def lowest_node(arrays: ti.template(), scratch, lane, grid, strides: ti.template()):
     """Index of the lowest node of the particle in `lane`, in the whole array of nodes."""
     features = arrays.features
-    n = grid
+    n, at = grid, no_overflow(scratch * features.lanes + lane)
     for axis in ti.static(range(features.dimension)):
-        n += (
-            ti.cast(arrays.scratch_lanes[(scratch + features.lowest + axis) * features.lanes + lane], ti.i32)
-            * strides[axis]
-        )
+        low = arrays.scratch_lanes[at + (features.lowest + axis) * features.lanes]
+        n += ti.cast(low, ti.i32) * strides[axis]
     return n
 
 
@@ -84,10 +82,11 @@ def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, vari
     Unless `varies`, each node is given the same mass and side friction but for the weight: their slopes are zero.
     """
     features = arrays.features
-    first = scratch + features.values + group * features.node
+    first = ti.static(features.values + group * features.node)
+    at = no_overflow(scratch * features.lanes + lane)
     return ti.Vector(
         [
-            arrays.scratch_lanes[(first + k) * features.lanes + lane]
+            arrays.scratch_lanes[at + (first + k) * features.lanes]
             if k < features.used and (group == 0 or varies or (k != features.dimension and k <= 2 * features.dimension))
             else 0.0
             for k in ti.static(range(features.node))
@@ -236,7 +235,7 @@ def particles_in(scene, block, arrays: ti.template()):
 
 
 @ti.func
-def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), arrays: ti.template()):
+def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.template(), arrays: ti.template()):
     """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.block)
@@ -249,6 +248,8 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
             arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (4.0 * per_dx) * w * apart
     stride_x, stride_y = strides[0], strides[1]
     for lane in range(lanes):
+        if ti.static(features.prefetch):
+            read_ahead(scene, block, scratch, lane, arrays)
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
         lever = weight + 3 * features.dimension * lanes
@@ -271,11 +272,26 @@ def grid_to_block(grid, block, scratch, per_dx, kappa, strides: ti.template(), a
             x_slope = x_slope + lx[a] * u
             y_slope = y_slope + wx[a] * s
             z_slope = z_slope + wx[a] * t
-        slopes = ti.static([x_slope, y_slope, z_slope][:size])
-        store_velocity(v, scratch, lane, arrays)
-        if ti.static(features.volume_correction):
-            store_grid_mass(v[size], [slope[size] for slope in ti.static(slopes)], scratch, lane, arrays)
-        store_affine(slopes, kappa, first, lane, arrays)
+        store_sums(v, [x_slope, y_slope, z_slope], first, scratch, lane, arrays)
+    if ti.static(features.volume_correction):
+        hold_affine(first, scratch, kappa, arrays)
+
+
+@ti.func
+def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
+    """Read a lane's share of the next block's cache lines, so that they are there when this block is done.
+
+    A processor computes on while it waits for a few, not while it waits for all of a block's at once.
+    """
+    features, lanes = arrays.features, arrays.features.lanes
+    lines = ti.static(-(-features.block * features.register // (features.lanes * CACHE_LINE)))
+    last = arrays.offsets[scene, Offset.BLOCK] + (arrays.offsets[scene, Offset.PARTICLES] - 1) // lanes
+    at = no_overflow((ti.min(block + 1, last) * lanes + lane) * features.block)
+    found = arrays.lanes[at]
+    for k in ti.static(range(1, lines)):
+        found = found + arrays.lanes[at + ti.static(k * features.block // lines)]
+    # Kept, though nobody needs it: else nothing would be read.
+    arrays.scratch_lanes[no_overflow(scratch * lanes + lane) + features.ahead * lanes] = found
 
 
 @ti.func
@@ -294,57 +310,52 @@ def three_vectors(arrays: ti.template(), at):
 
 
 @ti.func
-def store_velocity(v, scratch, lane, arrays: ti.template()):
-    """Leave the grid's velocity at a particle, and its change, for the block's next step."""
-    features, lanes = arrays.features, arrays.features.lanes
-    for i in ti.static(range(features.dimension)):
-        at = no_overflow(scratch * lanes + lane) + (features.lowest + features.dimension + i) * lanes
-        arrays.scratch_lanes[at] = v[i]
-        arrays.scratch_lanes[at + features.dimension * lanes] = v[features.change + i]
+def store_sums(v, slopes: ti.template(), first, scratch, lane, arrays: ti.template()):
+    """Leave the grid's velocity at the particle in `lane`, its change and C, whose column j is D numbers of `slopes` j.
 
-
-@ti.func
-def store_affine(slopes: ti.template(), kappa, first, lane, arrays: ti.template()):
-    """Leave C of the particle in `lane`, whose column j is the first D numbers of `slopes` j.
-
-    With volume correction, that of a particle which is open or not yet loaded is held back.
+    With volume correction C is left to `hold_affine`, with the slopes of the change; and the mass sum_i w_ip m_i [kg]
+    and its slopes 4 / dx^2 sum_i w_ip m_i x_ip [kg/m].
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
-    particle = no_overflow(first * lanes + lane)
-    affine = particle + features.affine * lanes
-    excess = 0.0 * kappa
-    if ti.static(features.volume_correction):
-        before_squared, now_squared = 0.0 * kappa, 0.0 * kappa
-        for i in ti.static(range(size)):
-            for j in ti.static(range(size)):
-                old = kappa * arrays.lanes[affine + (size * i + j) * lanes]
-                new = slopes[j][i] - slopes[j][features.change + i]
-                before_squared += old * old
-                now_squared += new * new
-        bears = 0.0 * kappa
-        for k in ti.static(range(3)):
-            bears += ti.abs(arrays.lanes[particle + (features.stress + k) * lanes])
-        loose = arrays.lanes[particle + features.gap * lanes] > 0.0 or bears == 0.0
-        if loose and now_squared > before_squared:
-            excess = 1.0 - ti.sqrt(before_squared / now_squared)
+    own = no_overflow(scratch * lanes + lane)
+    at = own + (features.lowest + size) * lanes
+    affine = no_overflow(first * lanes + lane) + features.affine * lanes
     for i in ti.static(range(size)):
+        arrays.scratch_lanes[at + i * lanes] = v[i]
+        arrays.scratch_lanes[at + (size + i) * lanes] = v[features.change + i]
         for j in ti.static(range(size)):
-            at = affine + (size * i + j) * lanes
             if ti.static(features.volume_correction):
-                arrays.lanes[at] = slopes[j][i] - excess * (slopes[j][i] - slopes[j][features.change + i])
+                # C itself is still read: the compiler knows not that `state` and `lanes` are one memory.
+                arrays.scratch_lanes[own + (features.gradient + size * i + j) * lanes] = slopes[j][i]
+                arrays.scratch_lanes[own + (features.changes + size * i + j) * lanes] = slopes[j][features.change + i]
             else:
-                arrays.lanes[at] = slopes[j][i]
+                arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i]
+    if ti.static(features.volume_correction):
+        arrays.scratch_lanes[own + features.density * lanes] = v[size]
+        for j in ti.static(range(size)):
+            arrays.scratch_lanes[own + (features.density + 1 + j) * lanes] = slopes[j][size]
 
 
 @ti.func
-def store_grid_mass(mass, slopes: ti.template(), scratch, lane, arrays: ti.template()):
-    """Leave sum_i w_ip m_i [kg] of the particle in `lane`, and its D `slopes` 4 / dx^2 sum_i w_ip m_i x_ip [kg/m]."""
-    features, lanes = arrays.features, arrays.features.lanes
-    at = no_overflow(scratch * lanes + lane) + features.density * lanes
-    arrays.scratch_lanes[at] = mass
-    for k in ti.static(range(features.dimension)):
-        arrays.scratch_lanes[at + (1 + k) * lanes] = slopes[k]
+def hold_affine(first, scratch, kappa, arrays: ti.template()):
+    """Leave C of the particles of a block, that of those which are open or not yet loaded held back."""
+    features = arrays.features
+    bears = 0.0 * arrays.state[first]
+    before_squared, now_squared = bears, bears
+    for k in ti.static(range(3)):
+        bears = bears + magnitude(arrays.state[first + features.stress + k])
+    for k in ti.static(range(features.dimension**2)):
+        old = kappa * arrays.state[first + features.affine + k]
+        new = arrays.scratch[scratch + features.gradient + k] - arrays.scratch[scratch + features.changes + k]
+        before_squared, now_squared = before_squared + old * old, now_squared + new * new
+    held = ((arrays.state[first + features.gap] > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
+    # Where nothing is held back the root is 1.
+    excess = 1.0 - ti.sqrt(ti.select(held, before_squared, 1.0) / ti.select(held, now_squared, 1.0))
+    for k in ti.static(range(features.dimension**2)):
+        slope = arrays.scratch[scratch + features.gradient + k]
+        new = slope - arrays.scratch[scratch + features.changes + k]
+        arrays.state[first + features.affine + k] = slope - excess * new
 
 
 @ti.func
