@@ -239,8 +239,9 @@ def posterior(
     """The posterior given runs at points [n, U] that show `numbers` [n, M].
 
     scatter: expected standard deviation of each number from flow to flow [M]; region: what is not excluded and holds
-    the runs that count, the whole box where absent; factor: F; discretisation: change of the numbers by the cells [M],
-    whose square D is; trends: the one is used that predicts the runs best which are left out one by one;
+    the runs that count, the whole box where absent; factor: F; discretisation: change d of the numbers by the cells
+    [M], in components D = (d d^T + |d|^2 I / r) / 2: what the next finer cells change is as large, in a direction of
+    which half is known; trends: the one is used that predicts the runs best which are left out one by one;
     within: logarithm of what is excluded already (`Likelihood`).
     """
     unknowns = points.shape[1]
@@ -257,7 +258,8 @@ def posterior(
     known = reduced.noise
     if discretisation is not None:
         shift = (discretisation * reduced.weights) @ reduced.basis
-        known = known + np.outer(shift, shift)
+        size = float(shift @ shift)
+        known = known + 0.5 * (np.outer(shift, shift) + size / len(shift) * np.eye(len(shift)))
     ratio = float(np.trace(known) / max(float(np.trace(single)), 1e-300))
     # Test of lack of fit (Draper & Smith, Applied regression analysis, 1998, section 2.1).
     explained = expected**2 * f.ppf(CONSTANTS.lack_of_fit, emulator.freedom, repeats + CONSTANTS.scatter_prior)
