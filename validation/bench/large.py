@@ -43,10 +43,9 @@ Found = Mapping[str, Any]
 
 def slide(cell: float) -> Scene:
     """`hillside` on cells of another size [m], its layer a little thicker, its soil as soft as its speed allows."""
-    scene = read_scene("hillside")
+    scene = read_scene("hillside").with_cell(cell)
     soil, layer = replace(scene.material, young=6.0e6), replace(scene.masses[0], thickness=6.25)
-    domain = replace(scene.domain, cell=cell)
-    return replace(scene, domain=domain, material=soil, masses=(layer,), duration=8.0, step_fraction=0.9)
+    return replace(scene, material=soil, masses=(layer,), duration=8.0, step_fraction=0.9)
 
 
 def friction(cell: float) -> Problem:
