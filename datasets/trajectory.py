@@ -183,6 +183,15 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
     )
 
 
+def brackets(time: NDArray[np.float64], times: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """For each of `times` the frame before it and its fraction of the interval to the next, both of shape [M]."""
+    times = np.clip(times, time[0], time[-1])
+    before = np.clip(np.searchsorted(time, times, side="right") - 1, 0, max(0, len(time) - 2))
+    if len(time) == 1:
+        return before, np.zeros(len(times))
+    return before, (times - time[before]) / (time[before + 1] - time[before])
+
+
 def solid_names(scene: Scene) -> tuple[str, ...]:
     """The names of what stands fixed in a scene's flow, in the order in which impulses are recorded."""
     return tuple(getattr(solid, "name", None) or key for key, solid in keyed(scene, "baffles", "solids").items())

@@ -37,11 +37,11 @@ from tqdm import tqdm
 from datasets.particles import initial_volumes
 from datasets.processes import processors
 from datasets.scene import Scene
+from datasets.trajectory import brackets
 from inverse.forward.adjoint import derivatives
 from inverse.found import Answer, FoundField, MpmRun, Purpose, judge
 from inverse.noise import Scatter, fit, shrunk
 from inverse.observations import Observation, Rollout
-from inverse.observations.observation import brackets
 from inverse.parameters.field import BAND
 from inverse.problem import Problem
 from inverse.result import Result

@@ -2,6 +2,8 @@
 
 import re
 import tempfile
+from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +18,7 @@ from datasets.files import replacing
 from datasets.geometry.surface import surface_of
 from datasets.material import Material
 from datasets.particles import initial_particles
+from datasets.scene import Baffle, Mass, Scene
 from datasets.trajectory import Trajectory
 
 # VTK takes half a second to import: only who writes or draws pays for it.
@@ -43,6 +46,39 @@ MOVING = "particles"
 """The part whose geometry changes."""
 ACTIVE = {MOVING: "velocity", "solids": "force"}
 """The vectors that ParaView takes for glyphs where none are chosen, of each part."""
+
+
+class Colour(StrEnum):
+    """What the colour of a particle shows."""
+
+    VELOCITY = "velocity"
+    DISPLACEMENT = "displacement"
+    PRESSURE = "pressure"
+    PLASTIC_STRAIN = "plastic_strain"
+    MATERIAL = "material"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """How a field becomes colours."""
+
+    title: str
+    """Name and unit at the colour bar."""
+    unit: float = 1.0
+    """One of that unit in SI units."""
+    colours: str
+    """Colour map of matplotlib."""
+
+
+FIELDS = {
+    Colour.VELOCITY: Field(title="speed [m/s]", colours="viridis"),
+    Colour.DISPLACEMENT: Field(title="displacement [m]", colours="viridis"),
+    Colour.PRESSURE: Field(title="pressure [kPa]", unit=1000.0, colours="plasma"),
+    Colour.PLASTIC_STRAIN: Field(title="plastic strain [-]", colours="inferno"),
+    Colour.MATERIAL: Field(title="friction angle", colours="Set2"),
+}
+RANGE_QUANTILE = 0.995
+"""A colour bar ends at this quantile of the particles of its frames: no single particle decides."""
 
 
 class Meshes:
@@ -162,6 +198,29 @@ def edges(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyDat
     box: Any = pyvista.ImageData(dimensions=dimensions, spacing=spacing, origin=origin)
     found: pyvista.PolyData = box.extract_all_edges()
     return found
+
+
+def extent(scene: Scene, positions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Corners [m], shape [3] each, of what is drawn, with some air; up to the walls where these are near.
+
+    That is the flow at `positions` [m], shape [T, N, D], the masses, the baffles and the solids but for terrain, which is everywhere.
+    """
+    size = np.array(scene.domain.size)
+    boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]
+    corners = [np.array(each.lower) for each in boxes] + [np.add(each.lower, each.size) for each in boxes]
+    for solid in scene.solids:
+        if solid.lower is not None and solid.size is not None:
+            corners += [np.array(solid.lower), np.add(solid.lower, solid.size)]
+        corners += [np.array(vertex) for vertex in solid.vertices or ()]
+    lower, upper = np.min(corners, axis=0).clip(0.0, size), np.max(corners, axis=0).clip(0.0, size)
+    # These pass over particles that a failed simulation has lost (NaN).
+    lower = np.fmin(lower, np.fmin.reduce(positions, axis=(0, 1)).clip(0.0, size))
+    upper = np.fmax(upper, np.fmax.reduce(positions, axis=(0, 1)).clip(0.0, size))
+    air = 0.06 * float(np.max(upper - lower))
+    lower[1] = 0.0
+    lower = np.where(lower < 3.0 * air, 0.0, lower - air)
+    upper = np.where(upper > size - 3.0 * air, size, upper + air)
+    return np.pad(lower, (0, 3 - len(lower))), np.pad(upper, (0, 3 - len(upper)))
 
 
 def frames_of(trajectory: Trajectory, every: int) -> list[int]:

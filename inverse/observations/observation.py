@@ -17,7 +17,7 @@ from torch import Tensor
 from datasets import measures
 from datasets.errors import InputError
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.trajectory import Trajectory, brackets
 from inverse.observations.measured import Context, MeasuredProfile, tabulated
 from inverse.settings import ObservationSettings, noise_of
 
@@ -258,15 +258,6 @@ class Joint(Observation):
 
     def prior_scatter(self, values: Values) -> Values:
         return np.asarray(self.prior / self.scale)
-
-
-def brackets(time: Values, times: Values) -> tuple[NDArray[np.int64], Values]:
-    """For each of `times` the frame before it and its fraction of the interval to the next, both of shape [M]."""
-    times = np.clip(times, time[0], time[-1])
-    before = np.clip(np.searchsorted(time, times, side="right") - 1, 0, max(0, len(time) - 2))
-    if len(time) == 1:
-        return before, np.zeros(len(times))
-    return before, (times - time[before]) / (time[before + 1] - time[before])
 
 
 def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: Values) -> Any:

@@ -1,8 +1,6 @@
 """Pictures and movies of a trajectory by pyvista, off-screen: particles coloured by a field, the solids, the time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import StrEnum
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,47 +17,17 @@ from tqdm import tqdm
 
 from datasets.command_line import WorkFailed
 from datasets.errors import InputError
-from datasets.exchange.vtk import Meshes, edges, spatial
+from datasets.exchange.vtk import FIELDS, RANGE_QUANTILE, Colour, Meshes, edges, extent, spatial
 from datasets.files import replacing
 from datasets.geometry.surface import body_of, solids_of
-from datasets.scene import Baffle, Mass
 from datasets.trajectory import Trajectory
 
 Image = NDArray[np.uint8]
 Floats = NDArray[np.floating]
 
 
-class Colour(StrEnum):
-    """What the colour of a particle shows."""
-
-    VELOCITY = "velocity"
-    DISPLACEMENT = "displacement"
-    PRESSURE = "pressure"
-    PLASTIC_STRAIN = "plastic_strain"
-    MATERIAL = "material"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Field:
-    """How a field becomes colours."""
-
-    title: str
-    """Name and unit at the colour bar."""
-    unit: float = 1.0
-    """One of that unit in SI units."""
-    colours: str
-    """Colour map of matplotlib."""
-
-
-FIELDS = {
-    Colour.VELOCITY: Field(title="speed [m/s]", colours="viridis"),
-    Colour.DISPLACEMENT: Field(title="displacement [m]", colours="viridis"),
-    Colour.PRESSURE: Field(title="pressure [kPa]", unit=1000.0, colours="plasma"),
-    Colour.PLASTIC_STRAIN: Field(title="plastic strain [-]", colours="inferno"),
-    Colour.MATERIAL: Field(title="friction angle", colours="Set2"),
-}
-RANGE_QUANTILE, RANGE_FRAMES = 0.995, 40
-"""A colour bar ends at this quantile of the particles of so many frames: no single particle decides."""
+RANGE_FRAMES = 40
+"""Of so many frames the `RANGE_QUANTILE` is where a colour bar ends."""
 DIAMETER = 1.25
 """Of a drawn particle over the distance between particles at the start."""
 INK, STEEL, GROUND, FAINT = "#262626", "#8d9aa8", "#b5aa98", "#77736a"
@@ -89,7 +57,7 @@ class Picture:
     def __init__(self, trajectory: Trajectory, colour: Colour, *, smooth: bool = False) -> None:
         require(trajectory, colour)
         self.trajectory, self.meshes, self.colour = trajectory, Meshes(trajectory), colour
-        lower, upper = extent(trajectory)
+        lower, upper = extent(trajectory.scene, trajectory.positions)
         marks = _marks(0.0, float(np.max(upper - lower)), 10)
         self.step = float(marks[1] - marks[0])
         """Distance between two numbers of a scale [m]."""
@@ -258,30 +226,6 @@ class Picture:
             use_2d=flat,
             **counts,
         )
-
-
-def extent(trajectory: Trajectory) -> tuple[Floats, Floats]:
-    """Corners [m], shape [3] each, of what is drawn, with some air; up to the walls where these are near.
-
-    That is the flow, the masses, the baffles and the solids but for terrain, which is everywhere.
-    """
-    scene, positions = trajectory.scene, trajectory.positions
-    size = np.array(scene.domain.size)
-    boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]
-    corners = [np.array(each.lower) for each in boxes] + [np.add(each.lower, each.size) for each in boxes]
-    for solid in scene.solids:
-        if solid.lower is not None and solid.size is not None:
-            corners += [np.array(solid.lower), np.add(solid.lower, solid.size)]
-        corners += [np.array(vertex) for vertex in solid.vertices or ()]
-    lower, upper = np.min(corners, axis=0).clip(0.0, size), np.max(corners, axis=0).clip(0.0, size)
-    # These pass over particles that a failed simulation has lost (NaN).
-    lower = np.fmin(lower, np.fmin.reduce(positions, axis=(0, 1)).clip(0.0, size))
-    upper = np.fmax(upper, np.fmax.reduce(positions, axis=(0, 1)).clip(0.0, size))
-    air = 0.06 * float(np.max(upper - lower))
-    lower[1] = 0.0
-    lower = np.where(lower < 3.0 * air, 0.0, lower - air)
-    upper = np.where(upper > size - 3.0 * air, size, upper + air)
-    return np.pad(lower, (0, 3 - len(lower))), np.pad(upper, (0, 3 - len(upper)))
 
 
 def _marks(lower: float, upper: float, count: int) -> Floats:

@@ -1,0 +1,325 @@
+"""python -m datasets.compare A B --out DIR: two flows side by side, over time and where they end.
+
+Two runs of the MPM, of the MPM and a surrogate, two angles. At a time between two frames a flow is linear between them.
+Energies follow from the particles, so that they mean the same of both:
+
+    E_kin = 1/2 sum_i rho_i V_i |v_i|^2,    E_pot = -sum_i rho_i V_i g . x_i
+
+Where all particles of the flow that has fewer began where one of the other did, the root mean square of their
+distances counts besides; the deposits' own distance along x needs no such pairs (`measures.transport_distance`).
+"""
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tabulate import tabulate
+
+from datasets import measures
+from datasets.command_line import run
+from datasets.errors import InputError
+from datasets.exchange.vtk import Meshes
+from datasets.files import make_folder, replacing, write_json, write_text
+from datasets.trajectory import Trajectory, brackets, open_trajectory, trajectory_file
+
+Floats = NDArray[np.float64]
+Fields = dict[str, NDArray[Any]]
+
+MOMENTS = 60
+"""At most so many are compared, evenly in time."""
+ROWS = 10
+"""Of the table over time."""
+CONSTANT = ("material", "friction_deg")
+"""Fields that do not change."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """Figures of one flow at a time."""
+
+    front: float
+    """The x that 99.5 % of the volume is behind [m]."""
+    runout: float
+    """The largest x [m]."""
+    toe: float
+    """The x of the centroid of the furthest 10 % of the particles [m]."""
+    kinetic: float
+    """Kinetic energy [J, in 2D per metre of width]; nan where velocities are not known."""
+    potential: float
+    """Potential energy above the corner of the box [J, in 2D per metre of width]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """How far two flows are from each other at a time."""
+
+    profile: float
+    """Difference of the heights [m], root mean square over the stations at which either has some."""
+    transport: float
+    """Distance along x of equal shares of the volume, root mean square [m]."""
+    positions: float
+    """Distance of the particles that began at the same place, root mean square [m]; nan where they did not."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Two flows at the same times, and where each of them ends."""
+
+    labels: tuple[str, str]
+    dimension: int
+    time: Floats
+    """Of the moments [s], shape [T]: frames of the first flow, up to the end of the second."""
+    moments: tuple[list[Moment], list[Moment]]
+    """Of each flow, [T]; then one more, at its own end."""
+    differences: list[Difference]
+    """At these times, [T]; then one more, of the ends."""
+    ends: tuple[float, float]
+    """When each flow ends [s]."""
+    stations: Floats
+    """Where heights are [m], shape [S]."""
+    heights: tuple[Floats, Floats]
+    """Of the two deposits at their initial density [m], shape [S] each; in 3D their mean across the box."""
+
+    def as_json(self) -> dict[str, Any]:
+        """As `comparison.json` has it."""
+        every = [[asdict(each) for each in self.differences], *([asdict(each) for each in own] for own in self.moments)]
+        series = [{key: [each[key] for each in own[:-1]] for key in own[0]} for own in every]
+        return {
+            "runs": list(self.labels),
+            "time": self.time.tolist(),
+            "series": {"difference": series[0], "a": series[1], "b": series[2]},
+            "end": {"difference": every[0][-1], "a": every[1][-1], "b": every[2][-1]},
+            "end_time": {"a": self.ends[0], "b": self.ends[1]},
+            "profile": {
+                "x": self.stations.tolist(),
+                **dict(zip("ab", map(np.ndarray.tolist, self.heights), strict=True)),
+            },
+        }
+
+    def table(self) -> str:
+        """Markdown: both flows where they end, and how far they are apart there."""
+        energy = "J" if self.dimension == 3 else "J/m"
+        units = {"front": "m", "runout": "m", "toe": "m", "kinetic": energy, "potential": energy}
+        one, other = (asdict(own[-1]) for own in self.moments)
+        rows = [["time [s]", *(f"{end:.4g}" for end in self.ends), f"{self.ends[1] - self.ends[0]:+.3g}"]]
+        for key, unit in units.items():
+            name = f"{key} energy" if unit == energy else key
+            rows.append(
+                [f"{name} [{unit}]", *map(spoken, (one[key], other[key])), spoken(other[key] - one[key], "+.3g")]
+            )
+        apart = {
+            "heights, rms": "profile",
+            "equal shares along x, rms": "transport",
+            "same particles, rms": "positions",
+        }
+        for name, key in apart.items():
+            rows.append([f"{name} [m]", "", "", spoken(getattr(self.differences[-1], key), ".3g")])
+        return tabulate(rows, ["where they end", *self.labels, "difference"], "pipe", disable_numparse=True)
+
+    def over_time(self) -> str:
+        """Markdown: fronts and distances at some of the moments."""
+        rows = []
+        for at in np.unique(np.linspace(0, len(self.time) - 1, ROWS).round().astype(int)).tolist():
+            one, other, apart = self.moments[0][at], self.moments[1][at], self.differences[at]
+            numbers = (one.front, other.front, apart.profile, apart.transport, apart.positions)
+            rows.append([f"{self.time[at]:.4g}", *(spoken(each, ".4g") for each in numbers)])
+        fronts = [f"front of {label} [m]" for label in self.labels]
+        header = ["time [s]", *fronts, "heights [m]", "equal shares [m]", "same particles [m]"]
+        return tabulate(rows, header, "pipe", disable_numparse=True)
+
+
+def fields_at(meshes: Meshes, time: float) -> Fields:
+    """The `position` and all that is known of the particles at a time [s], shape [N] or [N, D] each.
+
+    Linear between frames; beyond them the first one's or the last one's.
+    """
+    flow = meshes.trajectory
+    (before,), (share,) = (each.tolist() for each in brackets(flow.time, np.array([time])))
+    first, second = (
+        {"position": np.asarray(flow.positions[frame])} | meshes.fields(frame) if weight > 0.0 else {}
+        for frame, weight in ((before, 1.0 - share), (before + 1, share))
+    )
+    if not first or not second:
+        return first or second
+    return {
+        key: first[key] if key in CONSTANT else (1.0 - share) * first[key] + share * second[key]
+        for key in first.keys() & second.keys()
+    }
+
+
+def pairs(one: Meshes, other: Meshes) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """Indices into both flows of the particles that began at the same place: all P of the one that has fewer.
+
+    Of as many particles those of a number, no farther apart than neighbours are: another jitter is the same particle.
+    None where some have no such partner.
+    """
+    from scipy.spatial import cKDTree
+
+    few, many = sorted((one, other), key=lambda each: len(each.start))
+    spacing = float(np.mean(many.trajectory.volumes)) ** (1.0 / many.trajectory.scene.dimension)
+    own = nearest = np.arange(len(few.start))
+    apart = np.inf
+    if len(few.start) == len(many.start):
+        apart = float(np.linalg.norm(few.start - many.start, axis=1).max())
+    else:
+        distance, nearest = cKDTree(many.start).query(few.start)
+        apart = 2.0 * float(distance.max()) if len(np.unique(nearest)) == len(own) else np.inf
+    if not apart <= spacing:
+        return None
+    return (own, nearest) if few is one else (nearest, own)
+
+
+def moment(meshes: Meshes, fields: Fields) -> Moment:
+    """The figures of a flow whose particles have these fields."""
+    flow, positions, velocity = meshes.trajectory, fields["position"].astype(np.float64), fields.get("velocity")
+    volume = flow.volumes
+    mass = volume * np.array([each.density for each in meshes.materials])[meshes.material]
+    speed2 = None if velocity is None else np.sum(velocity.astype(np.float64) ** 2, axis=1)
+    return Moment(
+        front=measures.front(positions, volume),
+        runout=measures.runout(positions),
+        toe=measures.toe(positions)[0],
+        kinetic=math.nan if speed2 is None else float(0.5 * mass @ speed2),
+        potential=float(-mass @ (positions @ np.array(flow.scene.gravity_vector))),
+    )
+
+
+def heights_of(meshes: Meshes, positions: NDArray[Any], stations: Floats) -> Floats:
+    """Heights [m] at `stations` [S] of particles at `positions`, in 3D their mean across the box; shape [S]."""
+    flow = meshes.trajectory
+    return measures.height_profile(positions, flow.volumes / math.prod(flow.scene.domain.size[2:]), stations)
+
+
+def common_stations(flows: Sequence[Trajectory]) -> Floats:
+    """The x [m] at which heights of flows are compared: two cells apart, along the longest box; shape [S]."""
+    longest = max((each.scene for each in flows), key=lambda scene: scene.domain.size[0])
+    spacing = 2.0 * max(each.scene.domain.cell for each in flows)
+    return measures.profile_stations(longest, min(spacing, 0.5 * longest.domain.size[0]))
+
+
+def evenly(time: Floats, most: int = MOMENTS) -> Floats:
+    """At most so many of the times, evenly, the first and the last among them."""
+    return time[np.unique(np.linspace(0, len(time) - 1, min(most, len(time))).round().astype(int))]
+
+
+def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A", "B")) -> Comparison:
+    """Compare two flows of one dimension.
+
+        found = compare(mpm.simulate("column-tall-42"), gns.simulate("column-tall-42"))
+        print(found.table())
+
+    Raises InputError where one is in 2D and the other in 3D.
+    """
+    dimensions = (one.scene.dimension, other.scene.dimension)
+    if dimensions[0] != dimensions[1]:
+        raise InputError(f"expected a {dimensions[0]}D flow to compare with one, got {dimensions[1]}D")
+    meshes, stations = (Meshes(one), Meshes(other)), common_stations((one, other))
+    same = pairs(*meshes)
+    end = float(other.time[-1]) * (1.0 + 1e-9)
+    time = evenly(one.time[one.time <= end])
+    ends = (float(one.time[-1]), float(other.time[-1]))
+    moments: tuple[list[Moment], list[Moment]] = ([], [])
+    differences, heights = [], (stations, stations)
+    for at in [*((t, t) for t in time.tolist()), ends]:
+        fields = tuple(fields_at(each, t) for each, t in zip(meshes, at, strict=True))
+        places = tuple(each["position"] for each in fields)
+        for own, each, known in zip(moments, meshes, fields, strict=True):
+            own.append(moment(each, known))
+        heights = (heights_of(meshes[0], places[0], stations), heights_of(meshes[1], places[1], stations))
+        occupied = (heights[0] > 0.0) | (heights[1] > 0.0)
+        apart = math.nan if same is None else rms(np.linalg.norm(places[0][same[0]] - places[1][same[1]], axis=1))
+        differences.append(
+            Difference(
+                profile=rms((heights[0] - heights[1])[occupied]),
+                transport=measures.transport_distance(places[0], one.volumes, places[1], other.volumes),
+                positions=apart,
+            )
+        )
+    return Comparison(
+        labels=labels,
+        dimension=dimensions[0],
+        time=time,
+        moments=moments,
+        differences=differences,
+        ends=ends,
+        stations=stations,
+        heights=heights,
+    )
+
+
+def spoken(value: float, form: str = ".5g") -> str:
+    """A number in words; a dash where there is none."""
+    return "-" if math.isnan(value) else format(value, form)
+
+
+def rms(values: NDArray[Any]) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values.astype(np.float64) ** 2)))
+
+
+def draw(path: Path, found: Comparison) -> None:
+    """Profiles of the deposits; fronts, energies and distances over time."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 6.4), layout="constrained")
+    (profile, front), (energy, apart) = figure.subplots(2, 2)
+    for label, own, heights, line in zip(found.labels, found.moments, found.heights, ("-", "--"), strict=True):
+        profile.plot(found.stations, heights, line, label=label)
+        front.plot(found.time, [each.front for each in own[:-1]], line, label=label)
+        energy.plot(found.time, [each.kinetic for each in own[:-1]], line, label=label)
+    for name, key in {"heights": "profile", "equal shares along x": "transport", "same particles": "positions"}.items():
+        apart.plot(found.time, [getattr(each, key) for each in found.differences[:-1]], label=name)
+    titles = ("where they end", "front", "kinetic energy", "distance, root mean square")
+    labels = ("height [m]", "x [m]", "[J]" if found.dimension == 3 else "[J/m]", "[m]")
+    for panel, title, label in zip((profile, front, energy, apart), titles, labels, strict=True):
+        panel.set_title(title, loc="left", fontsize=10)
+        panel.set(xlabel="x [m]" if panel is profile else "time [s]", ylabel=label)
+        panel.grid(alpha=0.25)
+        panel.legend(frameon=False, fontsize=8)
+    with replacing(path) as part:
+        figure.savefig(part, dpi=110)
+
+
+def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
+    """Compare two flows: fronts, profiles, energies and distances.
+
+    Parameters
+    ----------
+    one
+        A trajectory (NPZ or HDF5), or the folder of a run that holds one.
+    other
+        The one beside it.
+    out
+        Folder for comparison.md, comparison.png and comparison.json; the table is printed without, too.
+    """
+    paths = [trajectory_file(path) for path in (one, other)]
+    first, second = (open_trajectory(path, "velocities") for path in paths)
+    try:
+        found = compare(first, second, labels=labels_of(one, other))
+    except InputError as error:
+        raise error if error.where else error.at(str(paths[1])) from None
+    print(found.table())
+    if out is None:
+        return
+    make_folder(out)
+    draw(out / "comparison.png", found)
+    write_json(out / "comparison.json", found.as_json())
+    title = f"# {found.labels[0]} and {found.labels[1]}"
+    parts = [title, found.table(), "![comparison](comparison.png)", "## Over time", found.over_time()]
+    write_text(out / "comparison.md", "\n\n".join(parts) + "\n")
+    print(f"written to {out / 'comparison.md'}")
+
+
+def labels_of(one: Path, other: Path) -> tuple[str, str]:
+    """What two runs are called: the names of their folders or files, or the whole paths where these are the same."""
+    names = tuple(each.name if each.is_dir() else each.stem for each in (one.resolve(), other.resolve()))
+    return (names[0], names[1]) if names[0] != names[1] else (str(one), str(other))
+
+
+if __name__ == "__main__":
+    sys.exit(run(command, "python -m datasets.compare"))
