@@ -34,6 +34,8 @@ MOMENTS = 60
 """At most so many are compared, evenly in time."""
 ROWS = 10
 """Of the table over time."""
+APART = {"heights": "profile", "equal shares along x": "transport", "same particles": "positions"}
+"""What distances are called."""
 CONSTANT = ("material", "friction_deg")
 """Fields that do not change."""
 
@@ -161,15 +163,13 @@ def pairs(one: Meshes, other: Meshes) -> tuple[NDArray[np.int64], NDArray[np.int
     from scipy.spatial import cKDTree
 
     few, many = sorted((one, other), key=lambda each: len(each.start))
-    spacing = float(np.mean(many.trajectory.volumes)) ** (1.0 / many.trajectory.scene.dimension)
     own = nearest = np.arange(len(few.start))
-    apart = np.inf
     if len(few.start) == len(many.start):
         apart = float(np.linalg.norm(few.start - many.start, axis=1).max())
     else:
         distance, nearest = cKDTree(many.start).query(few.start)
         apart = 2.0 * float(distance.max()) if len(np.unique(nearest)) == len(own) else np.inf
-    if not apart <= spacing:
+    if not apart <= particle_spacing(many.trajectory):
         return None
     return (own, nearest) if few is one else (nearest, own)
 
@@ -192,14 +192,23 @@ def moment(meshes: Meshes, fields: Fields) -> Moment:
 def heights_of(meshes: Meshes, positions: NDArray[Any], stations: Floats) -> Floats:
     """Heights [m] at `stations` [S] of particles at `positions`, in 3D their mean across the box; shape [S]."""
     flow = meshes.trajectory
-    return measures.height_profile(positions, flow.volumes / math.prod(flow.scene.domain.size[2:]), stations)
+    width = math.prod(flow.scene.domain.size[2:])
+    return np.asarray(measures.height_profile(positions, flow.volumes / width, stations))
 
 
 def common_stations(flows: Sequence[Trajectory]) -> Floats:
-    """The x [m] at which heights of flows are compared: two cells apart, along the longest box; shape [S]."""
+    """The x [m] at which heights of flows are compared, along the longest box; shape [S].
+
+    Two cells apart, or two particles where a flow has fewer of them than cells.
+    """
     longest = max((each.scene for each in flows), key=lambda scene: scene.domain.size[0])
-    spacing = 2.0 * max(each.scene.domain.cell for each in flows)
+    spacing = 2.0 * max(max(each.scene.domain.cell, particle_spacing(each)) for each in flows)
     return measures.profile_stations(longest, min(spacing, 0.5 * longest.domain.size[0]))
+
+
+def particle_spacing(flow: Trajectory) -> float:
+    """Between neighbours at the start [m]."""
+    return float(np.mean(flow.volumes)) ** (1.0 / flow.scene.dimension)
 
 
 def evenly(time: Floats, most: int = MOMENTS) -> Floats:
@@ -272,7 +281,7 @@ def draw(path: Path, found: Comparison) -> None:
         profile.plot(found.stations, heights, line, label=label)
         front.plot(found.time, [each.front for each in own[:-1]], line, label=label)
         energy.plot(found.time, [each.kinetic for each in own[:-1]], line, label=label)
-    for name, key in {"heights": "profile", "equal shares along x": "transport", "same particles": "positions"}.items():
+    for name, key in APART.items():
         apart.plot(found.time, [getattr(each, key) for each in found.differences[:-1]], label=name)
     titles = ("where they end", "front", "kinetic energy", "distance, root mean square")
     labels = ("height [m]", "x [m]", "[J]" if found.dimension == 3 else "[J/m]", "[m]")

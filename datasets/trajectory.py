@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +116,18 @@ class Trajectory:
             for frame in range(len(self.time)):
                 file.append(positions=np.asarray(self.positions[frame : frame + 1], np.float32))
             file.put(**arrays)
+
+    def view(self, path: str | Path | None = None, *, other: "Trajectory | None" = None) -> Path:
+        """Write one HTML page that any browser opens from disk, without a path into a temporary folder, and open it.
+
+            flow.view()
+            flow.view("flow.html", other=gns.simulate("column-tall-42"))
+
+        other: a flow to draw over this one. Returns the page's path. Raises InputError.
+        """
+        # By name: what draws imports this module.
+        page: Path = import_module("datasets.exchange.view").view(self, path, other)
+        return page
 
     @staticmethod
     def load(path: str | Path) -> "Trajectory":

@@ -43,8 +43,8 @@ def command(
     rate
         Frames of the movie a second.
     """
-    from datasets.exchange.vtk import SERIES, frames_of, write_vtk
-    from validation.report.rendering import Colour, require, write_movie, write_picture
+    from datasets.exchange.vtk import SERIES, Colour, frames_of, write_vtk
+    from validation.report.rendering import require, write_movie, write_picture
 
     for key, number in (("--frames", frames), ("--rate", rate)):
         if number < 1:

@@ -69,6 +69,10 @@ class Field:
     colours: str
     """Colour map of matplotlib."""
 
+    def scaled(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values [N], or the amounts of vectors [N, D], in SI units, in that unit, shape [N]."""
+        return np.asarray((np.linalg.norm(values, axis=1) if values.ndim == 2 else values) / self.unit)
+
 
 FIELDS = {
     Colour.VELOCITY: Field(title="speed [m/s]", colours="viridis"),
@@ -203,7 +207,8 @@ def edges(lower: tuple[float, ...], size: tuple[float, ...]) -> "pyvista.PolyDat
 def extent(scene: Scene, positions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Corners [m], shape [3] each, of what is drawn, with some air; up to the walls where these are near.
 
-    That is the flow at `positions` [m], shape [T, N, D], the masses, the baffles and the solids but for terrain, which is everywhere.
+    That is the flow at `positions` [m], shape [T, N, D], the masses, the baffles and the solids but for terrain, which
+    is everywhere.
     """
     size = np.array(scene.domain.size)
     boxes: list[Mass | Baffle] = [*scene.masses, *scene.baffles]

@@ -10,12 +10,13 @@ from matplotlib import colormaps
 from matplotlib.image import imread
 
 from datasets.command_line import WorkFailed, run
+from datasets.exchange.vtk import Colour
 from datasets.scene import Baffle, Mass
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from tests.scenes import scene_of
 from validation.report import rendering
-from validation.report.rendering import Colour, Picture
+from validation.report.rendering import Picture
 from validation.vtk import command
 
 

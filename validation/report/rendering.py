@@ -99,10 +99,7 @@ class Picture:
 
     def values(self, frame: int) -> Floats:
         """What the colours show at `frame`, in the unit of the colour bar, shape [N]."""
-        values = self.meshes.fields(frame)[self.colour]
-        if values.ndim == 2:
-            values = np.linalg.norm(values, axis=1)
-        return np.asarray(values / FIELDS[self.colour].unit)
+        return FIELDS[self.colour].scaled(self.meshes.fields(frame)[self.colour])
 
     @property
     def spacing(self) -> float:

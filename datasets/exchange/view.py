@@ -1,0 +1,268 @@
+"""Flows -> one HTML page that any browser opens from disk: particles over time, their heights and their fronts.
+
+The page holds Plotly.js and the data, both deflated. Positions are 16-bit shares of the box around all of them, fields
+8-bit shares of the range of their colour bar; both as differences from one frame to the next, which deflate well.
+"""
+
+import base64
+import html
+import json
+import re
+import webbrowser
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import measures
+from datasets.compare import Fields, common_stations, evenly, fields_at, heights_of, pairs
+from datasets.errors import InputError
+from datasets.exchange.vtk import FIELDS, RANGE_QUANTILE, Colour, Field, Meshes, extent
+from datasets.files import finite, write_text
+from datasets.geometry.ground import ground_raster
+from datasets.geometry.surface import closed_body, solids_of
+from datasets.material import Material
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+
+FRAMES, PARTICLES = 60, 20_000
+"""At most so many of a flow are on a page, evenly."""
+NODES = 150
+"""Of the ground along the longest side of the box, at most."""
+ERROR = "error"
+"""What two flows of the same particles have besides: their distance."""
+SHOWN = {**FIELDS, ERROR: Field(title="distance between the two [m]", colours="magma")}
+COLOURS = ("#1b6ca8", "#d9730d")
+"""Of the first and of the second flow."""
+STOPS = 12
+"""Of a colour map."""
+CAMERA = {"eye": {"x": -0.35, "y": -1.5, "z": 0.85}, "center": {"x": 0.0, "y": 0.0, "z": -0.1}}
+"""Of 3D: the flow runs to the right, seen from above."""
+PAGE = Path(__file__).with_suffix(".html")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observed:
+    """What was measured of a flow's end, as far as a picture can show it."""
+
+    front: float | None = None
+    """x of the front [m]."""
+    x: Sequence[float] = ()
+    height: Sequence[float] = ()
+    """A profile [m]: height at x, both of shape [R]."""
+
+
+class Shown:
+    """What is on a page of one flow, moment by moment."""
+
+    def __init__(self, flow: Trajectory, stations: NDArray[np.float64]) -> None:
+        self.flow, self.meshes, self.stations = flow, Meshes(flow), stations
+        count = flow.positions.shape[1]
+        # At random: every so many of a lattice would be stripes.
+        chosen = np.random.default_rng(0).permutation(count)[:PARTICLES]
+        self.particles = np.sort(chosen)
+        """Indices of those that are drawn, shape [P]."""
+        self.positions: list[NDArray[np.floating]] = []
+        """Of these [m], [T] times [P, D]."""
+        self.values: dict[str, list[NDArray[np.floating]]] = {}
+        """Fields in the unit of their colour bar, [T] times [P] each."""
+        self.heights: list[NDArray[np.float64]] = []
+        """At the stations [m], [T] times [S]."""
+        self.front: list[float] = []
+
+    def add(self, fields: Fields) -> None:
+        """One moment more; fields of all particles."""
+        whole = fields["position"]
+        self.positions.append(whole[self.particles])
+        self.heights.append(heights_of(self.meshes, whole, self.stations))
+        self.front.append(measures.front(whole, self.flow.volumes))
+        for key in [key for key in SHOWN if key in fields]:
+            self.values.setdefault(key, []).append(SHOWN[key].scaled(fields[key][self.particles]))
+
+
+class Numbers:
+    """Arrays as integers, one after the other, and where in the bytes each of them is."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+
+    def put(self, values: NDArray[Any], low: NDArray[Any], high: NDArray[Any], kind: str) -> dict[str, Any]:
+        """Store `values` [T, ..., M, K] between `low` and `high`, each [M]; kind: `u1` or `u2`. Returns its place."""
+        levels = np.iinfo(kind).max
+        step = np.where(high > low, high - low, 1.0) / levels
+        shares = np.nan_to_num((values - low[:, None]) / step[:, None]).clip(0.0, levels).round().astype(kind)
+        self.data += b"\0" * (len(self.data) % 2)
+        place = {"type": kind, "at": len(self.data), "shape": shares.shape, "low": low.tolist(), "step": step.tolist()}
+        # Unsigned: what is less than before wraps around, and back where the differences are added up.
+        self.data += np.diff(shares, axis=0, prepend=np.zeros_like(shares[:1])).astype(f"<{kind}").tobytes()
+        return place
+
+
+def write_view(
+    path: str | Path,
+    flow: Trajectory,
+    other: Trajectory | None = None,
+    *,
+    title: str = "",
+    labels: Sequence[str] = ("A", "B"),
+    observed: Observed | None = None,
+) -> None:
+    """Write the page of a flow, or of two over each other at the times of the first.
+
+    Raises InputError where one is in 2D and the other in 3D.
+    """
+    flows = (flow,) if other is None else (flow, other)
+    dimension = flow.scene.dimension
+    for each in flows[1:]:
+        if each.scene.dimension != dimension:
+            raise InputError(f"expected a {dimension}D flow over one, got {each.scene.dimension}D")
+    stations, times = common_stations(flows), evenly(flow.time, FRAMES)
+    shown = [Shown(each, stations) for each in flows]
+    same = None if other is None else pairs(shown[0].meshes, shown[1].meshes)
+    for time in times.tolist():
+        moments = [fields_at(each.meshes, time) for each in shown]
+        if same is not None:
+            apart = np.linalg.norm(moments[0]["position"][same[0]] - moments[1]["position"][same[1]], axis=1)
+            few = int(len(moments[1]["position"]) < len(moments[0]["position"]))
+            moments[few][ERROR] = np.zeros(len(apart))
+            moments[few][ERROR][same[few]] = apart
+        for each, fields in zip(shown, moments, strict=True):
+            each.add(fields)
+    numbers = Numbers()
+    head = {
+        "dimension": dimension,
+        "times": times.tolist(),
+        "digits": 1 if times[-1] > 100.0 else 2 if times[-1] > 5.0 else 3,
+        "stations": stations.tolist(),
+        "depth": "height [m]" if dimension == 2 else "mean height over z [m]",
+        "camera": CAMERA,
+        **described(shown, numbers, [html.escape(each) for each in labels]),
+        **still(flow.scene),
+        "observed": vars(observed or Observed()),
+        "about": html.escape(about(shown, labels, times)),
+    }
+    from plotly.offline import get_plotlyjs
+
+    parts = {
+        "title": html.escape(title or "A granular flow"),
+        # No text of a scene's ends the script that it stands in.
+        "head": json.dumps(finite(head), default=list).replace("<", "\\u003c"),
+        "data": packed(bytes(numbers.data)),
+        "plotly": packed(get_plotlyjs().encode()),
+    }
+    write_text(Path(path), re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], PAGE.read_text(encoding="utf-8")))
+
+
+def packed(data: bytes) -> str:
+    """Deflated, as text."""
+    return base64.b64encode(zlib.compress(data, 9)).decode()
+
+
+def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -> dict[str, Any]:
+    """The flows, fields and ranges of a page, their arrays put into `numbers`."""
+    places = [np.stack(each.positions).swapaxes(1, 2) for each in shown]
+    low = np.min([each.min(axis=(0, 2)) for each in places], axis=0)
+    high = np.max([each.max(axis=(0, 2)) for each in places], axis=0)
+    corners = np.stack([extent(each.flow.scene, np.stack(each.positions)) for each in shown])
+    fields: dict[str, dict[str, Any]] = {"run": {"name": "which flow"}} if len(shown) > 1 else {}
+    materials = list(dict.fromkeys(material for each in shown for material in each.meshes.materials))
+    tops = {}
+    for key in SHOWN:
+        series = [each.values[key] for each in shown if key in each.values]
+        if series and (key != Colour.MATERIAL or len(materials) > 1):
+            top = float(np.quantile(np.concatenate([each for own in series for each in own]), RANGE_QUANTILE))
+            # Numbers of materials are stored as they are.
+            tops[key] = 255.0 if key == Colour.MATERIAL else top or 1.0
+            fields[key] = coloured(key, tops[key], materials)
+    runs = []
+    for each, place, label, colour in zip(shown, places, labels, COLOURS, strict=False):
+        values = {key: np.stack(own)[:, None] for key, own in each.values.items() if key in tops}
+        if Colour.MATERIAL in values:
+            own = np.array([materials.index(material) for material in each.meshes.materials])
+            values[Colour.MATERIAL] = own[values[Colour.MATERIAL].astype(int)]
+        top = np.array([max(float(np.max(each.heights)), 1.0e-9)])
+        run = {
+            "label": label,
+            "colour": colour,
+            # Between the particles that are drawn.
+            "spacing": float(each.flow.volumes.sum() / len(each.particles)) ** (1.0 / place.shape[1]),
+            "front": each.front,
+            "positions": numbers.put(place, low, high, "u2"),
+            "heights": numbers.put(np.stack(each.heights)[:, None], np.zeros(1), top, "u2"),
+            "fields": {key: numbers.put(own, np.zeros(1), np.array([tops[key]]), "u1") for key, own in values.items()},
+        }
+        runs.append(run)
+    return {
+        "runs": runs,
+        "fields": fields,
+        "lower": corners[:, 0].min(axis=0).tolist(),
+        "upper": corners[:, 1].max(axis=0).tolist(),
+    }
+
+
+def coloured(key: str, top: float, materials: Sequence[Material]) -> dict[str, Any]:
+    """The colour bar of a field, from 0 to `top`; of materials a colour for each."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    given, count = SHOWN[key], len(materials)
+    name, map_ = given.title.split(" [")[0], colormaps[given.colours]
+    if key != Colour.MATERIAL:
+        stops = [[at, to_hex(map_(at))] for at in np.linspace(0.0, 1.0, STOPS).tolist()]
+        return {"name": name, "title": given.title, "low": 0.0, "high": top, "scale": stops, "ticks": {}}
+    stops = [[(index + end) / count, to_hex(map_(index % map_.N))] for index in range(count) for end in (0, 1)]
+    ticks = {"tickvals": list(range(count)), "ticktext": [f"{each.friction_deg:g}°" for each in materials]}
+    ends = {"low": -0.5, "high": count - 0.5}
+    return {"name": name, "title": given.title, **ends, "scale": stops, "ticks": ticks}
+
+
+def still(scene: Scene) -> dict[str, Any]:
+    """What does not move: baffles and solids by their corners, of terrain the highest, at nodes over the box."""
+    parts = []
+    for number, (solid, key) in enumerate(zip(*solids_of(scene), strict=True)):
+        if solid.kind == "terrain":
+            continue
+        body = closed_body(solid, key, scene.domain)
+        corners = body.vertices if scene.dimension == 3 else body.vertices[[*range(len(body.vertices)), 0]]
+        part = {"kind": "baffle" if number < len(scene.baffles) else "ground"}
+        part |= dict(zip("xyz", corners.T.tolist(), strict=False)) | {"faces": body.faces.T.tolist()}
+        parts.append(part)
+    ground = None
+    if any(solid.kind == "terrain" for solid in scene.solids):
+        spacing = max(scene.domain.cell, max(scene.domain.size) / NODES)
+        heights = ground_raster(scene, spacing)[0]
+        axes = [(spacing * np.arange(count)).tolist() for count in heights.shape]
+        ground = {"x": axes[0], "y": heights.T.round(6).tolist()} | ({"z": axes[1]} if len(axes) == 2 else {})
+    return {"solids": parts, "ground": ground}
+
+
+def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float64]) -> str:
+    """What is on a page, and what of the flows is not, in sentences."""
+    scene, parts = shown[0].flow.scene, []
+    for each, label in zip(shown, labels, strict=False):
+        count, drawn = each.flow.positions.shape[1], len(each.particles)
+        what = f"{count:,} particles" if drawn == count else f"{drawn:,} of {count:,} particles, drawn at random"
+        parts.append(f"{label}: {what}" if len(shown) > 1 else what)
+    every = len(shown[0].flow.time)
+    parts.append(
+        f"{len(times)} of {every} frames" if every > len(times) else f"{every} frame{'s' if every > 1 else ''}"
+    )
+    if scene.slope_deg:
+        parts.append(f"the box is drawn level, gravity is inclined by {scene.slope_deg:g}°")
+    return "; ".join(parts) + "."
+
+
+def view(flow: Trajectory, path: str | Path | None, other: Trajectory | None) -> Path:
+    """`Trajectory.view`."""
+    if path is not None:
+        write_view(path, flow, other)
+        return Path(path)
+    page = Path(mkdtemp(prefix="talus-")) / "flow.html"
+    write_view(page, flow, other)
+    webbrowser.open(page.as_uri())
+    return page
