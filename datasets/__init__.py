@@ -13,6 +13,8 @@ For example:
 
 import warnings
 from importlib.metadata import PackageNotFoundError, distribution
+from importlib.util import find_spec
+from pathlib import Path
 
 from datasets import checks as checks
 from datasets.errors import InputError
@@ -57,4 +59,17 @@ def _warn_of_namesake() -> None:
     )
 
 
+def _warn_of_hidden() -> None:
+    """Python imports a folder or a file of the user's own, beside a script or where it runs, in place of a package."""
+    ours = Path(__file__).resolve().parents[1]
+    for name in ("mpm", "gns", "inverse", "validation"):
+        spec = find_spec(name)
+        place = (
+            Path([*(spec.submodule_search_locations or ()), spec.origin or ""][0]) if spec is not None else ours / name
+        )
+        if place.resolve() != ours / name:
+            warnings.warn(f"{place} hides Talus's package `{name}` here: rename it", stacklevel=3)
+
+
 _warn_of_namesake()
+_warn_of_hidden()

@@ -164,6 +164,10 @@ class Result:
             "seconds": self.seconds,
             "peak_memory_mib": peak_memory_mib(),
         }
+        if math.isfinite(self.target.front):
+            found["observation"]["front"] = self.target.front
+        if (profile := self.target.profile) is not None:
+            found["observation"]["profile"] = {"x": profile.x.tolist(), "height": profile.height.tolist()}
         if fit := first.fit:
             keys = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
             found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.factor}

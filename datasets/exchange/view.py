@@ -41,8 +41,6 @@ COLOURS = ("#1b6ca8", "#d9730d")
 """Of the first and of the second flow."""
 STOPS = 12
 """Of a colour map."""
-CAMERA = {"eye": {"x": -0.35, "y": -1.5, "z": 0.85}, "center": {"x": 0.0, "y": 0.0, "z": -0.1}}
-"""Of 3D: the flow runs to the right, seen from above."""
 PAGE = Path(__file__).with_suffix(".html")
 
 
@@ -140,7 +138,6 @@ def write_view(
         "digits": 1 if times[-1] > 100.0 else 2 if times[-1] > 5.0 else 3,
         "stations": stations.tolist(),
         "depth": "height [m]" if dimension == 2 else "mean height over z [m]",
-        "camera": CAMERA,
         **described(shown, numbers, [html.escape(each) for each in labels]),
         **still(flow.scene),
         "observed": vars(observed or Observed()),

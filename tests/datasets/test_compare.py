@@ -1,0 +1,108 @@
+"""Two flows side by side: of flows that are shifted, faster or thinner every figure is known."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.command_line import run
+from datasets.compare import command, compare, fields_at, pairs
+from datasets.exchange.vtk import Meshes
+from datasets.trajectory import Trajectory
+from tests.datasets.toys import toy
+
+APART = 0.05
+
+
+def shifted(flow: Trajectory, by: float) -> Trajectory:
+    """The same flow, from its second frame on farther along x [m]."""
+    positions = flow.positions.copy()
+    positions[1:, :, 0] += np.float32(by)
+    return dataclasses.replace(flow, positions=positions)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_shift_is_found_in_every_figure(dimension: int) -> None:
+    flow = toy(dimension)
+    found = compare(flow, shifted(flow, APART))
+    one, other = (own[-1] for own in found.moments)
+    assert [other.front - one.front, other.runout - one.runout, other.toe - one.toe] == pytest.approx(
+        [APART] * 3, abs=1e-6
+    )
+    last = found.differences[-1]
+    assert last.transport == pytest.approx(APART, rel=1e-5)
+    assert last.positions == pytest.approx(APART, rel=1e-5)
+    assert last.profile > 0.0
+    assert found.differences[0].positions == 0.0
+    assert np.trapezoid(found.heights[0], found.stations) == pytest.approx(
+        np.trapezoid(found.heights[1], found.stations)
+    )
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_energies_are_those_of_the_particles(dimension: int) -> None:
+    flow = toy(dimension)
+    mass = flow.scene.material.density * flow.volumes.sum()
+    first = compare(flow, flow).moments[0][0]
+    # The block begins at 1 m/s, its centre 0.04 m above the floor.
+    assert first.kinetic == pytest.approx(0.5 * mass, rel=1e-5)
+    centre = float(np.average(flow.positions[0, :, 1], weights=flow.volumes))
+    assert first.potential == pytest.approx(mass * -flow.scene.gravity_vector[1] * centre, rel=1e-5)
+
+
+def test_between_two_frames_a_flow_is_linear() -> None:
+    flow = toy(2)
+    half = fields_at(Meshes(flow), float(flow.time[1] + flow.time[2]) / 2.0)
+    np.testing.assert_allclose(half["position"], 0.5 * (flow.positions[1] + flow.positions[2]), rtol=1e-6)
+    assert half["material"].dtype == np.int32
+    np.testing.assert_array_equal(fields_at(Meshes(flow), 1.0e3)["position"], flow.positions[-1])
+
+
+def test_a_thinned_flow_has_the_particles_of_the_whole_one() -> None:
+    flow = toy(2)
+    chosen = np.arange(0, flow.positions.shape[1], 3)
+    ratio = np.float32(flow.volumes.sum() / flow.volumes[chosen].sum())
+    thin = dataclasses.replace(
+        flow,
+        positions=flow.positions[:, chosen],
+        velocity0=flow.velocity0[chosen],
+        friction=flow.friction[chosen],
+        volume=(ratio * flow.volumes[chosen]).astype(np.float32),
+        mass=np.zeros(len(chosen), np.int32),
+    )
+    found = pairs(Meshes(flow), Meshes(thin))
+    assert found is not None
+    np.testing.assert_array_equal(found[0], chosen)
+    np.testing.assert_array_equal(found[1], np.arange(len(chosen)))
+    assert compare(flow, thin).differences[-1].positions == 0.0
+    elsewhere = dataclasses.replace(thin, positions=thin.positions + np.float32(0.05))
+    assert pairs(Meshes(flow), Meshes(elsewhere)) is None
+    assert np.isnan(compare(flow, elsewhere).differences[-1].positions)
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flow = toy(2)
+    for name, each in {"one": flow, "other": shifted(flow, APART)}.items():
+        each.save(tmp_path / name / "trajectory.npz")
+    out = tmp_path / "out"
+    arguments = [str(tmp_path / "one"), str(tmp_path / "other"), "--out", str(out)]
+    assert run(command, "compare", arguments) == 0
+    assert "front [m]" in capsys.readouterr().out
+    found = json.loads((out / "comparison.json").read_text())
+    assert found["runs"] == ["one", "other"]
+    assert found["end"]["difference"]["transport"] == pytest.approx(APART, rel=1e-5)
+    assert len(found["series"]["a"]["front"]) == len(found["time"]) == len(flow.time)
+    assert "| 0.0125 " in (out / "comparison.md").read_text()
+    assert (out / "comparison.png").stat().st_size > 10_000
+
+
+def test_a_mistake_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    toy(2).save(tmp_path / "flat.npz")
+    toy(3).save(tmp_path / "deep.npz")
+    assert run(command, "compare", [str(tmp_path / "flat.npz"), str(tmp_path / "deep.npz")]) == 2
+    assert run(command, "compare", [str(tmp_path / "flat.npz"), str(tmp_path / "none")]) == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert "deep.npz: expected a 2D flow" in first
+    assert "none: expected" in second

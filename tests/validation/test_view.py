@@ -1,0 +1,58 @@
+"""`python -m validation.view`: from a file, the folder of a run or of an inversion to a page; mistakes are one line."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datasets.command_line import run
+from tests.datasets.toys import toy
+from validation.view import command
+
+
+def head(page: Path) -> dict[str, Any]:
+    """What a page holds besides its arrays."""
+    found = re.search(r'<script id="head"[^>]*>(.*?)</script>', page.read_text())
+    assert found is not None
+    return dict(json.loads(found[1]))
+
+
+def test_a_run_and_one_over_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("mpm", "gns"):
+        toy(2).save(tmp_path / name / "trajectory.npz")
+    assert run(command, "view", [str(tmp_path / "mpm")]) == 0
+    page = tmp_path / "mpm" / "view.html"
+    assert f"written to {page}" in capsys.readouterr().out
+    assert [each["label"] for each in head(page)["runs"]] == ["mpm"]
+    other = tmp_path / "both.html"
+    assert run(command, "view", [str(tmp_path / "mpm"), str(tmp_path / "gns"), "--out", str(other)]) == 0
+    assert [each["label"] for each in head(other)["runs"]] == ["mpm", "gns"]
+
+
+def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) -> None:
+    runs = [
+        {"purpose": "check", "unknowns": {"a": 1.0}, "loss": loss, "file": f"mpm/{loss}.npz"} for loss in (2.0, 1.0)
+    ]
+    others = [{"purpose": "wave", "unknowns": {"a": 1.0}, "loss": 0.0, "file": "mpm/wave.npz"}]
+    profile = {"x": [0.0, 0.5], "height": [0.1, 0.0]}
+    result = {"unknowns": {"a": 1.0}, "mpm_runs": [*runs, *others], "observation": {"front": 0.25, "profile": profile}}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    toy(2).save(tmp_path / "mpm" / "1.0.npz")
+    toy(2, seed=1).save(tmp_path / "mpm" / "target-01-abc.npz")
+    assert run(command, "view", [str(tmp_path)]) == 0
+    found = head(tmp_path / "view.html")
+    assert [each["label"] for each in found["runs"]] == ["MPM at the answer", "observed"]
+    assert found["observed"] == {"front": 0.25, **profile}
+
+
+def test_a_mistake_is_one_line_that_names_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    toy(2).save(tmp_path / "flat.npz")
+    toy(3).save(tmp_path / "deep.npz")
+    (tmp_path / "result.json").write_text('{"mpm_runs": []}')
+    wrong = {"none.npz": ["none.npz"], "deep.npz": ["flat.npz", "deep.npz"], "result.json": ["."]}
+    for file, paths in wrong.items():
+        assert run(command, "view", [str(tmp_path / path) for path in paths]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert str(tmp_path / file) in line
