@@ -54,7 +54,7 @@ def command(*arguments: str) -> None:
     if arguments in ((), ("-h",), ("--help",)):
         print(usage())
     elif len(arguments) == 1 and arguments[0] in LISTS:
-        print("\n".join(map(described, sorted(LISTS[arguments[0]][0].glob("*.toml")))))
+        print("\n".join(map(described, sorted(LISTS[arguments[0]][0].glob("*.toml"), key=lambda path: path.stem))))
     else:
         raise InputError(f"expected one of {', '.join([*MODULES, *LISTS])}", key=" ".join(arguments))
 

@@ -37,7 +37,7 @@ def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) ->
     ]
     others = [{"purpose": "wave", "unknowns": {"a": 1.0}, "loss": 0.0, "file": "mpm/wave.npz"}]
     profile = {"x": [0.0, 0.5], "height": [0.1, 0.0]}
-    result = {"unknowns": {"a": 1.0}, "mpm_runs": [*runs, *others], "observation": {"front": 0.25, "profile": profile}}
+    result = {"unknowns": {"a": 1.0}, "mpm_runs": runs, "observation": {"front": 0.25, "profile": profile}}
     (tmp_path / "result.json").write_text(json.dumps(result))
     toy(2).save(tmp_path / "mpm" / "1.0.npz")
     toy(2, seed=1).save(tmp_path / "mpm" / "target-01-abc.npz")
