@@ -59,7 +59,7 @@ def _warn_of_namesake() -> None:
     )
 
 
-def _warn_of_hidden() -> None:
+def _warn_of_shadowing() -> None:
     """Python imports a folder or a file of the user's own, beside a script or where it runs, in place of a package."""
     ours = Path(__file__).resolve().parents[1]
     for name in ("mpm", "gns", "inverse", "validation"):
@@ -72,4 +72,4 @@ def _warn_of_hidden() -> None:
 
 
 _warn_of_namesake()
-_warn_of_hidden()
+_warn_of_shadowing()

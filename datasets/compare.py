@@ -208,12 +208,12 @@ def common_stations(flows: Sequence[Trajectory]) -> Floats:
 
 def particle_spacing(flow: Trajectory) -> float:
     """Between neighbours at the start [m]."""
-    return float(np.mean(flow.volumes)) ** (1.0 / flow.scene.dimension)
+    return float(np.mean(flow.volumes) ** (1.0 / flow.scene.dimension))
 
 
 def evenly(time: Floats, most: int = MOMENTS) -> Floats:
     """At most so many of the times, evenly, the first and the last among them."""
-    return time[np.unique(np.linspace(0, len(time) - 1, min(most, len(time))).round().astype(int))]
+    return np.asarray(time[np.unique(np.linspace(0, len(time) - 1, min(most, len(time))).round().astype(int))])
 
 
 def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A", "B")) -> Comparison:

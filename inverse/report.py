@@ -29,7 +29,8 @@ SUGGESTED = 3
 def write(found: "Result", folder: Path, command: str) -> None:
     """Write `report.md` and its pictures into `folder`; command: what made it."""
     parts = [f"# {found.problem.name}: {found.verdict}", "\n".join(f"- {each}" for each in conclusion(found))]
-    parts += [f"`{command}`", question(found)]
+    look = f"; in a browser: `python -m validation.view {folder}`" if any(each.file for each in found.mpm_runs) else ""
+    parts += [f"`{command}`{look}", question(found)]
     pictures.save(pictures.deposits(found), folder / "deposit.png")
     if len(found.problem.numbers) > 2:
         pictures.draw_unknowns(folder / "unknowns.png", found)

@@ -150,6 +150,7 @@ def command(
         f"{summary['steps']} steps in {summary['wall_s']:.2f} s ({rate:.1f} million particle-steps a second), "
         f"{summary['compile_s']:.2f} s to compile"
     )
+    print(f"python -m validation.view {out} shows it in a browser")
     for line in summary["remarks"]:
         print(f"talus: {line}", file=sys.stderr)
     return 0

@@ -107,6 +107,13 @@ def test_the_deposit_is_explained(deposit: Path) -> None:
     assert abs(found - 27.0) <= width
 
 
+def test_two_angles_are_compared_as_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (text,) = blocks(DOCS / "how-to" / "look.md", "python")
+    exec(text, {})  # the page's own script
+    assert (tmp_path / "out" / "angles.html").exists()
+
+
 @pytest.mark.slow
 def test_the_gradients_of_the_page_agree() -> None:
     """With respect to the floor's friction, by the page's second script, and by the first with that as a parameter."""

@@ -12,6 +12,7 @@ RUN = {
     "mpm.run": ["scene.toml"],
     "gns.rollout": ["column-tall-42"],
     "validation.vtk": ["out/mpm.run"],
+    "datasets.compare": ["out/mpm.run", "out/gns.rollout"],
     "inverse": ["problem.toml", "--forward", "mpm"],
     "validation.loop": ["problem.toml"],
 }

@@ -1,13 +1,13 @@
 """python -m validation.view FLOW [OTHER]: a flow as one HTML page with a time slider, which opens from disk."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.files import read_json
+from datasets.files import read_json, reading
 
 FIELDS = ("velocities", "pressure", "plastic_strain")
 """Recorded ones that the page can show."""
@@ -21,8 +21,10 @@ class Source:
 
     file: Path
     name: str
-    observation: dict[str, Any] | None = None
-    """Of the folder of an inversion, as its `result.json` has it."""
+    front: float | None = None
+    """Of an inversion: x of the front that was observed [m]."""
+    profile: Sequence[Sequence[float]] = ((), ())
+    """x and height [m] of the profile that was measured."""
     target: Path | None = None
     """The flow that was observed."""
 
@@ -38,16 +40,19 @@ def source_of(path: Path) -> Source:
     found = read_json(result) if path.is_dir() else None
     if found is None:
         return Source(file=trajectory_file(path), name=path.resolve().name if path.is_dir() else path.stem)
-    runs = [each for each in found.get("mpm_runs", ()) if each.get("file")]
-    checks = [each for each in runs if each.get("purpose") == "check"] or runs
-    if not checks:
-        raise InputError("expected a run of the MPM, this result has none", where=str(result), key="mpm_runs")
-    # Those of the first answer come first.
-    best = min(checks, key=lambda each: (each.get("unknowns") != found.get("unknowns"), each.get("loss") or 0.0))
+    with reading(result, "the result of an inversion"):
+        runs = [each for each in found["mpm_runs"] if each["file"]]
+        checks = [each for each in runs if each["purpose"] == "check"] or runs
+        if not checks:
+            raise InputError("expected a run of the MPM, this result has none", key="mpm_runs")
+        # One of the first answer.
+        best = min(checks, key=lambda each: (each["unknowns"] != found["unknowns"], each["loss"] or 0.0))
+        seen = found["observation"]
+        profile = [[float(value) for value in seen.get("profile", {}).get(key, ())] for key in ("x", "height")]
+        front = None if seen.get("front") is None else float(seen["front"])
+        file = path / str(best["file"])
     target = min(path.glob(TARGETS), default=None)
-    return Source(
-        file=path / str(best["file"]), name="MPM at the answer", observation=found.get("observation"), target=target
-    )
+    return Source(file=file, name="MPM at the answer", front=front, profile=profile, target=target)
 
 
 def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None) -> None:
@@ -75,8 +80,6 @@ def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None
         labels = [*labels_of(flow, other)]
     elif first.target is not None:
         second = Source(file=first.target, name="observed")
-    seen = first.observation or {}
-    profile = seen.get("profile") or {"x": (), "height": ()}
     page = out or (flow if flow.is_dir() else flow.parent) / "view.html"
     flows = [open_trajectory(each.file, *FIELDS) for each in (first, second) if each is not None]
     try:
@@ -85,7 +88,7 @@ def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None
             *flows,
             title=flow.resolve().name,
             labels=labels,
-            observed=Observed(front=seen.get("front"), x=profile["x"], height=profile["height"]),
+            observed=Observed(front=first.front, x=first.profile[0], height=first.profile[1]),
         )
     except InputError as error:
         raise error if error.where or second is None else error.at(str(second.file)) from None

@@ -36,7 +36,8 @@ NODES = 150
 """Of the ground along the longest side of the box, at most."""
 ERROR = "error"
 """What two flows of the same particles have besides: their distance."""
-SHOWN = {**FIELDS, ERROR: Field(title="distance between the two [m]", colours="magma")}
+SHOWN: dict[str, Field] = {key.value: field for key, field in FIELDS.items()}
+SHOWN[ERROR] = Field(title="distance between the two [m]", colours="magma")
 COLOURS = ("#1b6ca8", "#d9730d")
 """Of the first and of the second flow."""
 STOPS = 12
@@ -81,6 +82,10 @@ class Shown:
         self.front.append(measures.front(whole, self.flow.volumes))
         for key in [key for key in SHOWN if key in fields]:
             self.values.setdefault(key, []).append(SHOWN[key].scaled(fields[key][self.particles]))
+
+    def known(self) -> dict[str, NDArray[np.floating]]:
+        """The fields that are known at every moment, shape [T, P]."""
+        return {key: np.stack(own) for key, own in self.values.items() if len(own) == len(self.positions)}
 
 
 class Numbers:
@@ -129,8 +134,8 @@ def write_view(
             few = int(len(moments[1]["position"]) < len(moments[0]["position"]))
             moments[few][ERROR] = np.zeros(len(apart))
             moments[few][ERROR][same[few]] = apart
-        for each, fields in zip(shown, moments, strict=True):
-            each.add(fields)
+        for own, fields in zip(shown, moments, strict=True):
+            own.add(fields)
     numbers = Numbers()
     head = {
         "dimension": dimension,
@@ -139,7 +144,7 @@ def write_view(
         "stations": stations.tolist(),
         "depth": "height [m]" if dimension == 2 else "mean height over z [m]",
         **described(shown, numbers, [html.escape(each) for each in labels]),
-        **still(flow.scene),
+        **still([each.scene for each in flows]),
         "observed": vars(observed or Observed()),
         "about": html.escape(about(shown, labels, times)),
     }
@@ -168,21 +173,21 @@ def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -
     corners = np.stack([extent(each.flow.scene, np.stack(each.positions)) for each in shown])
     fields: dict[str, dict[str, Any]] = {"run": {"name": "which flow"}} if len(shown) > 1 else {}
     materials = list(dict.fromkeys(material for each in shown for material in each.meshes.materials))
-    tops = {}
+    known, tops = [each.known() for each in shown], {}
     for key in SHOWN:
-        series = [each.values[key] for each in shown if key in each.values]
+        series = [own[key].ravel() for own in known if key in own]
         if series and (key != Colour.MATERIAL or len(materials) > 1):
-            top = float(np.quantile(np.concatenate([each for own in series for each in own]), RANGE_QUANTILE))
+            top = float(np.quantile(np.concatenate(series), RANGE_QUANTILE))
             # Numbers of materials are stored as they are.
             tops[key] = 255.0 if key == Colour.MATERIAL else top or 1.0
             fields[key] = coloured(key, tops[key], materials)
     runs = []
-    for each, place, label, colour in zip(shown, places, labels, COLOURS, strict=False):
-        values = {key: np.stack(own)[:, None] for key, own in each.values.items() if key in tops}
+    for each, arrays, place, label, colour in zip(shown, known, places, labels, COLOURS, strict=False):
+        values = {key: own[:, None] for key, own in arrays.items() if key in tops}
         if Colour.MATERIAL in values:
             own = np.array([materials.index(material) for material in each.meshes.materials])
             values[Colour.MATERIAL] = own[values[Colour.MATERIAL].astype(int)]
-        top = np.array([max(float(np.max(each.heights)), 1.0e-9)])
+        highest = np.array([max(float(np.max(each.heights)), 1.0e-9)])
         run = {
             "label": label,
             "colour": colour,
@@ -190,7 +195,7 @@ def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -
             "spacing": float(each.flow.volumes.sum() / len(each.particles)) ** (1.0 / place.shape[1]),
             "front": each.front,
             "positions": numbers.put(place, low, high, "u2"),
-            "heights": numbers.put(np.stack(each.heights)[:, None], np.zeros(1), top, "u2"),
+            "heights": numbers.put(np.stack(each.heights)[:, None], np.zeros(1), highest, "u2"),
             "fields": {key: numbers.put(own, np.zeros(1), np.array([tops[key]]), "u1") for key, own in values.items()},
         }
         runs.append(run)
@@ -218,18 +223,21 @@ def coloured(key: str, top: float, materials: Sequence[Material]) -> dict[str, A
     return {"name": name, "title": given.title, **ends, "scale": stops, "ticks": ticks}
 
 
-def still(scene: Scene) -> dict[str, Any]:
-    """What does not move: baffles and solids by their corners, of terrain the highest, at nodes over the box."""
-    parts = []
-    for number, (solid, key) in enumerate(zip(*solids_of(scene), strict=True)):
-        if solid.kind == "terrain":
-            continue
-        body = closed_body(solid, key, scene.domain)
-        corners = body.vertices if scene.dimension == 3 else body.vertices[[*range(len(body.vertices)), 0]]
-        part = {"kind": "baffle" if number < len(scene.baffles) else "ground"}
-        part |= dict(zip("xyz", corners.T.tolist(), strict=False)) | {"faces": body.faces.T.tolist()}
-        parts.append(part)
-    ground = None
+def still(scenes: Sequence[Scene]) -> dict[str, Any]:
+    """What does not move: baffles and solids by their corners, of terrain the highest, at nodes over the box.
+
+    Of a second scene what the first does not have; no second terrain.
+    """
+    scene, parts, ground = scenes[0], [], None
+    known = set(solids_of(scene)[0])
+    for index, each in enumerate(scenes):
+        for number, (solid, key) in enumerate(zip(*solids_of(each), strict=True)):
+            if solid.kind == "terrain" or (index > 0 and solid in known):
+                continue
+            body = closed_body(solid, key, each.domain)
+            corners = body.vertices if each.dimension == 3 else body.vertices[[*range(len(body.vertices)), 0]]
+            part = dict(zip("xyz", corners.T.tolist(), strict=False)) | {"faces": body.faces.T.tolist()}
+            parts.append(part | {"kind": "second" if index else "baffle" if number < len(each.baffles) else "ground"})
     if any(solid.kind == "terrain" for solid in scene.solids):
         spacing = max(scene.domain.cell, max(scene.domain.size) / NODES)
         heights = ground_raster(scene, spacing)[0]

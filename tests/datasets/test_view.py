@@ -20,6 +20,7 @@ from datasets.errors import InputError
 from datasets.exchange import view
 from datasets.exchange.view import Observed, write_view
 from datasets.material import Material
+from datasets.scene import Solid
 from datasets.trajectory import Trajectory
 from tests.datasets.toys import toy
 
@@ -112,6 +113,21 @@ def test_two_flows_have_a_distance_and_one_set_of_materials(tmp_path: Path) -> N
     assert [numbers(data, run["fields"]["material"]).max() for run in head["runs"]] == [0.0, 1.0]
     with pytest.raises(InputError, match="expected a 2D flow"):
         write_view(page, flow, toy(3))
+
+
+def test_solids_are_those_of_both_and_the_ground_lies_over_the_box(tmp_path: Path) -> None:
+    flow, page = toy(2), tmp_path / "page.html"
+    moved = dataclasses.replace(flow.scene.baffles[0], lower=(0.25, 0.0))
+    ground = Solid(kind="terrain", points=((0.0, 0.0), (0.2, 0.0), (0.5, 0.03)))
+    other = dataclasses.replace(flow.scene, baffles=(moved, flow.scene.baffles[1]))
+    write_view(page, flow, dataclasses.replace(flow, scene=other))
+    assert [each["kind"] for each in parts(page)[0]["solids"]] == ["baffle", "baffle", "second"]
+    write_view(page, dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, baffles=(), solids=(ground,))))
+    head, _ = parts(page)
+    assert head["solids"] == []
+    np.testing.assert_allclose(
+        head["ground"]["y"], np.maximum(0.1 * np.array(head["ground"]["x"]) - 0.02, 0.0), atol=1e-6
+    )
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium")

@@ -40,11 +40,7 @@ def test_every_command_is_a_module_that_is_run(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_a_mistake_is_one_line(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: tuple[str, ...],
-    status: int,
-    line: str,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], line: str
 ) -> None:
     assert talus_with(monkeypatch, *arguments) == 2
     (said,) = capsys.readouterr().err.splitlines()

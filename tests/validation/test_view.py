@@ -32,10 +32,8 @@ def test_a_run_and_one_over_it(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) -> None:
-    runs = [
-        {"purpose": "check", "unknowns": {"a": 1.0}, "loss": loss, "file": f"mpm/{loss}.npz"} for loss in (2.0, 1.0)
-    ]
-    others = [{"purpose": "wave", "unknowns": {"a": 1.0}, "loss": 0.0, "file": "mpm/wave.npz"}]
+    purposes = (("check", 2.0), ("check", 1.0), ("wave", 0.0))
+    runs = [{"purpose": p, "unknowns": {"a": 1.0}, "loss": loss, "file": f"mpm/{loss}.npz"} for p, loss in purposes]
     profile = {"x": [0.0, 0.5], "height": [0.1, 0.0]}
     result = {"unknowns": {"a": 1.0}, "mpm_runs": runs, "observation": {"front": 0.25, "profile": profile}}
     (tmp_path / "result.json").write_text(json.dumps(result))
@@ -50,8 +48,11 @@ def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) ->
 def test_a_mistake_is_one_line_that_names_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     toy(2).save(tmp_path / "flat.npz")
     toy(3).save(tmp_path / "deep.npz")
-    (tmp_path / "result.json").write_text('{"mpm_runs": []}')
-    wrong = {"none.npz": ["none.npz"], "deep.npz": ["flat.npz", "deep.npz"], "result.json": ["."]}
+    for name, text in {"empty": '{"mpm_runs": []}', "foreign": '{"mpm_runs": [1]}'}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "result.json").write_text(text)
+    wrong = {"none.npz": ["none.npz"], "deep.npz": ["flat.npz", "deep.npz"]}
+    wrong |= {f"{name}/result.json": [name] for name in ("empty", "foreign")}
     for file, paths in wrong.items():
         assert run(command, "view", [str(tmp_path / path) for path in paths]) == 2
         (line,) = capsys.readouterr().err.splitlines()
