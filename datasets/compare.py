@@ -230,7 +230,8 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     meshes, stations = (Meshes(one), Meshes(other)), common_stations((one, other))
     same = pairs(*meshes)
     end = float(other.time[-1]) * (1.0 + 1e-9)
-    time = evenly(one.time[one.time <= end])
+    # A first flow that begins after the end of the second has one moment.
+    time = evenly(one.time[: max(1, int(np.searchsorted(one.time, end)))])
     ends = (float(one.time[-1]), float(other.time[-1]))
     moments: tuple[list[Moment], list[Moment]] = ([], [])
     differences, heights = [], (stations, stations)

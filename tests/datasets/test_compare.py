@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,16 @@ def test_between_two_frames_a_flow_is_linear() -> None:
     np.testing.assert_allclose(half["position"], 0.5 * (flow.positions[1] + flow.positions[2]), rtol=1e-6)
     assert half["material"].dtype == np.int32
     np.testing.assert_array_equal(fields_at(Meshes(flow), 1.0e3)["position"], flow.positions[-1])
+
+
+def test_flows_that_have_no_time_in_common_are_compared_where_they_end() -> None:
+    flow = toy(2)
+    late = dataclasses.replace(flow, positions=flow.positions[-1:], time=flow.time[-1:])
+    found = compare(late, dataclasses.replace(flow, positions=flow.positions[:2], time=flow.time[:2]))
+    assert found.ends == (flow.time[-1], flow.time[1])
+    assert found.differences[-1].transport == pytest.approx(flow.time[-1] - flow.time[1], rel=1e-2)
+    assert f"{found.ends[0]:.4g}" in found.over_time()
+    assert "kinetic energy [J/m] | -" in re.sub(" +", " ", found.table())
 
 
 def test_a_thinned_flow_has_the_particles_of_the_whole_one() -> None:
