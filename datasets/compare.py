@@ -12,7 +12,7 @@ distances counts besides; the deposits' own distance along x needs no such pairs
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,43 +29,16 @@ from datasets.trajectory import Trajectory, brackets, open_trajectory, trajector
 
 Floats = NDArray[np.float64]
 Fields = dict[str, NDArray[Any]]
+Figures = dict[str, Floats]
 
 MOMENTS = 60
 """At most so many are compared, evenly in time."""
-ROWS = 10
-"""Of the table over time."""
+FIGURES = {"front": "m", "runout": "m", "toe": "m", "kinetic": "J", "potential": "J"}
+"""Of a flow at a time, with their units, energies in 2D per metre of width; `toe` is its x, `kinetic` may be nan."""
 APART = {"heights": "profile", "equal shares along x": "transport", "same particles": "positions"}
-"""What distances are called."""
+"""Root mean square distances of two flows [m], what they are called; nan where no particles are the same."""
 CONSTANT = ("material", "friction_deg")
 """Fields that do not change."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Moment:
-    """Figures of one flow at a time."""
-
-    front: float
-    """The x that 99.5 % of the volume is behind [m]."""
-    runout: float
-    """The largest x [m]."""
-    toe: float
-    """The x of the centroid of the furthest 10 % of the particles [m]."""
-    kinetic: float
-    """Kinetic energy [J, in 2D per metre of width]; nan where velocities are not known."""
-    potential: float
-    """Potential energy above the corner of the box [J, in 2D per metre of width]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Difference:
-    """How far two flows are from each other at a time."""
-
-    profile: float
-    """Difference of the heights [m], root mean square over the stations at which either has some."""
-    transport: float
-    """Distance along x of equal shares of the volume, root mean square [m]."""
-    positions: float
-    """Distance of the particles that began at the same place, root mean square [m]; nan where they did not."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +49,10 @@ class Comparison:
     dimension: int
     time: Floats
     """Of the moments [s], shape [T]: frames of the first flow, up to the end of the second."""
-    moments: tuple[list[Moment], list[Moment]]
-    """Of each flow, [T]; then one more, at its own end."""
-    differences: list[Difference]
-    """At these times, [T]; then one more, of the ends."""
+    figures: tuple[Figures, Figures]
+    """Of each flow the `FIGURES`, at these times and then at its own end, shape [T + 1] each."""
+    apart: Figures
+    """The distances of `APART`, at these times and then of the ends, shape [T + 1] each."""
     ends: tuple[float, float]
     """When each flow ends [s]."""
     stations: Floats
@@ -89,50 +62,27 @@ class Comparison:
 
     def as_json(self) -> dict[str, Any]:
         """As `comparison.json` has it."""
-        every = [[asdict(each) for each in self.differences], *([asdict(each) for each in own] for own in self.moments)]
-        series = [{key: [each[key] for each in own[:-1]] for key in own[0]} for own in every]
+        every = dict(zip(("a", "b", "difference"), (*self.figures, self.apart), strict=True))
+        profile = dict(zip(("x", "a", "b"), (self.stations, *self.heights), strict=True))
         return {
             "runs": list(self.labels),
             "time": self.time.tolist(),
-            "series": {"difference": series[0], "a": series[1], "b": series[2]},
-            "end": {"difference": every[0][-1], "a": every[1][-1], "b": every[2][-1]},
-            "end_time": {"a": self.ends[0], "b": self.ends[1]},
-            "profile": {
-                "x": self.stations.tolist(),
-                **dict(zip("ab", map(np.ndarray.tolist, self.heights), strict=True)),
-            },
+            "series": {name: {key: own[:-1].tolist() for key, own in each.items()} for name, each in every.items()},
+            "end": {name: {key: float(own[-1]) for key, own in each.items()} for name, each in every.items()},
+            "end_time": dict(zip("ab", self.ends, strict=True)),
+            "profile": {key: own.tolist() for key, own in profile.items()},
         }
 
     def table(self) -> str:
         """Markdown: both flows where they end, and how far they are apart there."""
-        energy = "J" if self.dimension == 3 else "J/m"
-        units = {"front": "m", "runout": "m", "toe": "m", "kinetic": energy, "potential": energy}
-        one, other = (asdict(own[-1]) for own in self.moments)
-        rows = [["time [s]", *(f"{end:.4g}" for end in self.ends), f"{self.ends[1] - self.ends[0]:+.3g}"]]
-        for key, unit in units.items():
-            name = f"{key} energy" if unit == energy else key
-            rows.append(
-                [f"{name} [{unit}]", *map(spoken, (one[key], other[key])), spoken(other[key] - one[key], "+.3g")]
-            )
-        apart = {
-            "heights, rms": "profile",
-            "equal shares along x, rms": "transport",
-            "same particles, rms": "positions",
-        }
-        for name, key in apart.items():
-            rows.append([f"{name} [m]", "", "", spoken(getattr(self.differences[-1], key), ".3g")])
+        rows = [["time [s]", *map(spoken, self.ends), f"{self.ends[1] - self.ends[0]:+.3g}"]]
+        for key, unit in FIGURES.items():
+            name = key if unit == "m" else f"{key} energy"
+            per_width = "/m" if unit == "J" and self.dimension == 2 else ""
+            one, other = (float(own[key][-1]) for own in self.figures)
+            rows.append([f"{name} [{unit}{per_width}]", spoken(one), spoken(other), spoken(other - one, "+.3g")])
+        rows += [[f"{name}, rms [m]", "", "", spoken(self.apart[key][-1], ".3g")] for name, key in APART.items()]
         return tabulate(rows, ["where they end", *self.labels, "difference"], "pipe", disable_numparse=True)
-
-    def over_time(self) -> str:
-        """Markdown: fronts and distances at some of the moments."""
-        rows = []
-        for at in np.unique(np.linspace(0, len(self.time) - 1, ROWS).round().astype(int)).tolist():
-            one, other, apart = self.moments[0][at], self.moments[1][at], self.differences[at]
-            numbers = (one.front, other.front, apart.profile, apart.transport, apart.positions)
-            rows.append([f"{self.time[at]:.4g}", *(spoken(each, ".4g") for each in numbers)])
-        fronts = [f"front of {label} [m]" for label in self.labels]
-        header = ["time [s]", *fronts, "heights [m]", "equal shares [m]", "same particles [m]"]
-        return tabulate(rows, header, "pipe", disable_numparse=True)
 
 
 def fields_at(meshes: Meshes, time: float) -> Fields:
@@ -174,19 +124,18 @@ def pairs(one: Meshes, other: Meshes) -> tuple[NDArray[np.int64], NDArray[np.int
     return (own, nearest) if few is one else (nearest, own)
 
 
-def moment(meshes: Meshes, fields: Fields) -> Moment:
-    """The figures of a flow whose particles have these fields."""
-    flow, positions, velocity = meshes.trajectory, fields["position"].astype(np.float64), fields.get("velocity")
-    volume = flow.volumes
-    mass = volume * np.array([each.density for each in meshes.materials])[meshes.material]
-    speed2 = None if velocity is None else np.sum(velocity.astype(np.float64) ** 2, axis=1)
-    return Moment(
-        front=measures.front(positions, volume),
-        runout=measures.runout(positions),
-        toe=measures.toe(positions)[0],
-        kinetic=math.nan if speed2 is None else float(0.5 * mass @ speed2),
-        potential=float(-mass @ (positions @ np.array(flow.scene.gravity_vector))),
+def figures_of(meshes: Meshes, fields: Fields) -> list[float]:
+    """The `FIGURES` of a flow whose particles have these fields."""
+    positions, velocity, volume = (
+        fields["position"].astype(np.float64),
+        fields.get("velocity"),
+        meshes.trajectory.volumes,
     )
+    mass = volume * np.array([each.density for each in meshes.materials])[meshes.material]
+    kinetic = math.nan if velocity is None else float(0.5 * mass @ np.sum(velocity.astype(np.float64) ** 2, axis=1))
+    potential = float(-mass @ (positions @ np.array(meshes.trajectory.scene.gravity_vector)))
+    lengths = (measures.front(positions, volume), measures.runout(positions), measures.toe(positions)[0])
+    return [*lengths, kinetic, potential]
 
 
 def heights_of(meshes: Meshes, positions: NDArray[Any], stations: Floats) -> Floats:
@@ -233,29 +182,24 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     # A first flow that begins after the end of the second has one moment.
     time = evenly(one.time[: max(1, int(np.searchsorted(one.time, end)))])
     ends = (float(one.time[-1]), float(other.time[-1]))
-    moments: tuple[list[Moment], list[Moment]] = ([], [])
-    differences, heights = [], (stations, stations)
-    for at in [*((t, t) for t in time.tolist()), ends]:
-        fields = tuple(fields_at(each, t) for each, t in zip(meshes, at, strict=True))
-        places = tuple(each["position"] for each in fields)
-        for own, each, known in zip(moments, meshes, fields, strict=True):
-            own.append(moment(each, known))
-        heights = (heights_of(meshes[0], places[0], stations), heights_of(meshes[1], places[1], stations))
-        occupied = (heights[0] > 0.0) | (heights[1] > 0.0)
-        apart = math.nan if same is None else rms(np.linalg.norm(places[0][same[0]] - places[1][same[1]], axis=1))
-        differences.append(
-            Difference(
-                profile=rms((heights[0] - heights[1])[occupied]),
-                transport=measures.transport_distance(places[0], one.volumes, places[1], other.volumes),
-                positions=apart,
-            )
-        )
+    rows: tuple[list[list[float]], ...] = ([], [], [])
+    for at in [*((moment, moment) for moment in time.tolist()), ends]:
+        fields = [fields_at(each, moment) for each, moment in zip(meshes, at, strict=True)]
+        first, second = (each["position"] for each in fields)
+        heights = (heights_of(meshes[0], first, stations), heights_of(meshes[1], second, stations))
+        for own, each, known in zip(rows, meshes, fields, strict=False):
+            own.append(figures_of(each, known))
+        profile = rms((heights[0] - heights[1])[(heights[0] > 0.0) | (heights[1] > 0.0)])
+        transport = measures.transport_distance(first, one.volumes, second, other.volumes)
+        moved = math.nan if same is None else rms(np.linalg.norm(first[same[0]] - second[same[1]], axis=1))
+        rows[2].append([profile, transport, moved])
+    figures = [dict(zip(FIGURES, np.array(own).T, strict=True)) for own in rows[:2]]
     return Comparison(
         labels=labels,
         dimension=dimensions[0],
         time=time,
-        moments=moments,
-        differences=differences,
+        figures=(figures[0], figures[1]),
+        apart=dict(zip(APART.values(), np.array(rows[2]).T, strict=True)),
         ends=ends,
         stations=stations,
         heights=heights,
@@ -278,12 +222,12 @@ def draw(path: Path, found: Comparison) -> None:
 
     figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     (profile, front), (energy, apart) = figure.subplots(2, 2)
-    for label, own, heights, line in zip(found.labels, found.moments, found.heights, ("-", "--"), strict=True):
+    for label, own, heights, line in zip(found.labels, found.figures, found.heights, ("-", "--"), strict=True):
         profile.plot(found.stations, heights, line, label=label)
-        front.plot(found.time, [each.front for each in own[:-1]], line, label=label)
-        energy.plot(found.time, [each.kinetic for each in own[:-1]], line, label=label)
+        front.plot(found.time, own["front"][:-1], line, label=label)
+        energy.plot(found.time, own["kinetic"][:-1], line, label=label)
     for name, key in APART.items():
-        apart.plot(found.time, [getattr(each, key) for each in found.differences[:-1]], label=name)
+        apart.plot(found.time, found.apart[key][:-1], label=name)
     titles = ("where they end", "front", "kinetic energy", "distance, root mean square")
     labels = ("height [m]", "x [m]", "[J]" if found.dimension == 3 else "[J/m]", "[m]")
     for panel, title, label in zip((profile, front, energy, apart), titles, labels, strict=True):
@@ -320,8 +264,7 @@ def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
     draw(out / "comparison.png", found)
     write_json(out / "comparison.json", found.as_json())
     title = f"# {found.labels[0]} and {found.labels[1]}"
-    parts = [title, found.table(), "![comparison](comparison.png)", "## Over time", found.over_time()]
-    write_text(out / "comparison.md", "\n\n".join(parts) + "\n")
+    write_text(out / "comparison.md", f"{title}\n\n{found.table()}\n\n![comparison](comparison.png)\n")
     print(f"written to {out / 'comparison.md'}")
 
 

@@ -1,5 +1,6 @@
 """talus COMMAND ...: the commands of all packages under one name; each is that of `python -m MODULE`, which stays."""
 
+import os
 import re
 import runpy
 import sys
@@ -66,7 +67,14 @@ def main() -> int:
         sys.argv = sys.argv[1:]
         runpy.run_module(MODULES[name][0], run_name="__main__", alter_sys=True)
         return 0
-    return run(lambda: command(*sys.argv[1:]), "talus", [])
+    try:
+        status = run(lambda: command(*sys.argv[1:]), "talus", [])
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Of `talus scenes | head`. Python would flush once more.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return status
 
 
 if __name__ == "__main__":

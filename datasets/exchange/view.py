@@ -254,9 +254,7 @@ def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float
         what = f"{count:,} particles" if drawn == count else f"{drawn:,} of {count:,} particles, drawn at random"
         parts.append(f"{label}: {what}" if len(shown) > 1 else what)
     every = len(shown[0].flow.time)
-    parts.append(
-        f"{len(times)} of {every} frames" if every > len(times) else f"{every} frame{'s' if every > 1 else ''}"
-    )
+    parts.append(f"{len(times)} of {every} frames" if every > len(times) else f"frames: {every}")
     if scene.slope_deg:
         parts.append(f"the box is drawn level, gravity is inclined by {scene.slope_deg:g}°")
     return "; ".join(parts) + "."
@@ -264,10 +262,8 @@ def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float
 
 def view(flow: Trajectory, path: str | Path | None, other: Trajectory | None) -> Path:
     """`Trajectory.view`."""
-    if path is not None:
-        write_view(path, flow, other)
-        return Path(path)
-    page = Path(mkdtemp(prefix="talus-")) / "flow.html"
+    page = Path(mkdtemp(prefix="talus-")) / "flow.html" if path is None else Path(path)
     write_view(page, flow, other)
-    webbrowser.open(page.as_uri())
+    if path is None:
+        webbrowser.open(page.as_uri())
     return page
