@@ -51,8 +51,8 @@ HUNDRED = "velocity-blocks-100"
 BLOCKS, BAFFLES = "blocks", "baffles-2"
 BAFFLE_STEP = 0.02
 """Step of the differences of two baffles [m]."""
-JITTERS = 4
-"""Jitter seeds over which gradients of the MPM are averaged."""
+JITTERS, BAFFLE_JITTERS = 4, 12
+"""Jitter seeds over which gradients of the MPM are averaged: by the place of a baffle one adjoint scatters by half."""
 LIMITS = {"friction-tall-42": 15.0, "velocity-layers-10": 40.0, HUNDRED: 50.0}
 """Seconds for each method, by problem."""
 QUICK_S, QUICK_LIMIT = 0.2, 3.0
@@ -186,7 +186,7 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
         for each in gradients_of(BLOCKS, blocks_problem(number, duration=duration), STEP, simulator)
     ]
     if not quick:
-        gradients += gradients_of(BAFFLES, read_problem(BAFFLES), BAFFLE_STEP, gns.load("obstacle3d"))
+        gradients += gradients_of(BAFFLES, read_problem(BAFFLES), BAFFLE_STEP, gns.load("obstacle3d"), BAFFLE_JITTERS)
     compared = []
     for name in [*LIMITS][: 1 if quick else None]:
         problem = hundred_problem() if name == HUNDRED else read_problem(name)
@@ -203,7 +203,9 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     return page(gradients, compared, quick=quick).write(out / "efficiency.md")
 
 
-def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator) -> list[Gradient]:
+def gradients_of(
+    name: str, problem: Problem, step: float, simulator: Simulator, jitters: int = JITTERS
+) -> list[Gradient]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     models = Models.build(problem, simulator)
     observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
@@ -217,7 +219,7 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator)
             found.append(evaluate(problem.initial))
         return found[1:]
 
-    seeds = [problem.scene.seed, *range(20_003, 20_002 + JITTERS)]
+    seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
     seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
     moves = step * np.eye(unknowns)[chosen]
     differences = [
@@ -297,8 +299,8 @@ def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: 
         The paper's sand of ten layers, cut into blocks between its particles; the velocity of each along x is unknown.
         True ones fall from {AT_FLOOR:g} m/s at the floor to {AT_TOP:g} at the top; the gradient of the deposit's loss
         is evaluated at {FRACTION:g} of them. "≈": the differences of {MOST_COLUMNS} unknowns were run and their seconds
-        multiplied; cosine and length are over those unknowns, of the mean over {JITTERS} jitters to that of the
-        differences; the scatter is how far the gradient of one jitter lies from this mean, over its length. Seconds are
+        multiplied; cosine and length are over those unknowns, of the mean over {JITTERS} jitters ({BAFFLE_JITTERS}
+        by baffles) to that of the differences; the scatter is how far the gradient of one jitter lies from this mean, over its length. Seconds are
         those of one jitter. `{BAFFLES}`: the places of two baffles by the toe, differences of {BAFFLE_STEP:g} m.
     """)
     result.table([gradient_row(each) for each in gradients])
@@ -366,15 +368,13 @@ def draw_gradients(path: Path, gradients: Sequence[Gradient]) -> None:
 
 
 def draw_line(path: Path, models: Models) -> None:
-    """Loss of one jitter along the first number, every millimetre, and its slopes at the start."""
+    """Loss of one jitter along the first number and its slopes at the start."""
     start, along = models.problem.initial, np.linspace(-BAFFLE_STEP, BAFFLE_STEP, 41)
     own, evaluate = models.mpm.select(models.target.values), models.evaluate(By.ADJOINT)
     seen = np.stack(models.mpm.observe([start + at * np.eye(len(start))[0] for at in along]))
     losses = models.target.observation.components * np.mean((seen - own) ** 2, axis=1)
-    slopes = {
-        Method.ADJOINT: slope_of(evaluate(start))[0],
-        Method.DIFFERENCES: (losses[-1] - losses[0]) / (2.0 * BAFFLE_STEP),
-    }
+    differences = (losses[-1] - losses[0]) / (along[-1] - along[0])
+    slopes = {Method.ADJOINT: slope_of(evaluate(start))[0], Method.DIFFERENCES: differences}
     with figure(path, size=(6.0, 4.0)) as axes:
         axes[0, 0].plot(1000.0 * along, losses, "o-", color=INK, lw=0.8, markersize=3, label="one jitter")
         for method, slope in slopes.items():
