@@ -183,7 +183,7 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     gradients = [
         each
         for number in tqdm([*CUTS][: 2 if quick else None], desc="gradients", unit="cut")
-        for each in gradients_of(BLOCKS, blocks_problem(number, duration=duration), STEP, simulator)
+        for each in gradients_of(BLOCKS, blocks_problem(number, duration=duration), STEP, simulator, JITTERS)
     ]
     if not quick:
         gradients += gradients_of(BAFFLES, read_problem(BAFFLES), BAFFLE_STEP, gns.load("obstacle3d"), BAFFLE_JITTERS)
@@ -203,9 +203,7 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     return page(gradients, compared, quick=quick).write(out / "efficiency.md")
 
 
-def gradients_of(
-    name: str, problem: Problem, step: float, simulator: Simulator, jitters: int = JITTERS
-) -> list[Gradient]:
+def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator, jitters: int) -> list[Gradient]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     models = Models.build(problem, simulator)
     observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
@@ -299,9 +297,10 @@ def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: 
         The paper's sand of ten layers, cut into blocks between its particles; the velocity of each along x is unknown.
         True ones fall from {AT_FLOOR:g} m/s at the floor to {AT_TOP:g} at the top; the gradient of the deposit's loss
         is evaluated at {FRACTION:g} of them. "≈": the differences of {MOST_COLUMNS} unknowns were run and their seconds
-        multiplied; cosine and length are over those unknowns, of the mean over {JITTERS} jitters ({BAFFLE_JITTERS}
-        by baffles) to that of the differences; the scatter is how far the gradient of one jitter lies from this mean, over its length. Seconds are
-        those of one jitter. `{BAFFLES}`: the places of two baffles by the toe, differences of {BAFFLE_STEP:g} m.
+        multiplied; cosine and length are over those unknowns, of the mean over {JITTERS} jitters
+        ({BAFFLE_JITTERS} by baffles) to that of the differences; the scatter is how far the gradient of one jitter
+        lies from this mean, over its length. Seconds are those of one jitter. `{BAFFLES}`: the places of two baffles
+        by the toe, differences of {BAFFLE_STEP:g} m.
     """)
     result.table([gradient_row(each) for each in gradients])
     result.picture(f"{PICTURES}/efficiency-unknowns.png", "seconds of a gradient over unknowns")
