@@ -306,8 +306,8 @@ def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: 
     result.picture(f"{PICTURES}/efficiency-unknowns.png", "seconds of a gradient over unknowns")
     if not quick:
         result.text(f"""
-            Along one parameter the loss of one jitter has slopes of its own over each millimetre, which the adjoint
-            shows exactly and differences of {1000.0 * BAFFLE_STEP:g} mm do not see; a mean over jitters has not.
+            Along one parameter the loss of one jitter has slopes of its own over some 10 mm, a third of a cell,
+            which the adjoint shows and differences of {1000.0 * BAFFLE_STEP:g} mm do not; a mean over jitters has not.
         """)
         result.picture(f"{PICTURES}/{LINE}", "loss of one jitter over the place of a baffle")
     result.section("To the MPM's own scatter")
