@@ -59,7 +59,7 @@ def contact_of(block, arrays: ti.template()):
 @ti.func
 def touches(block, arrays: ti.template()):
     """Whether a particle of a block is within the width of the contact; most blocks have none."""
-    return over_lanes(ti.max, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
+    return over_lanes(maximum, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
 
 
 @ti.func
@@ -275,7 +275,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
         square = square + moved * moved
     lower_bound = arrays.state[distance] - 1.001 * ti.sqrt(square)
     nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
-    if over_lanes(ti.min, lower_bound, arrays) >= nearby:
+    if over_lanes(minimum, lower_bound, arrays) >= nearby:
         arrays.state[distance] = lower_bound
         arrays.state[contact_at(block, Contact.DELTA, arrays)] = 0.0 * lower_bound
     else:

@@ -42,8 +42,8 @@ def set_box(worker, scene, low: ti.template(), high: ti.template(), arrays: ti.t
     """The box of nodes in the support of particles between `low` and `high` [m], D vectors of lanes each."""
     per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
     for k in ti.static(range(arrays.features.dimension)):
-        lowest = ti.floor(over_lanes(ti.min, low[k], arrays) * per_dx + (PADDING - 0.5))
-        highest = ti.floor(over_lanes(ti.max, high[k], arrays) * per_dx + (PADDING - 0.5))
+        lowest = ti.floor(over_lanes(minimum, low[k], arrays) * per_dx + (PADDING - 0.5))
+        highest = ti.floor(over_lanes(maximum, high[k], arrays) * per_dx + (PADDING - 0.5))
         arrays.workers[worker, Worker.LOW_X + k] = ti.cast(lowest, ti.i32)
         arrays.workers[worker, Worker.HIGH_X + k] = ti.cast(highest, ti.i32) + 3
 
