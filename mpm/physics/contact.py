@@ -180,14 +180,10 @@ def push(block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def strain_at_contact(block, scratch, near, modulus, dt, arrays: ti.template()):
-    """Leave in `scratch` the `jump_at_contact` of each particle of a block; near: whether it touches."""
-    jump = scratch + arrays.features.push
-    arrays.scratch[jump] = 0.0 * arrays.state[contact_at(block, Contact.DELTA, arrays)]
-    if near:
-        motion, stress = motion_and_stress(block, scratch, arrays)
-        contact = contact_of(block, arrays)
-        arrays.scratch[jump] = jump_at_contact(motion, contact, stress, modulus, dt, arrays.features.dimension)
+def strain_at_contact(block, scratch, modulus, dt, arrays: ti.template()):
+    """The `jump_at_contact` of each particle of a block."""
+    motion, stress = motion_and_stress(block, scratch, arrays)
+    return jump_at_contact(motion, contact_of(block, arrays), stress, modulus, dt, arrays.features.dimension)
 
 
 @ti.func
@@ -203,17 +199,21 @@ def shear_traction_step(block, scratch, dt, shear, arrays: ti.template()):
 @ti.func
 def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
     """Add what contact takes of the momentum of a block that touches, -dt V0 delta t in a step, to its solids."""
-    features, lanes = arrays.features, arrays.features.lanes
+    features = arrays.features
     push(block, scratch, arrays)
     pushed = scratch + features.push
     for k in ti.static(range(features.dimension)):
         arrays.scratch[pushed + k] = (0.0 - dt) * volume * present(block, arrays) * arrays.scratch[pushed + k]
-    first = contact_at(block, 0, arrays) * lanes
-    for lane in range(lanes):
-        if arrays.lanes[first + Contact.DELTA * lanes + lane] > 0.0:
-            solid = solid_of(ti.cast(arrays.lanes[first + Contact.FACE * lanes + lane], ti.i32), arrays)
-            for k in ti.static(range(features.dimension)):
-                add_impulse(solid, k, arrays.scratch_lanes[(pushed + k) * lanes + lane], lane, worker, arrays)
+    first = contact_at(block, 0, arrays)
+    faces = ti.select(arrays.state[first + Contact.DELTA] > 0.0, arrays.state[first + Contact.FACE], -1.0)
+    face = over_lanes(maximum, faces, arrays)
+    while face >= 0.0:
+        solid = solid_of(ti.cast(face, ti.i32), arrays)
+        at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
+        for k in ti.static(range(features.dimension)):
+            add(arrays.impulse, at + k, ti.select(faces == face, arrays.scratch[pushed + k], 0.0), arrays)
+        faces = ti.select(faces == face, -1.0, faces)
+        face = over_lanes(maximum, faces, arrays)
 
 
 @ti.func

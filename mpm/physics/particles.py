@@ -164,13 +164,14 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     features = arrays.features
     first = no_overflow(block * features.block)
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
-    inside = midpoint_increment(gradient, features.dimension)
-    if ti.static(features.contact):
-        strain_at_contact(block, scratch, near, modulus, dt, arrays)
-        jump = arrays.scratch[scratch + features.push]
-        return with_jump(inside, jump, contact_of(block, arrays), features.dimension)
-    else:
-        return inside
+    increment = midpoint_increment(gradient, features.dimension)
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+        if near:
+            jump = strain_at_contact(block, scratch, modulus, dt, arrays)
+            strained = with_jump(increment, jump, contact_of(block, arrays), features.dimension)
+            for k in ti.static(range(features.dimension**2)):
+                increment[k] = strained[k]
+    return increment
 
 
 @ti.func
