@@ -38,7 +38,7 @@ import taichi as ti
 from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting, Worker, component
 from mpm.physics.boundary import after_contact
-from mpm.solids.face_lookup import TINY, cell_of, face_vector, first_crossed, nearest_face, solid_of
+from mpm.solids.face_lookup import TINY, cell_of, face_vector, first_crossed, free_path, nearest_face, solid_of
 
 MAX_CROSSINGS = 3
 """Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
@@ -267,7 +267,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
 
     `mass` [kg] of each lane. A particle whose distance was d and that has moved by s has one of at least d - s now: as
-    long as that is beyond the contact no face is searched.
+    long as that is beyond the contact no face is searched, nor where the nearest one is known to be (`free_path`).
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
@@ -311,7 +311,8 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
     bound = ti.select(follows, nearby, bound)
     arrays.state[contact + Contact.DISTANCE] = d
     arrays.state[contact + Contact.DELTA] = delta
-    arrays.state[contact + Contact.FREE] = free
+    # Beyond the search the distance becomes a bound, from which no face can be followed.
+    arrays.state[contact + Contact.FREE] = ti.select(d < nearby, free, 0.0)
     for k in ti.static(range(size)):
         at = contact + Contact.NORMAL + size + k
         arrays.state[at] = ti.select(follows & (delta == 0.0), 0.0, arrays.state[at])
@@ -360,14 +361,15 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     cell_index = cell_of(x, scene, arrays)
     if arrays.cell_faces[cell_index] < arrays.cell_faces[cell_index + 1]:
         last = ti.cast(arrays.lanes[contact + Contact.FACE * lanes], ti.i32)
-        face, weights, normal, d, free_path = nearest_face(x, last, cell_index, cell, arrays)
-        free = free_path
+        face, feature, weights, normal, d = nearest_face(x, last, cell_index, arrays)
+        if feature == 0 and d > 0.0 and d < arrays.settings[scene, Setting.SEARCH_DISTANCE]:
+            free = free_path(x, face, weights, normal, d, cell_index, cell, arrays)
         friction = 0.0 * d
         for k in ti.static(range(dimension)):
             friction += weights[k] * arrays.faces[face, features.face_friction + k]
         if d < 0.0:
             x = x - d * normal
-            d, free, moved = 0.0 * d, 0.0 * d, True
+            d, moved = 0.0 * d, True
             if v.dot(normal) < 0.0:
                 v = after_contact(v, normal, friction)
                 solid = solid_of(face, arrays)

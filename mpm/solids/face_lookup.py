@@ -74,11 +74,11 @@ def solid_of(face, arrays: ti.template()):
 
 
 @ti.func
-def nearest_face(x, last, cell_index, cell, arrays: ti.template()):
-    """Of the faces listed for a cell that nearest to `x` [m]: its number, the weights of its corners at the foot, the
+def nearest_face(x, last, cell_index, arrays: ti.template()):
+    """Of the faces listed for a cell that nearest to `x` [m]: its number, its part that is nearest, the weights of its
 
-    normal n [-] and the signed distance d [m], negative inside, with x = foot + d n; and the `free_path` [m].
-    last: where to look first.
+    corners at the foot, the normal n [-] and the signed distance d [m], negative inside, with x = foot + d n. last:
+    where to look first.
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
@@ -116,30 +116,29 @@ def nearest_face(x, last, cell_index, cell, arrays: ti.template()):
         d = sign * length
         if length > TINY:
             normal = offset * (sign / length)
-    free = 0.0 * d
-    if feature == 0:
-        free = free_path(x, face, weights, normal, d, cell_index, cell, arrays)
-    return face, weights, normal, d, free
+    return face, feature, weights, normal, d
 
 
 @ti.func
 def free_path(x, face, weights, normal, d, cell_index, cell, arrays: ti.template()):
-    """How far a particle at `x` may move before a face listed for its cell is nearer than `face`, to whose inside it
+    """How far a particle at `x` [m] outside of the solids may move and be nearest to the inside of `face` still [m].
 
-    is nearest, or its foot leaves that; at most to the border of the cell [m]. 0 where friction varies along the face.
-    A face that lies nowhere in front of another is never nearer than the inside of that one.
+    Its foot has to stay there, it in its cell, which lists no faces but those that its points need, and no face that
+    lies in part in front of this one may come nearer: both distances change by no more than its path. 0 where the
+    friction varies along the face.
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
-    free = 0.5 * cell
+    free = cell
     for k in ti.static(range(dimension)):
         above = x[k] - ti.floor(x[k] / cell) * cell
         free = ti.min(free, above, cell - above)
-        b, c = face_vector(face, (k + 1) % dimension * dimension, arrays), face_vector(face, (k + 2) % dimension * dimension, arrays)
         a = face_vector(face, k * dimension, arrays)
+        b = face_vector(face, ti.static((k + 1) % dimension * dimension), arrays)
         if ti.static(dimension == 2):
             free = ti.min(free, weights[k] * (b - a).norm())
         else:
+            c = face_vector(face, ti.static((k + 2) % dimension * dimension), arrays)
             free = ti.min(free, weights[k] * (b - a).cross(c - a).norm() / (c - b).norm())
         if arrays.faces[face, features.face_friction + k] != arrays.faces[face, features.face_friction]:
             free = 0.0 * free
