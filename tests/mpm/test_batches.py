@@ -87,7 +87,7 @@ def test_what_is_no_number_wants_a_shorter_step(monkeypatch: pytest.MonkeyPatch)
 
 def test_sorting_opens_the_boxes_of_nodes_that_are_cleared() -> None:
     """Workers of a shared scene have other particles then: the old boxes would leave momentum on the grid."""
-    scene = room(COLUMN)
+    scene = box(COLUMN)
     batch = Batch([scene], precision="f32", workers=2)
     batch.workers[:, Worker.LOW_X : Worker.HIGH_X + 3] = 5
     batch.sort(0)
