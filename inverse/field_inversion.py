@@ -48,7 +48,7 @@ from inverse.result import Result
 from inverse.target import read_target
 from mpm import simulate, simulate_many
 from mpm.adjoint.gradient import Gradient, pull_back_all
-from mpm.adjoint.tape import FlowAdjoints, Tape, check
+from mpm.adjoint.tape import FlowAdjoints, Tape, check, steady
 from mpm.arrays.features import features_of
 
 Floats = NDArray[np.float64]
@@ -215,7 +215,7 @@ class WhiteFlow:
         """Derivatives [r, W] of `combinations` [r, M] of the numbers at white numbers [W], mean over jitter seeds."""
         found = np.zeros((len(combinations), self.size))
         for first in range(0, len(seeds), processors()):
-            scenes = [self.scene_at(white, seed) for seed in seeds[first : first + processors()]]
+            scenes = [steady(self.scene_at(white, seed)) for seed in seeds[first : first + processors()]]
             tape = Tape(scenes, self.frames, precision="f32", memory_mib=MEMORY_MIB, outputs=len(combinations))
             adjoints = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
             together = [[FlowAdjoints(own[number]) for own in adjoints] for number in range(len(combinations))]

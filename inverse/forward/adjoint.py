@@ -21,7 +21,7 @@ from inverse.parameters import Kind, Vector, kind, with_kinds
 from inverse.parameters.kind import Velocity
 from inverse.problem import Problem
 from mpm.adjoint.gradient import Gradient, pull_back_all
-from mpm.adjoint.tape import FlowAdjoints, Tape
+from mpm.adjoint.tape import FlowAdjoints, Tape, steady
 
 
 class Flow(NamedTuple):
@@ -39,7 +39,7 @@ class Run:
     """A run as a function of parameters of its scene (`inverse.parameters`), with checkpoints.
 
     frames: those that it returns, the last unless given. Options and errors as `mpm.adjoint.tape.Tape`, in single
-    precision unless asked otherwise.
+    precision unless asked otherwise. Steps are those of which there is a derivative (`mpm.adjoint.tape.steady`).
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Run:
     def flows(self, parameters: Tensor, seeds: Sequence[int]) -> list[Flow]:
         """The same for several jitter seeds, side by side: a mean over seeds is smoother in the parameters."""
         values = parameters.detach().numpy().astype(np.float64)
-        scene = with_kinds(self.scene, self.kinds, values)
+        scene = steady(with_kinds(self.scene, self.kinds, values))
 
         def slopes(gradient: Gradient) -> Tensor:
             return torch.from_numpy(derivatives(gradient, self.kinds, values))

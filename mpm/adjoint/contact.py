@@ -141,7 +141,7 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
         arrays.scratch[before + size + k] = sheared.values[k]
         kept = relaxation_factor(scene, dt, arrays) * arrays.state[block * features.block + features.velocity + k]
         arrays.scratch[before + k] = kept + arrays.scratch[scratch + layout.sums + features.change + k]
-    mass = ti.static(int(Contact.IMPULSE))
+    mass = ti.static(int(Contact.FREE))
     volume = property_of(scene, block, Property.VOLUME, arrays)
     density = property_of(scene, block, Property.DENSITY, arrays)
     if ti.static(layout.impulses):

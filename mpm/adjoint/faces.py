@@ -30,7 +30,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
 
     After: those in the history. put_back: whether a particle may have been kept out of a solid; then the velocity
     before that is in the scratch from `layout.before`, and the shear traction behind it. Where the objective depends on
-    impulses, the mass [kg] of each particle is in `Contact.IMPULSE`, where its bar is left.
+    impulses, the mass [kg] of each particle is in place of `Contact.FREE`, which has no bar, and its bar is left there.
     """
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     size = ti.static(features.dimension)
@@ -72,7 +72,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
                     if before.dot(n) < 0.0:
                         momentum_bar = 0.0 * v_bar
                         if ti.static(layout.impulses):
-                            mass = arrays.lanes[contact_at(block, Contact.IMPULSE, arrays) * lanes + lane]
+                            mass = arrays.lanes[contact_at(block, Contact.FREE, arrays) * lanes + lane]
                             first = arrays.workers[worker, Worker.IMPULSE] + solid_of(face, arrays) * size
                             stopped = lane_numbers(arrays.history_lanes, then + features.velocity * lanes, arrays)
                             for k in ti.static(range(size)):
@@ -93,7 +93,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
         for column in ti.static(range(len(Contact) - 1 + size)):
             arrays.adjoint_lanes[at + column * lanes] = 0.0 * present
         if ti.static(layout.impulses and put_back):
-            arrays.adjoint_lanes[at + Contact.IMPULSE * lanes] = mass_bar
+            arrays.adjoint_lanes[at + Contact.FREE * lanes] = mass_bar
 
 
 @ti.func

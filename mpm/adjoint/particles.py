@@ -19,6 +19,7 @@ from mpm.arrays.access import lane_sum, no_overflow
 from mpm.arrays.layout import Offset, Property, Setting
 from mpm.physics.boundary import is_wall
 from mpm.physics.channel import side_friction
+from mpm.physics.contact import prepare_contact
 from mpm.physics.transfer import contributions, prepare_contributions, property_of, volume_of, weights_of
 
 
@@ -127,6 +128,8 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     size = ti.static(features.dimension)
     first, own = no_overflow(block * features.block), block * layout.width
     prepare_contributions(scene, block, scratch, arrays)
+    if ti.static(features.contact):
+        prepare_contact(block, scratch, arrays)
     prepare_weights(scene, block, scratch, arrays)
     transfer_reverse(grid, block, scratch, False, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]

@@ -41,21 +41,22 @@ def magnitude(a):
 
 @ti.func
 def over_lanes(operation: ti.template(), a: ti.template(), arrays: ti.template()):
-    """What an operation of two numbers, `ti.min` or `ti.max`, makes of all lanes."""
-    if ti.static(arrays.features.lanes == 1):
-        return a
-    else:
-        return over_range(operation, a, 0, arrays.features.lanes)
+    """What an operation of two, `minimum` or `maximum`, makes of all lanes."""
+    return over_range(operation, a, arrays.features.lanes)
 
 
 @ti.func
-def over_range(operation: ti.template(), a: ti.template(), first: ti.template(), count: ti.template()):
-    """What it makes of the lanes [first, first + count), a power of two: in a tree, whose branches do not wait."""
+def over_range(operation: ti.template(), a: ti.template(), count: ti.template()):
+    """What it makes of `count` lanes, a power of two: of one half with the other, until one is left."""
     if ti.static(count == 1):
-        return a[first]
+        return a
+    elif ti.static(count == 2):
+        return operation(a[0], a[1])
     else:
         half = ti.static(count // 2)
-        return operation(over_range(operation, a, first, half), over_range(operation, a, ti.static(first + half), half))
+        low = ti.Vector([a[lane] for lane in ti.static(range(half))])
+        high = ti.Vector([a[lane] for lane in ti.static(range(half, count))])
+        return over_range(operation, operation(low, high), half)
 
 
 @ti.func

@@ -265,6 +265,10 @@ class Batch:
             state[:, vector] = state[:, vector].ravel()[order].reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(order)] = self.order[first : first + len(order)][order]
+        # The workers of a shared scene have other particles now: the next clearing covers everything again.
+        own = self.workers[:, Worker.SCENE] == index
+        self.workers[own, Worker.LOW_X : Worker.LOW_X + 3] = 0
+        self.workers[own, Worker.HIGH_X : Worker.HIGH_X + 3] = [*node_shape(scene.domain), 1][:3]
 
     @property
     def arguments(self) -> dict[str, Array]:

@@ -107,7 +107,7 @@ class Contact(Column):
     DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
     FACE = auto()  # the line of that face in `faces`
-    IMPULSE = auto()  # one component of what a particle gives to its solid; before that its mass
+    FREE = auto()  # how far a particle may still move before another face, or an edge, may be the nearest [m]
     NORMAL = auto()  # D vectors: n, out of the solid [-]; behind them D of the shear traction [Pa]
 
 

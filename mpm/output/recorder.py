@@ -33,7 +33,7 @@ def steps_of_frame(scene, arrays: ti.template()):
     fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.block]
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
         fastest = maximum(fastest, squared_speed(block, arrays))
-    return steps_at_speed(scene, ti.sqrt(over_lanes(ti.max, fastest, arrays)), arrays)
+    return steps_at_speed(scene, ti.sqrt(over_lanes(maximum, fastest, arrays)), arrays)
 
 
 @ti.func

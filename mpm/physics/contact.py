@@ -38,7 +38,7 @@ import taichi as ti
 from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting, Worker, component
 from mpm.physics.boundary import after_contact
-from mpm.solids.face_lookup import TINY, cell_of, face_vector, first_crossed, nearest_face, solid_of
+from mpm.solids.face_lookup import TINY, cell_of, face_vector, first_crossed, free_path, nearest_face, solid_of
 
 MAX_CROSSINGS = 3
 """Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
@@ -59,7 +59,7 @@ def contact_of(block, arrays: ti.template()):
 @ti.func
 def touches(block, arrays: ti.template()):
     """Whether a particle of a block is within the width of the contact; most blocks have none."""
-    return over_lanes(ti.max, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
+    return over_lanes(maximum, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
 
 
 @ti.func
@@ -180,14 +180,10 @@ def push(block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def strain_at_contact(block, scratch, near, modulus, dt, arrays: ti.template()):
-    """Leave in `scratch` the `jump_at_contact` of each particle of a block; near: whether it touches."""
-    jump = scratch + arrays.features.push
-    arrays.scratch[jump] = 0.0 * arrays.state[contact_at(block, Contact.DELTA, arrays)]
-    if near:
-        motion, stress = motion_and_stress(block, scratch, arrays)
-        contact = contact_of(block, arrays)
-        arrays.scratch[jump] = jump_at_contact(motion, contact, stress, modulus, dt, arrays.features.dimension)
+def strain_at_contact(block, scratch, modulus, dt, arrays: ti.template()):
+    """The `jump_at_contact` of each particle of a block."""
+    motion, stress = motion_and_stress(block, scratch, arrays)
+    return jump_at_contact(motion, contact_of(block, arrays), stress, modulus, dt, arrays.features.dimension)
 
 
 @ti.func
@@ -203,15 +199,21 @@ def shear_traction_step(block, scratch, dt, shear, arrays: ti.template()):
 @ti.func
 def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
     """Add what contact takes of the momentum of a block that touches, -dt V0 delta t in a step, to its solids."""
-    features, lanes = arrays.features, arrays.features.lanes
+    features = arrays.features
     push(block, scratch, arrays)
-    face, value = contact_at(block, Contact.FACE, arrays), contact_at(block, Contact.IMPULSE, arrays)
+    pushed = scratch + features.push
     for k in ti.static(range(features.dimension)):
-        force = arrays.scratch[scratch + features.push + k]
-        arrays.state[value] = (0.0 - dt) * volume * present(block, arrays) * force
-        for lane in range(lanes):
-            solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
-            add_impulse(solid, k, arrays.lanes[value * lanes + lane], lane, worker, arrays)
+        arrays.scratch[pushed + k] = (0.0 - dt) * volume * present(block, arrays) * arrays.scratch[pushed + k]
+    first = contact_at(block, 0, arrays)
+    faces = ti.select(arrays.state[first + Contact.DELTA] > 0.0, arrays.state[first + Contact.FACE], -1.0)
+    face = over_lanes(maximum, faces, arrays)
+    while face >= 0.0:
+        solid = solid_of(ti.cast(face, ti.i32), arrays)
+        at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
+        for k in ti.static(range(features.dimension)):
+            add(arrays.impulse, at + k, ti.select(faces == face, arrays.scratch[pushed + k], 0.0), arrays)
+        faces = ti.select(faces == face, -1.0, faces)
+        face = over_lanes(maximum, faces, arrays)
 
 
 @ti.func
@@ -265,29 +267,64 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
 
     `mass` [kg] of each lane. A particle whose distance was d and that has moved by s has one of at least d - s now: as
-    long as that is beyond the contact no face is searched.
+    long as that is beyond the contact no face is searched, nor where the nearest one is known to be (`free_path`).
     """
     features, lanes = arrays.features, arrays.features.lanes
+    size = ti.static(features.dimension)
     x, distance = block * features.block, contact_at(block, Contact.DISTANCE, arrays)
-    square = 0.0 * arrays.state[x]
-    for k in ti.static(range(features.dimension)):
-        moved = arrays.state[x + k] - arrays.scratch[scratch + features.origin + k]
-        square = square + moved * moved
-    lower_bound = arrays.state[distance] - 1.001 * ti.sqrt(square)
+    moved = [arrays.state[x + k] - arrays.scratch[scratch + features.origin + k] for k in ti.static(range(size))]
+    square = 0.0 * moved[0]
+    for k in ti.static(range(size)):
+        square = square + moved[k] * moved[k]
+    path = 1.001 * ti.sqrt(square)
+    lower_bound = arrays.state[distance] - path
     nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
-    if over_lanes(ti.min, lower_bound, arrays) >= nearby:
+    if over_lanes(minimum, lower_bound, arrays) >= nearby:
         arrays.state[distance] = lower_bound
-        arrays.state[contact_at(block, Contact.DELTA, arrays)] = 0.0 * lower_bound
     else:
-        arrays.scratch[scratch + features.push] = lower_bound
-        arrays.state[contact_at(block, Contact.IMPULSE, arrays)] = mass * present(block, arrays)
-        for lane in range(lanes):
-            bound = arrays.scratch_lanes[(scratch + features.push) * lanes + lane]
-            if bound < nearby:
-                find_contact(block, scratch, lane, bound, worker, scene, arrays)
-            else:
-                arrays.lanes[distance * lanes + lane] = bound
-                arrays.lanes[contact_at(block, Contact.DELTA, arrays) * lanes + lane] = 0.0
+        arrays.scratch[scratch + features.push + 1] = mass * present(block, arrays)
+        if follow_faces(block, scratch, moved, path, nearby, scene, arrays):
+            for lane in range(lanes):
+                bound = arrays.scratch_lanes[(scratch + features.push) * lanes + lane]
+                if bound < nearby:
+                    find_contact(block, scratch, lane, bound, worker, scene, arrays)
+
+
+@ti.func
+def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arrays: ti.template()):
+    """Contact of the particles of a block that are still nearest to the inside of the same face, or to none `nearby`.
+
+    moved: their displacement [m], D vectors; path: no less than its length [m]. Leaves in `scratch` the lower bound of
+    the distance of each particle whose face has to be searched, and `nearby` of the others; returns whether there are
+    any to search.
+    """
+    features = arrays.features
+    size = ti.static(features.dimension)
+    contact, width = contact_at(block, 0, arrays), arrays.settings[scene, Setting.CONTACT_WIDTH]
+    bound, free = arrays.state[contact + Contact.DISTANCE] - path, arrays.state[contact + Contact.FREE] - path
+    d = arrays.state[contact + Contact.DISTANCE]
+    for k in ti.static(range(size)):
+        d = d + moved[k] * arrays.state[contact + Contact.NORMAL + k]
+    follows = (free > 0.0) & (bound > 0.0)
+    d = ti.select(follows, d, bound)
+    delta = ti.select(follows, contact_delta(d, width), 0.0)
+    bound = ti.select(follows, nearby, bound)
+    arrays.state[contact + Contact.DISTANCE] = d
+    arrays.state[contact + Contact.DELTA] = delta
+    # Beyond the search the distance becomes a bound, from which no face can be followed.
+    arrays.state[contact + Contact.FREE] = ti.select(d < nearby, free, 0.0)
+    for k in ti.static(range(size)):
+        at = contact + Contact.NORMAL + size + k
+        arrays.state[at] = ti.select(follows & (delta == 0.0), 0.0, arrays.state[at])
+    arrays.scratch[scratch + features.push] = bound
+    return over_lanes(minimum, bound, arrays) < nearby
+
+
+@ti.func
+def contact_delta(d, width):
+    """delta_h [1/m] of the distance `d` [m], not negative."""
+    q = minimum(d / width, 1.0)
+    return 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
 
 
 @ti.func
@@ -320,11 +357,13 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
                 v = after_contact(v, normal, arrays.faces[face, features.face_friction])
                 solid = solid_of(face, arrays)
     # Cells without faces are farther from any than this.
-    delta, distance = 0.0 * cell, arrays.settings[scene, Setting.FACE_DISTANCE]
+    delta, distance, free = 0.0 * cell, arrays.settings[scene, Setting.FACE_DISTANCE], 0.0 * cell
     cell_index = cell_of(x, scene, arrays)
     if arrays.cell_faces[cell_index] < arrays.cell_faces[cell_index + 1]:
         last = ti.cast(arrays.lanes[contact + Contact.FACE * lanes], ti.i32)
-        face, weights, normal, d = nearest_face(x, last, cell_index, arrays)
+        face, feature, weights, normal, d = nearest_face(x, last, cell_index, arrays)
+        if feature == 0 and d > 0.0 and d < arrays.settings[scene, Setting.SEARCH_DISTANCE]:
+            free = free_path(x, face, weights, normal, d, cell_index, cell, arrays)
         friction = 0.0 * d
         for k in ti.static(range(dimension)):
             friction += weights[k] * arrays.faces[face, features.face_friction + k]
@@ -335,8 +374,7 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
                 v = after_contact(v, normal, friction)
                 solid = solid_of(face, arrays)
         distance = ti.min(d, distance)
-        q = ti.min(d / arrays.settings[scene, Setting.CONTACT_WIDTH], 1.0)
-        delta = 2.0 / arrays.settings[scene, Setting.CONTACT_WIDTH] * (1.0 - q * q * (3.0 - 2.0 * q))
+        delta = contact_delta(d, arrays.settings[scene, Setting.CONTACT_WIDTH])
         arrays.lanes[contact + Contact.FRICTION * lanes] = friction
         arrays.lanes[contact + Contact.FACE * lanes] = face
         # The shear traction turns with the surface, and ends where the particle leaves it.
@@ -350,8 +388,9 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
         put_lane_numbers(arrays.lanes, first, x, arrays)
         put_lane_numbers(arrays.lanes, first + features.velocity * lanes, v, arrays)
         if solid >= 0:
-            mass = arrays.lanes[contact + Contact.IMPULSE * lanes]
+            mass = arrays.scratch_lanes[(scratch + features.push + 1) * lanes + lane]
             for k in ti.static(range(dimension)):
                 add_impulse(solid, k, mass * (velocity[k] - v[k]), lane, worker, arrays)
     arrays.lanes[contact + Contact.DELTA * lanes] = delta
     arrays.lanes[contact + Contact.DISTANCE * lanes] = distance
+    arrays.lanes[contact + Contact.FREE * lanes] = free

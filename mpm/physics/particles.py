@@ -42,8 +42,8 @@ def set_box(worker, scene, low: ti.template(), high: ti.template(), arrays: ti.t
     """The box of nodes in the support of particles between `low` and `high` [m], D vectors of lanes each."""
     per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
     for k in ti.static(range(arrays.features.dimension)):
-        lowest = ti.floor(over_lanes(ti.min, low[k], arrays) * per_dx + (PADDING - 0.5))
-        highest = ti.floor(over_lanes(ti.max, high[k], arrays) * per_dx + (PADDING - 0.5))
+        lowest = ti.floor(over_lanes(minimum, low[k], arrays) * per_dx + (PADDING - 0.5))
+        highest = ti.floor(over_lanes(maximum, high[k], arrays) * per_dx + (PADDING - 0.5))
         arrays.workers[worker, Worker.LOW_X + k] = ti.cast(lowest, ti.i32)
         arrays.workers[worker, Worker.HIGH_X + k] = ti.cast(highest, ti.i32) + 3
 
@@ -164,13 +164,14 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     features = arrays.features
     first = no_overflow(block * features.block)
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
-    inside = midpoint_increment(gradient, features.dimension)
-    if ti.static(features.contact):
-        strain_at_contact(block, scratch, near, modulus, dt, arrays)
-        jump = arrays.scratch[scratch + features.push]
-        return with_jump(inside, jump, contact_of(block, arrays), features.dimension)
-    else:
-        return inside
+    increment = midpoint_increment(gradient, features.dimension)
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+        if near:
+            jump = strain_at_contact(block, scratch, modulus, dt, arrays)
+            strained = with_jump(increment, jump, contact_of(block, arrays), features.dimension)
+            for k in ti.static(range(features.dimension**2)):
+                increment[k] = strained[k]
+    return increment
 
 
 @ti.func

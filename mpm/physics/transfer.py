@@ -34,7 +34,7 @@ import taichi as ti
 from mpm.arrays.access import add, magnitude, no_overflow
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
-from mpm.physics.contact import prepare_contact
+from mpm.physics.contact import push, touches
 
 
 @ti.func
@@ -162,12 +162,24 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     zero = 0.0 * arrays.state[first]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + zero
     f = weights_of(block, scratch, per_dx, arrays)
-    values = scratch + features.values
-    pushed = [zero for _ in ti.static(range(2 * features.dimension))]
     if ti.static(features.contact):
-        prepare_contact(block, scratch, arrays)
-        for k in ti.static(range(2 * features.dimension)):
-            pushed[k] = arrays.scratch[scratch + features.push + k]
+        if touches(block, arrays):
+            push(block, scratch, arrays)
+            pushed = [arrays.scratch[scratch + features.push + k] for k in ti.static(range(2 * features.dimension))]
+            leave_contributions(scene, block, scratch, mass, volume, pushed, f, dx, per_dx, arrays)
+        else:
+            leave_contributions(scene, block, scratch, mass, volume, [], f, dx, per_dx, arrays)
+    else:
+        leave_contributions(scene, block, scratch, mass, volume, [], f, dx, per_dx, arrays)
+
+
+@ti.func
+def leave_contributions(
+    scene, block, scratch, mass, volume, pushed: ti.template(), f: ti.template(), dx, per_dx, arrays: ti.template()
+):
+    """Leave in `scratch` the values and slopes of a block."""
+    features = arrays.features
+    first, values = no_overflow(block * features.block), scratch + features.values
     velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(features.dimension))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
@@ -202,7 +214,7 @@ def contributions(
 ):
     """What a particle gives to the node that lies `f` cells below it: momentum, D x D slopes of it per cell row by row,
 
-    and the force and its slopes. pushed: `surface_force` of solids.
+    and the force and its slopes. pushed: `surface_force` of solids, nothing where none is near.
     """
     # Lengths on the grid are in cells: times dx.
     force_scale = -4.0 * volume * per_dx
@@ -211,12 +223,12 @@ def contributions(
     slopes = [mass * dx * affine[k] for k in ti.static(range(features.dimension**2))]
     forces = [force_scale * stress[0] for _ in ti.static(range(features.dimension**2))]
     for i in ti.static(range(features.dimension)):
-        if ti.static(features.contact):
+        if ti.static(len(pushed) > 0):
             pull[i] = volume * pushed[i]
         for j in ti.static(range(features.dimension)):
             at = ti.static(i * features.dimension + j)
             carried = stress[ti.static(component(i, j, features.dimension))]
-            if ti.static(features.contact):
+            if ti.static(len(pushed) > 0):
                 carried = carried + pushed[i] * pushed[features.dimension + j]
             forces[at] = force_scale * carried
             pull[i] = pull[i] - forces[at] * f[j]

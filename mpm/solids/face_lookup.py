@@ -75,9 +75,10 @@ def solid_of(face, arrays: ti.template()):
 
 @ti.func
 def nearest_face(x, last, cell_index, arrays: ti.template()):
-    """Of the faces listed for a cell that nearest to `x` [m]: its number, the weights of its corners at the foot, the
+    """Of the faces listed for a cell that nearest to `x` [m]: its number, its part that is nearest, the weights of its
 
-    normal n [-] and the signed distance d [m], negative inside, with x = foot + d n. last: where to look first.
+    corners at the foot, the normal n [-] and the signed distance d [m], negative inside, with x = foot + d n. last:
+    where to look first.
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
@@ -115,7 +116,49 @@ def nearest_face(x, last, cell_index, arrays: ti.template()):
         d = sign * length
         if length > TINY:
             normal = offset * (sign / length)
-    return face, weights, normal, d
+    return face, feature, weights, normal, d
+
+
+@ti.func
+def free_path(x, face, weights, normal, d, cell_index, cell, arrays: ti.template()):
+    """How far a particle at `x` [m] outside of the solids may move and be nearest to the inside of `face` still [m].
+
+    Its foot has to stay there, it in its cell, which lists no faces but those that its points need, and no face that
+    lies in part in front of this one may come nearer: both distances change by no more than its path. 0 where the
+    friction varies along the face.
+    """
+    features = arrays.features
+    dimension = ti.static(features.dimension)
+    free = cell
+    for k in ti.static(range(dimension)):
+        above = x[k] - ti.floor(x[k] / cell) * cell
+        free = ti.min(free, above, cell - above)
+        a = face_vector(face, k * dimension, arrays)
+        b = face_vector(face, ti.static((k + 1) % dimension * dimension), arrays)
+        if ti.static(dimension == 2):
+            free = ti.min(free, weights[k] * (b - a).norm())
+        else:
+            c = face_vector(face, ti.static((k + 2) % dimension * dimension), arrays)
+            free = ti.min(free, weights[k] * (b - a).cross(c - a).norm() / (c - b).norm())
+        if arrays.faces[face, features.face_friction + k] != arrays.faces[face, features.face_friction]:
+            free = 0.0 * free
+    corner = face_vector(face, 0, arrays)
+    for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):
+        other = arrays.near_faces[at]
+        highest = 0.0 * d
+        for k in ti.static(range(dimension)):
+            highest = ti.max(highest, (face_vector(other, k * dimension, arrays) - corner).dot(normal))
+        if highest > SKIN * cell:
+            w = 0.0 * x
+            if ti.static(dimension == 2):
+                w, _ = foot_on_segment(x, other, arrays)
+            else:
+                w, _ = foot_on_triangle(x, other, arrays)
+            from_foot = x
+            for k in ti.static(range(dimension)):
+                from_foot = from_foot - w[k] * face_vector(other, k * dimension, arrays)
+            free = ti.min(free, 0.5 * (from_foot.norm() - d))
+    return free
 
 
 @ti.func

@@ -12,6 +12,8 @@ from datasets.particles import Particles, initial_particles
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
+from mpm.arrays.batch import Batch
+from mpm.arrays.layout import Worker, node_shape
 from tests.scenes import COLUMN, SAND, box, room
 
 
@@ -81,3 +83,13 @@ def test_what_is_no_number_wants_a_shorter_step(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("mpm.arrays.batch.initial_particles", with_a_broken_particle)
     with pytest.raises(WorkFailed, match=r"^the simulation blew up at t = 0 s; try a step_fraction below 0.4$"):
         simulate(box())
+
+
+def test_sorting_opens_the_boxes_of_nodes_that_are_cleared() -> None:
+    """Workers of a shared scene have other particles then: the old boxes would leave momentum on the grid."""
+    scene = box(COLUMN)
+    batch = Batch([scene], precision="f32", workers=2)
+    batch.workers[:, Worker.LOW_X : Worker.HIGH_X + 3] = 5
+    batch.sort(0)
+    assert (batch.workers[:, Worker.LOW_X : Worker.LOW_X + 3] == 0).all()
+    assert (batch.workers[:, Worker.HIGH_X : Worker.HIGH_X + 2] == node_shape(scene.domain)).all()

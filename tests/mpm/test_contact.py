@@ -11,7 +11,11 @@ from datasets.geometry.nearest import nearest
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
-from mpm import LAST, WITH_FIELDS, simulate
+from mpm import LAST, WITH_FIELDS, runtime, simulate
+from mpm.arrays.batch import Batch
+from mpm.arrays.layout import Contact
+from mpm.kernel import Phase, kernel
+from mpm.solids.obstacles import initial_contacts
 from tests.datasets.geometry.solids import surface
 from tests.scenes import scene_of
 from validation.bench.stability.exact_solutions import settlement, total_energy
@@ -225,6 +229,33 @@ def test_open_sides_let_sand_out_and_count_it() -> None:
     assert share == pytest.approx((flow.positions[-1, :, 0] > 0.6).mean(), abs=1.0e-9)
     assert share == pytest.approx(beyond, rel=0.15)
     assert beyond > 0.05
+
+
+@pytest.mark.double
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_face_that_is_followed_is_the_nearest(dimension: int) -> None:
+    """Sand thrown through a slot between two baffles, over a step in it: the distance is that of a search of all."""
+    deep = (0.0,) * (dimension - 2)
+    size = (0.4, 0.24, *(0.08 for _ in deep))
+    boxes = (((0.16, 0.0), (0.2, 0.05)), ((0.16, 0.09), (0.2, 0.06)), ((0.24, 0.05), (0.03, 0.013)))
+    scene = scene_of(
+        Mass(lower=(0.02, 0.02, *deep), size=(0.12, 0.12, *size[2:]), velocity=(3.0, 0.0, *deep)),
+        material=SAND,
+        size=size,
+        baffles=tuple(Baffle(lower=(*low, *deep), size=(*span, *size[2:])) for low, span in boxes),
+        duration=0.06,
+        frame_dt=0.01,
+        step_fraction=0.9,
+    )
+    runtime.start("f64")
+    batch = Batch([scene], precision="f64", record=LAST)
+    for frame in range(1, scene.frames):
+        kernel(batch.features)(*batch.arguments.values(), frame, frame + 1, Phase.FRAMES)
+        exact = initial_contacts(scene, batch.numbers(0, 0, dimension).T)[:, Contact.DISTANCE]
+        found = batch.numbers(0, batch.features.contacts, len(Contact))[Contact.DISTANCE]
+        assert (found <= exact + 1.0e-9 * CELL).all()
+        assert np.abs(found - exact)[exact < CELL].max(initial=0.0) < 1.0e-9 * CELL
+    assert (exact < CELL).sum() > 20
 
 
 @pytest.mark.double

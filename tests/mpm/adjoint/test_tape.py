@@ -12,7 +12,7 @@ from datasets.library import read_scene
 from datasets.scene import Scene
 from mpm import simulate
 from mpm.adjoint.gradient import gradient, pull_back_all
-from mpm.adjoint.tape import FlowAdjoints, Tape
+from mpm.adjoint.tape import FlowAdjoints, Tape, steady
 from tests.mpm.adjoint.flows import SOIL, Weighted, plane, room
 from tests.mpm.adjoint.test_gradient import SCENES
 
@@ -103,6 +103,14 @@ def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("mpm.adjoint.tape.CUT", 0.0)
     with pytest.raises(WorkFailed, match=r"grows without bound.* try a step_fraction below 0.9"):
         pull_back_all(tape, [[FlowAdjoints(np.ones_like(tape.positions()))]])
+
+
+@pytest.mark.parametrize(("scene", "ratio"), [(plane(), 0.7), (room(), 0.7 / 1.3)], ids=["2D", "3D"])
+def test_steady_steps_are_those_of_a_lone_particle(scene: Scene, ratio: float) -> None:
+    """(lambda + 2 mu) / (D lambda + 2 mu) at nu = 0.3 is 1 - nu in 2D and (1 - nu) / (1 + nu) in 3D."""
+    stiff = dataclasses.replace(scene, step_fraction=0.9, material=dataclasses.replace(scene.material, poisson=0.3))
+    assert steady(stiff).step_fraction == pytest.approx(np.sqrt(ratio))
+    assert steady(dataclasses.replace(stiff, step_fraction=0.4)).step_fraction == 0.4
 
 
 @pytest.mark.slow
