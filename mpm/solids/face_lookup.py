@@ -74,6 +74,20 @@ def solid_of(face, arrays: ti.template()):
 
 
 @ti.func
+def foot_on_face(x, face, arrays: ti.template()):
+    """Of the foot of `x` [m] on a face: the weights of its corners, the part it lies on, and x less the foot [m]."""
+    dimension = ti.static(arrays.features.dimension)
+    w, part, from_foot = 0.0 * x, 0, x
+    if ti.static(dimension == 2):
+        w, part = foot_on_segment(x, face, arrays)
+    else:
+        w, part = foot_on_triangle(x, face, arrays)
+    for k in ti.static(range(dimension)):
+        from_foot = from_foot - w[k] * face_vector(face, k * dimension, arrays)
+    return w, part, from_foot
+
+
+@ti.func
 def nearest_face(x, last, cell_index, arrays: ti.template()):
     """Of the faces listed for a cell that nearest to `x` [m]: its number, its part that is nearest, the weights of its
 
@@ -93,14 +107,7 @@ def nearest_face(x, last, cell_index, arrays: ti.template()):
         # No point of a face is nearer than its plane.
         height = (x - face_vector(candidate, 0, arrays)).dot(face_vector(candidate, features.face_normal, arrays))
         if height * height < smallest:
-            w, part = 0.0 * x, 0
-            if ti.static(dimension == 2):
-                w, part = foot_on_segment(x, candidate, arrays)
-            else:
-                w, part = foot_on_triangle(x, candidate, arrays)
-            from_foot = x
-            for k in ti.static(range(dimension)):
-                from_foot = from_foot - w[k] * face_vector(candidate, k * dimension, arrays)
+            w, part, from_foot = foot_on_face(x, candidate, arrays)
             square = from_foot.dot(from_foot)
             if square < smallest:
                 smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
@@ -149,14 +156,7 @@ def free_path(x, face, weights, normal, d, cell_index, cell, arrays: ti.template
         for k in ti.static(range(dimension)):
             highest = ti.max(highest, (face_vector(other, k * dimension, arrays) - corner).dot(normal))
         if highest > SKIN * cell:
-            w = 0.0 * x
-            if ti.static(dimension == 2):
-                w, _ = foot_on_segment(x, other, arrays)
-            else:
-                w, _ = foot_on_triangle(x, other, arrays)
-            from_foot = x
-            for k in ti.static(range(dimension)):
-                from_foot = from_foot - w[k] * face_vector(other, k * dimension, arrays)
+            _, _, from_foot = foot_on_face(x, other, arrays)
             free = ti.min(free, 0.5 * (from_foot.norm() - d))
     return free
 
