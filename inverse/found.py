@@ -60,7 +60,7 @@ class Purpose(StrEnum):
     KNOWN = "known"
     """Before, for another target."""
     CELLS = "cells"
-    """At an answer on cells twice as large."""
+    """At an answer on half the cells, in 3D on cells twice as large."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,8 +44,8 @@ class Search:
     found: Posterior | None = None
     factor: float = 1.0
     """Of the discrepancy."""
-    coarse: tuple[MpmRun, ...] = ()
-    """Runs at an answer on cells twice as large, which are no part of the emulator."""
+    cells: tuple[MpmRun, ...] = ()
+    """Runs at an answer on other cells, which are no part of the emulator."""
     discretisation: Values | None = None
     """What these change of the numbers there, shape [M]."""
 

@@ -112,7 +112,7 @@ def run(
         tried = tuple(dataclasses.replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
         outcome = nearer(outcome.state, concluded(searched(first(task, tried, before))))
     state, answer = outcome.state, outcome.answers[0]
-    runs = (*state.runs, *state.coarse)
+    runs = (*state.runs, *state.cells)
     mpm_seconds = sum(each.seconds for each in runs)
     return Result(
         problem=task.problem,

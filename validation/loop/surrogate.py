@@ -66,7 +66,7 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | Non
     if problem.target.minimise:
         return None, "a design is looked for by the MPM alone"
     if requested is Surrogate.COARSE:
-        problem = dataclasses.replace(problem, scene=task.coarse(problem.scene))
+        problem = dataclasses.replace(problem, scene=task.on_cells(problem.scene, 2.0))
         store = RunStore(task.folder, task.simulate, label="coarse-")
         # Off by about a cell of the scene, four times the scatter of its flows.
         coarse = MpmForward(problem, task.target.observation, store, band=4.0 * task.scatter)

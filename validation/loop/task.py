@@ -89,11 +89,11 @@ class Task:
             for location, flow, file in zip(locations, flows, files, strict=True)
         )
 
-    def coarse(self, scene: Scene) -> Scene:
-        """`scene` on cells twice as large. Raises InputError where particles are compared or none fit."""
+    def on_cells(self, scene: Scene, factor: float) -> Scene:
+        """`scene` on cells so many times as large. Raises InputError where particles are compared or none fit."""
         if self.target.observation.every_particle:
-            raise InputError("expected no deposit, whose particles are others on larger cells", key="observations")
-        return scene.with_cell(2.0 * scene.domain.cell)
+            raise InputError("expected no deposit, whose particles are others on other cells", key="observations")
+        return scene.with_cell(factor * scene.domain.cell)
 
     def seed(self, number: int) -> int:
         """Jitter seed of a run by its number."""
