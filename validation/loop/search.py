@@ -47,7 +47,7 @@ class Search:
     cells: tuple[MpmRun, ...] = ()
     """Runs at an answer on other cells, which are no part of the emulator."""
     discretisation: Values | None = None
-    """What these change of the numbers there, shape [M]."""
+    """What the cells of the scene change of the numbers there, as these show, shape [M]."""
 
     @property
     def left(self) -> int:

@@ -47,7 +47,10 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
     excluded = is_excluded(state)
     state, found = checked(state, moves=moves)
     if cells := on_other_cells(state.task, found[0]):
-        change = np.mean([each.observation for each in cells], axis=0) - found[0].observation
+        # The error grows as the cell (Roache 1994): nature has none, a twin on other cells that of its own.
+        own, other = (each[0].trajectory.scene.domain.cell for each in (found[0].checks, cells))
+        share = (own - (state.task.target.cell or 0.0)) / (own - other)
+        change = share * (found[0].observation - np.mean([each.observation for each in cells], axis=0))
         state, found = checked(state.inferred(cells=cells, discretisation=change), moves=moves)
     factor = 1.0 if found[0].fit is None else found[0].fit.factor
     if factor > 1.0 and not excluded:
