@@ -233,6 +233,7 @@ def posterior(
     region: Region | None = None,
     factor: float = 1.0,
     discretisation: Row | None = None,
+    extrapolated: float = 1.0,
     trends: Sequence[Trend] = (linear,),
     within: Callable[[Matrix], Row] | None = None,
 ) -> Posterior:
@@ -240,8 +241,8 @@ def posterior(
 
     scatter: expected standard deviation of each number from flow to flow [M]; region: what is not excluded and holds
     the runs that count, the whole box where absent; factor: F; discretisation: change d of the numbers by the cells
-    [M], in components D = (d d^T + |d|^2 I / r) / 2: what the next finer cells change is as large, in a direction of
-    which half is known; trends: the one is used that predicts the runs best which are left out one by one;
+    [M]; extrapolated: share e of it that no run has shown, in components D = (1 - e / 2) d d^T + (e / 2) |d|^2 I / r: what
+    the next finer cells change is as large, in a direction of which half is known; trends: the one is used that predicts the runs best which are left out one by one;
     within: logarithm of what is excluded already (`Likelihood`).
     """
     unknowns = points.shape[1]
@@ -258,8 +259,8 @@ def posterior(
     known = reduced.noise
     if discretisation is not None:
         shift = (discretisation * reduced.weights) @ reduced.basis
-        size = float(shift @ shift)
-        known = known + 0.5 * (np.outer(shift, shift) + size / len(shift) * np.eye(len(shift)))
+        around = float(shift @ shift) / len(shift) * np.eye(len(shift))
+        known = known + (1.0 - 0.5 * extrapolated) * np.outer(shift, shift) + 0.5 * extrapolated * around
     ratio = float(np.trace(known) / max(float(np.trace(single)), 1e-300))
     # Test of lack of fit (Draper & Smith, Applied regression analysis, 1998, section 2.1).
     explained = expected**2 * f.ppf(CONSTANTS.lack_of_fit, emulator.freedom, repeats + CONSTANTS.scatter_prior)

@@ -48,6 +48,8 @@ class Search:
     """Runs at an answer on other cells, which are no part of the emulator."""
     discretisation: Values | None = None
     """What the cells of the scene change of the numbers there, as these show, shape [M]."""
+    extrapolated: float = 1.0
+    """Share of it beyond what these show."""
 
     @property
     def left(self) -> int:
@@ -94,6 +96,7 @@ class Search:
             rng=state.task.generator(len(state.runs)),
             factor=state.factor,
             discretisation=state.discretisation,
+            extrapolated=state.extrapolated,
             trends=(linear,) if guide is None else (guide.trend, linear),
             within=None if guide is None or (many and state.waves) else guide.within,
         )

@@ -51,7 +51,8 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
         own, other = (each[0].trajectory.scene.domain.cell for each in (found[0].checks, cells))
         share = (own - (state.task.target.cell or 0.0)) / (own - other)
         change = share * (found[0].observation - np.mean([each.observation for each in cells], axis=0))
-        state, found = checked(state.inferred(cells=cells, discretisation=change), moves=moves)
+        beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
+        state, found = checked(state.inferred(cells=cells, discretisation=change, extrapolated=beyond), moves=moves)
     factor = 1.0 if found[0].fit is None else found[0].fit.factor
     if factor > 1.0 and not excluded:
         state = state.inferred(factor=factor)
