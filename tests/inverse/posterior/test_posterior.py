@@ -59,6 +59,9 @@ def test_errors_that_are_counted_larger_widen_it_in_proportion() -> None:
     along, across = np.sqrt(np.diag(shift.samples.covariance))
     assert along == pytest.approx(0.2 * 0.75**0.5, rel=0.25)
     assert across > 2.0 * np.sqrt(plain.samples.covariance[1, 1])
+    shown = inferred(discretisation=0.2 * SLOPES[0], extrapolated=0.0)
+    along, across = np.sqrt(np.diag(shown.samples.covariance) / (0.2**2, plain.samples.covariance[1, 1]))
+    assert (along, across) == pytest.approx((1.0, 1.0), rel=0.25)
 
 
 def test_a_posterior_wider_than_its_region_leaves_it() -> None:
