@@ -241,8 +241,8 @@ def posterior(
 
     scatter: expected standard deviation of each number from flow to flow [M]; region: what is not excluded and holds
     the runs that count, the whole box where absent; factor: F; discretisation: change d of the numbers by the cells
-    [M]; extrapolated: share e of d that no run has shown, in components D = (1 - e / 2) d d^T + (e / 2) |d|^2 I / r: what
-    the next finer cells change is as large, in a direction of which half is known; trends: the one is used that
+    [M]; extrapolated: share e of d that no run has shown, in components D = (1 - e / 2) d d^T + (e / 2) |d|^2 I / r:
+    what the next finer cells change is as large, in a direction of which half is known; trends: the one is used that
     predicts the runs best which are left out one by one;
     within: logarithm of what is excluded already (`Likelihood`).
     """
