@@ -1,7 +1,6 @@
 """What a rollout begins with: a scene at time 0, or the end of the MPM's first frames; and what is around its flow."""
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,16 +11,14 @@ from torch import Tensor
 
 from datasets import memory
 from datasets.errors import InputError
+from datasets.geometry.ground import ground_raster
 from datasets.particles import initial_particles, mass_counts, released_volume
-from datasets.scene import Scene
-from datasets.training.samples import Surroundings, check_known, thin
+from datasets.scene import Scene, coefficient
+from datasets.training.samples import check_known, thin
 from datasets.trajectory import Floats, Trajectory
 from gns.settings import ModelSettings
 from gns.state import Conditions, Ground, State, Tensors
 from gns.units import Units
-
-ABSENT = -10.0
-"""Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,11 +101,11 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
     return InitialState(
         state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
         conditions=conditions_of(
-            [Surroundings.of_scene(scene, cell)],
+            scene,
+            cell,
             friction=torch.from_numpy(particles.friction[kept]),
             cohesion=torch.from_numpy(particles.cohesion[kept]),
             volume=torch.from_numpy(thinned.volumes),
-            spacing=cell,
             units=units,
         ),
         scene=scene,
@@ -148,48 +145,34 @@ def check(scene: Scene, settings: ModelSettings) -> None:
 
 
 def conditions_of(
-    around: Sequence[Surroundings],
-    *,
-    friction: Tensor,
-    cohesion: Tensor,
-    volume: Tensor,
-    spacing: float,
-    batch: Tensor | None = None,
-    units: Units | None = None,
+    scene: Scene, spacing: float, *, friction: Tensor, cohesion: Tensor, volume: Tensor, units: Units
 ) -> Conditions:
-    """The conditions of one flow, or of several side by side.
+    """The conditions of a flow of `scene`; spacing: between two elevations of the ground [m]; others: `Conditions`."""
 
-    around: what is around each of them; spacing: between two elevations of their ground [m]; the others: see
-    `Conditions`. A flow with fewer baffles than another gets boxes of no size far outside, one without terrain ground
-    far below, and a smaller raster goes on level.
-    """
-    numbers = ("size", "gravity", "floor_friction", "wall_friction", "damping")
-    parts = {name: joined([getattr(each, name) for each in around]) for name in numbers}
-    if count := max(len(each.baffles) for each in around):
-        for name, value in (("baffles", ABSENT), ("baffle_friction", 0.0), ("baffle_turn", 0.0)):
-            if name != "baffle_turn" or any(each.baffle_turn.any() for each in around):
-                parts[name] = joined([padded(getattr(each, name), [count], constant_values=value) for each in around])
-    grounds = [each.ground for each in around]
+    def one(values: Any) -> Tensor:
+        return torch.from_numpy(np.asarray(values, np.float32)[None])
+
     ground = None
-    if shapes := [each[0].shape for each in grounds if each is not None]:
-        shape = tuple(map(max, zip(*shapes, strict=True)))
-        absent = np.full(shape, ABSENT), np.zeros(shape)
-        elevation, roughness = (
-            joined([padded((absent if each is None else each)[field], shape, mode="edge") for each in grounds])
-            for field in (0, 1)
-        )
-        ground = Ground(elevation=elevation, friction=roughness, spacing=spacing)
+    if scene.solids:
+        elevation, roughness, _ = ground_raster(scene, spacing)
+        ground = Ground(elevation=one(elevation), friction=one(roughness), spacing=spacing)
+    # Sand shears above what is rougher than itself.
+    frictions = scene.floor_friction, scene.wall_friction, *map(scene.friction_of, scene.baffles)
+    floor, wall, *rough = (coefficient(each, 1.0) for each in frictions)
+    lower, extent = (np.array([getattr(each, key) for each in scene.baffles], np.float32) for key in ("lower", "size"))
+    turn = np.radians([each.turned_deg for each in scene.baffles])
     return Conditions(
-        friction=friction, cohesion=cohesion, volume=volume, batch=batch, ground=ground, units=units or Units(), **parts
+        friction=friction,
+        cohesion=cohesion,
+        volume=volume,
+        size=one(scene.domain.size),
+        gravity=one(scene.gravity_vector),
+        floor_friction=one(floor),
+        wall_friction=one(wall),
+        damping=one(scene.damping),
+        baffles=one(np.stack((lower, lower + extent), axis=1)) if scene.baffles else None,
+        baffle_turn=one(turn) if turn.any() else None,
+        baffle_friction=one(rough) if scene.baffles else None,
+        ground=ground,
+        units=units,
     )
-
-
-def joined(values: Sequence[Floats | float]) -> Tensor:
-    """Values of the samples, each of one shape, as a tensor whose first axis is that of the samples."""
-    return torch.from_numpy(np.stack([np.asarray(each, np.float32) for each in values]))
-
-
-def padded(values: NDArray[np.floating], shape: Sequence[int], **how: Any) -> NDArray[np.floating]:
-    """Values with more behind them along their first axes, up to `shape`; how: see `numpy.pad`."""
-    behind = [(0, count - own) for count, own in zip(shape, values.shape, strict=False)]
-    return np.pad(values, behind + [(0, 0)] * (values.ndim - len(shape)), **how)

@@ -7,8 +7,12 @@ from typing import Any, Self
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from gns.units import Units
+
+ABSENT = -10.0
+"""Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,3 +153,40 @@ class Conditions(Tensors):
             ground=ground,
             units=Units(),
         )
+
+    @staticmethod
+    def joined(samples: Sequence["Conditions"]) -> "Conditions":
+        """Samples side by side, of one each, all in units of the model.
+
+        One with fewer baffles than another gets boxes of no size far outside, one without terrain ground far below, and
+        a smaller raster goes on level.
+        """
+        names = ("friction", "cohesion", "volume", "size", "gravity", "floor_friction", "wall_friction", "damping")
+        found: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in samples]) for name in names}
+        for name, absent in (("baffles", ABSENT), ("baffle_turn", 0.0), ("baffle_friction", 0.0)):
+            own = [getattr(each, name) for each in samples]
+            count = max((each.baffles.shape[1] for each in samples if each.baffles is not None), default=0)
+            if some := [each for each in own if each is not None]:
+                whole = some[0].new_full((len(own), count, *some[0].shape[2:]), absent)
+                for row, each in zip(whole, own, strict=True):
+                    if each is not None:
+                        row[: each.shape[1]] = each[0]
+                found[name] = whole
+        if grounds := [each.ground for each in samples if each.ground is not None]:
+            shape = [max(counts) for counts in zip(*(each.elevation.shape[1:] for each in grounds), strict=True)]
+            rasters = {
+                name: torch.cat([level(each.ground, name, shape, absent) for each in samples])
+                for name, absent in (("elevation", ABSENT), ("friction", 0.0))
+            }
+            found["ground"] = Ground(**rasters, spacing=grounds[0].spacing)
+        counts = torch.tensor([len(each.friction) for each in samples])
+        return Conditions(batch=torch.arange(len(samples)).repeat_interleave(counts), **found)
+
+
+def level(ground: Ground | None, name: str, shape: Sequence[int], absent: float) -> Tensor:
+    """A raster of one sample's ground that goes on level up to a larger shape; where there is none a constant one."""
+    if ground is None:
+        return torch.full((1, *shape), absent)
+    raster: Tensor = getattr(ground, name)
+    behind = [end for count, own in zip(shape, raster.shape[1:], strict=True) for end in (count - own, 0)]
+    return functional.pad(raster, behind[::-1], mode="replicate")

@@ -34,14 +34,13 @@ from datasets.files import reading
 from datasets.lock import locked
 from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
-from datasets.training.samples import Flow, Flows
 from datasets.trajectory import stored_scene, trajectory_files
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.correction import Correction
 from gns.library import BEST
 from gns.losses import EndLoss, UnrolledLoss
-from gns.samples import Rollouts, Sampler, flows_of, statistics
+from gns.samples import Flow, Flows, Rollouts, Sampler, flows_of, statistics
 from gns.score import evaluate, table, validation_score
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator

@@ -1,57 +1,19 @@
-"""Trajectories at a model's step, stretches cut from them, their statistics against NumPy; thinning keeps volumes."""
+"""What a model learns of trajectories: cohesion, thinning that keeps volumes, statistics against NumPy."""
 
 import dataclasses
 from functools import reduce
 from operator import add
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from datasets.errors import InputError
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Mass, Scene, Solid
-from datasets.training.samples import Flow, Sample, Surroundings, cut, load_flows, particle_cohesion, reflected, thin
+from datasets.scene import Mass, Scene
+from datasets.training.samples import particle_cohesion, thin
 from datasets.training.statistics import MOVING_SPEED, MotionStatistics, motion_statistics
-from datasets.trajectory import Trajectory, open_trajectory
-from tests.scenes import scene_of
 
-
-@pytest.fixture
-def flow(trajectory: Trajectory) -> Flow:
-    """Five points that move by 1 mm a step in x, then rest."""
-    steps = np.minimum(np.arange(10), 6)[:, None, None] * np.array([1e-3, 0.0])
-    positions = (np.linspace(0.0, 0.04, 5)[:, None] * np.array([1.0, 0.0]) + steps).astype(np.float32)
-    time = np.arange(10) * 0.0025
-    return Flow.from_trajectory(dataclasses.replace(trajectory, positions=positions, time=time), 0.0025, "a")
-
-
-def test_a_flow_takes_every_so_many_frames(trajectory: Trajectory) -> None:
-    flow = Flow.from_trajectory(trajectory, 0.005, "a")
-    assert np.array_equal(flow.positions, trajectory.positions[[0, 2]])
-    for step in (0.004, 0.001):
-        with pytest.raises(InputError, match=r"a: expected frames 0\.00"):
-            Flow.from_trajectory(trajectory, step, "a")
-
-
-@pytest.mark.parametrize(("now", "given"), [(0, [0]), (2, [0, 1, 2]), (6, [3, 4, 5, 6])])
-def test_a_cut_gives_the_past_that_there_is(flow: Flow, now: int, given: list[int]) -> None:
-    sample = cut(flow, now=now, steps=3, history=3, cell=0.01, kept=4, rng=np.random.default_rng(0))
-    assert np.array_equal(sample.frames, flow.positions[given])
-    assert np.array_equal(sample.targets, flow.positions[now + 1 : now + 4])
-    assert sample.volume.sum() == pytest.approx(flow.volume.sum())
-
-
-def test_a_flow_over_terrain_has_its_ground_and_other_solids_are_refused(trajectory: Trajectory) -> None:
-    def over(solid: Solid) -> Trajectory:
-        return dataclasses.replace(trajectory, scene=dataclasses.replace(trajectory.scene, solids=(solid,)))
-
-    ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.1, 0.0), (0.2, 0.05)), friction=0.5)
-    around = Flow.from_trajectory(over(ramp), 0.0025, "a", spacing=0.05).surroundings
-    assert around.ground is not None
-    np.testing.assert_allclose(around.ground, [[0.0, 0.0, 0.0, 0.025, 0.05], [0.5] * 5], atol=1e-7)
-    with pytest.raises(InputError, match=r"a: solids\[0\].kind: expected baffles and terrain"):
-        Flow.from_trajectory(over(Solid(lower=(0.15, 0.0), size=(0.02, 0.05))), 0.0025, "a")
+FRAME_DT = 0.0025
 
 
 def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:
@@ -70,96 +32,6 @@ def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:
     assert particle_cohesion(two, 3, np.array([1, 0, 1], np.int32), "a").tolist() == [500.0, 0.0, 500.0]
     # Where all are alike, any number of points will do: an imported trajectory has its own.
     assert particle_cohesion(dataclasses.replace(scene, material=stiff), 3, None, "a").tolist() == [500.0] * 3
-
-
-BAFFLES = (
-    Baffle(lower=(0.5, 0.0, 0.1), size=(0.1, 0.3, 0.2)),
-    Baffle(lower=(0.2, 0.0, 0.6), size=(0.05, 0.4, 0.1), turned_deg=30.0),
-)
-
-
-@pytest.fixture
-def stretch() -> Sample:
-    """A sample in a box of 0.8 x 0.6 x 0.8 m, points and corners at random, but for two baffles."""
-    rng = np.random.default_rng(0)
-    scene = scene_of(
-        Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1)),
-        size=(0.8, 0.6, 0.8),
-        cell=0.1,
-        baffles=BAFFLES,
-        slope_deg=20.0,
-        baffle_friction=0.3,
-    )
-    ground = rng.random((9, 9), np.float32), rng.random((9, 9), np.float32)
-    return Sample(
-        frames=rng.random((3, 7, 3), np.float32),
-        velocity0=rng.random((7, 3), np.float32),
-        targets=rng.random((2, 7, 3), np.float32),
-        friction=rng.random(7, np.float32),
-        cohesion=rng.random(7, np.float32),
-        volume=rng.random(7, np.float32),
-        surroundings=dataclasses.replace(Surroundings.of_scene(scene, 0.1), ground=ground),
-    )
-
-
-def same(one: Sample, other: Sample) -> bool:
-    """Whether two samples are equal but for round-off."""
-    pairs = [
-        (getattr(a, field.name), getattr(b, field.name))
-        for a, b in ((one, other), (one.surroundings, other.surroundings))
-        for field in dataclasses.fields(a)
-        if field.name != "surroundings"
-    ]
-    return all(np.allclose(a, b, rtol=0.0, atol=1e-6) for a, b in pairs)
-
-
-@pytest.mark.parametrize("axis", [0, 2, None])
-def test_a_mirror_turns_its_axes_and_twice_changes_nothing(stretch: Sample, axis: int | None) -> None:
-    """All lengths are those of one body: in the mirror distances to baffles, walls and ground are what they were."""
-    once = reflected(stretch, axis, 0.1)
-    order, sign = ([2, 1, 0], 1.0) if axis is None else ([0, 1, 2], -1.0)
-    turned = 0 if axis is None else axis
-    np.testing.assert_allclose(once.velocity0[:, turned], sign * stretch.velocity0[:, order[turned]])
-    before, after = stretch.surroundings, once.surroundings
-    assert after.gravity[turned] == sign * before.gravity[order[turned]]
-    np.testing.assert_array_equal(after.baffle_turn, -before.baffle_turn)
-    for name in ("frames", "targets"):
-        mine, theirs = getattr(stretch, name)[..., order], getattr(once, name)
-        np.testing.assert_allclose(theirs[..., turned], mine[..., turned] if sign > 0 else 0.8 - mine[..., turned])
-        np.testing.assert_array_equal(theirs[..., 1], mine[..., 1])
-        gaps = [
-            np.sort(abs(points[..., None, None, :] - around.baffles), axis=-2)[..., axes]
-            for points, around, axes in ((getattr(stretch, name), before, order), (theirs, after, [0, 1, 2]))
-        ]
-        np.testing.assert_allclose(*gaps, atol=1e-6)
-    assert before.ground is not None
-    assert after.ground is not None
-    for there, here in zip(after.ground, before.ground, strict=True):
-        np.testing.assert_allclose(there, here.T if axis is None else np.flip(here, min(axis, 1)), atol=1e-6)
-    assert not same(once, stretch)
-    assert same(reflected(once, axis, 0.1), stretch)
-
-
-def test_flows_are_opened_when_they_are_asked_for(trajectory: Trajectory, tmp_path: Path) -> None:
-    for name in ("a", "b", "c"):
-        trajectory.save(tmp_path / "train" / f"{name}.npz")
-
-    def opened(path: Path) -> Flow:
-        return Flow.from_trajectory(open_trajectory(path), 0.0025, str(path))
-
-    flows = load_flows(tmp_path, "train", opened)
-    assert np.array_equal(flows[1].positions, trajectory.positions)
-    assert not flows[1].positions.flags.owndata
-    assert [Path(flow.name).stem for flow in flows] == ["a", "b", "c"]
-    (tmp_path / "train" / "b.npz").write_bytes(b"none")
-    assert Path(flows[2].name).stem == "c"
-    with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
-        flows[1]
-    with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
-        load_flows(tmp_path, "train", opened)
-
-
-FRAME_DT = 0.0025
 
 
 def test_moments_of_parts_are_those_of_the_whole() -> None:

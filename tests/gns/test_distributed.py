@@ -11,9 +11,8 @@ import pytest
 import torch
 from torch.nn.parallel import DistributedDataParallel
 
-from datasets.training.samples import Sample, cut
 from gns.losses import UnrolledLoss
-from gns.samples import batched, flows_of
+from gns.samples import Batch, batched, flows_of, stretch
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.training import LAST, joined, rank
@@ -23,9 +22,9 @@ ROOT = Path(__file__).parents[2]
 STEPS = 3
 
 
-def gradients(simulator: Simulator, samples: list[Sample]) -> dict[str, torch.Tensor]:
+def gradients(simulator: Simulator, samples: list[Batch]) -> dict[str, torch.Tensor]:
     """Those of one update, in double precision; one step keeps its activations, the others are checkpointed."""
-    batch = batched(samples, simulator.settings).to(dtype=torch.float64)
+    batch = batched(samples).to(dtype=torch.float64)
     model: torch.nn.Module = UnrolledLoss(simulator, TrainingSettings(memory_gib=2e-3))
     if torch.distributed.is_initialized():
         model = DistributedDataParallel(model)
@@ -34,7 +33,7 @@ def gradients(simulator: Simulator, samples: list[Sample]) -> dict[str, torch.Te
     return {name: value.grad for name, value in simulator.named_parameters() if value.grad is not None}
 
 
-def work(number: int, port: str, simulator: Simulator, parts: list[list[Sample]], out: Path) -> None:
+def work(number: int, port: str, simulator: Simulator, parts: list[list[Batch]], out: Path) -> None:
     """One of two processes."""
     common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
     os.environ.update(common | {"RANK": str(number)})
@@ -48,8 +47,7 @@ def test_two_processes_give_the_mean_of_their_gradients(
     simulator, rng = lively.double(), np.random.default_rng(0)
     flows = flows_of(dataset, "train", settings)
     samples = [
-        cut(flow, now=now, steps=STEPS, history=settings.history, cell=settings.cell, kept=1, rng=rng)
-        for flow, now in zip(flows, (0, 5, 9), strict=False)
+        stretch(flow, settings, now=now, steps=STEPS, rng=rng) for flow, now in zip(flows, (0, 5, 9), strict=False)
     ]
     parts = [samples[:2], samples[2:]]
     with socket.socket() as free:
