@@ -126,11 +126,8 @@ def pairs(one: Meshes, other: Meshes) -> tuple[NDArray[np.int64], NDArray[np.int
 
 def figures_of(meshes: Meshes, fields: Fields) -> list[float]:
     """The `FIGURES` of a flow whose particles have these fields."""
-    positions, velocity, volume = (
-        fields["position"].astype(np.float64),
-        fields.get("velocity"),
-        meshes.trajectory.volumes,
-    )
+    positions, velocity = fields["position"].astype(np.float64), fields.get("velocity")
+    volume = meshes.trajectory.volumes
     mass = volume * np.array([each.density for each in meshes.materials])[meshes.material]
     kinetic = math.nan if velocity is None else float(0.5 * mass @ np.sum(velocity.astype(np.float64) ** 2, axis=1))
     potential = float(-mass @ (positions @ np.array(meshes.trajectory.scene.gravity_vector)))

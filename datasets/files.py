@@ -72,8 +72,6 @@ def remove_own_parts() -> None:
 
 def flush(path: Path) -> None:
     """Return once the contents of a file, or the names in a folder, are on the disk."""
-    if path.is_dir() and os.name != "posix":
-        return
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(handle)
