@@ -16,8 +16,8 @@ from datasets.exchange.__main__ import command
 from datasets.files import write_json
 from datasets.trajectory import Trajectory
 from tests.breaking import dataset_files
+from tests.datasets.conftest import FRAMES, toy, toy_dataset, toy_scene
 from tests.datasets.test_arrays import OBJECTS, npy, with_member
-from tests.datasets.toys import FRAMES, toy, toy_dataset, toy_scene
 
 TO, FROM = ("--to", "geoelements"), ("--from", "geoelements")
 KEYS = ("bounds", "sequence_length", "dim", "dt", "vel_mean", "vel_std", "acc_mean")
