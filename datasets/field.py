@@ -71,14 +71,7 @@ class Grid:
 
 @dataclass(frozen=True, kw_only=True)
 class Field(Grid, Record):
-    """What varies over the particles of a scene at the start, in place of what their mass or its material has.
-
-    For example:
-
-        Field(
-            quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 0.2), nodes=(1, 2), values=(30.0, 20.0)
-        )
-    """
+    """What varies over the particles of a scene at the start, in place of what their mass or its material has."""
 
     quantity: str
     """`friction_deg`, `velocity_x`, `velocity_y` or `velocity_z`."""

@@ -54,10 +54,7 @@ def spoken(size: float) -> str:
 
 
 def trimming(step: Callable[P, R]) -> Callable[P, R]:
-    """`step`, after every `TRIM_EVERY` calls of which freed memory is returned to the system.
-
-    Between tensors that stay, glibc keeps what the steps' activations took.
-    """
+    """`step`, with what glibc keeps of freed memory returned to the system after every `TRIM_EVERY` calls."""
     try:
         trim = ctypes.CDLL(None).malloc_trim
     except (AttributeError, OSError, TypeError):

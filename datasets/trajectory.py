@@ -59,10 +59,7 @@ class Trajectory:
     summary: dict[str, Any] = field(default_factory=dict)
     """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.outcome`."""
     volume: Floats | None = None
-    """Initial volume of each particle [m^D], shape [N]; absent where it is that of the scene's own particles.
-
-    A learned simulator follows some of them, each with the volume of those that it stands for.
-    """
+    """Initial volume of each particle [m^D], shape [N]; absent where it is that of the scene's own particles."""
     mass: NDArray[np.int32] | None = None
     """Index of the scene's mass of each particle, shape [N]; absent where the particles are the scene's."""
     velocities: Floats | None = None
@@ -211,14 +208,7 @@ def solid_names(scene: Scene) -> tuple[str, ...]:
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
-    """Read the trajectory at a path, or in the folder of a run.
-
-    For example:
-
-        flow = read_trajectory("results")  # results/trajectory.npz
-
-    Raises InputError, which names the file and the key.
-    """
+    """Read the trajectory at a path, or in the folder of a run. Raises InputError, which names file and key."""
     return Trajectory.load(trajectory_file(path))
 
 

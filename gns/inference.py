@@ -22,9 +22,7 @@ from gns.unroll import unroll
 
 
 def load(model: str | Path) -> Simulator:
-    """A trained simulator: a file, or the name of a model that ships.
-
-        simulator = gns.load("flow2d")
+    """A trained simulator: a file, or the name of a model that ships, such as `flow2d`.
 
     Its weights are frozen: a gradient with respect to the flow costs a fraction of one that is recorded for the weights
     too. Raises InputError, which names the file.

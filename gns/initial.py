@@ -23,11 +23,7 @@ from gns.units import Units
 
 @dataclass(frozen=True, kw_only=True)
 class InitialState(Tensors):
-    """All that a rollout begins with. An unknown of an inversion replaces a part of it, differentiably.
-
-    initial = initial_state(scene, simulator.settings)
-    positions = unroll(simulator, initial.state, initial.conditions, initial.steps)
-    """
+    """All that a rollout begins with. An unknown of an inversion replaces a part of it, differentiably."""
 
     state: State
     """Positions and past displacements of the particles."""

@@ -108,15 +108,9 @@ class Conditions(Tensors):
     batch: Tensor | None = None
     """Sample that each particle belongs to, shape [N]; absent where there is one."""
     baffles: Tensor | None = None
-    """Lower and upper corner of the K baffles of each sample [m], shape [B, K, 2, D].
-
-    A sample with fewer has boxes of no size far outside the domain. Those of a turned one are before its turn.
-    """
+    """Lower and upper corner of the K baffles of each sample before their turn [m], shape [B, K, 2, D]."""
     baffle_turn: Tensor | None = None
-    """Turn of these baffles about their centres [rad], in 2D from x to y, in 3D about the vertical from x to z, [B, K].
-
-    Absent where none is turned.
-    """
+    """Turn of these about their centres [rad], in 2D from x to y, in 3D from x to z, [B, K]; absent where none is."""
     baffle_friction: Tensor | None = None
     """Coulomb coefficient of these baffles [-], shape [B, K]."""
     ground: Ground | None = None
