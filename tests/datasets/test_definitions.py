@@ -24,6 +24,7 @@ from datasets.library import read_scene
 from datasets.particles import initial_particles
 from datasets.records import changed
 from datasets.scene import Baffle, Mass, Scene
+from tests.refusals import refused
 from tests.scenes import scaled, scene_of
 
 every = pytest.mark.parametrize("definition", [read_definition(name) for name in NAMES], ids=NAMES)
@@ -213,8 +214,4 @@ def test_the_definition_on_the_page(tmp_path: Path) -> None:
 )
 def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = TEXT.replace(old, new).replace("{friction}", "30.0").replace("{lower}", "0.1")
-    with pytest.raises(InputError) as caught:
-        definition(tmp_path, text)
-    assert str(caught.value).startswith(f"{tmp_path / 'steps.toml'}: ")
-    assert expected in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert refused(definition, tmp_path, text, said=expected).where == str(tmp_path / "steps.toml")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from datasets import command_line
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Mass
@@ -15,6 +16,7 @@ from datasets.trajectory import Trajectory
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.state import Conditions, State
+from gns.train import train
 from tests.flows import flow_of
 from tests.scenes import scene_of
 
@@ -25,6 +27,11 @@ TINY = [
     *("--threads", "1", "--unroll", "1", "--unroll", "2", "--validate-flows", "1", "--device", "cpu"),
 ]
 """Flags of a training that takes a second."""
+
+
+def run_train(dataset: Path, out: Path, *flags: str) -> int:
+    """Train; the exit status."""
+    return command_line.run(train, "train", [str(dataset), "--out", str(out), *flags])
 
 
 def rows(out: Path) -> list[dict[str, str]]:
