@@ -1,10 +1,12 @@
 """Trajectory: the motion of all particles of one scene, in memory and as a plain NPZ or HDF5 file."""
 
 import json
+import webbrowser
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -122,8 +124,11 @@ class Trajectory:
 
         other: a flow to draw over this one. Returns the page's path. Raises InputError.
         """
+        page = Path(mkdtemp(prefix="talus-")) / "flow.html" if path is None else Path(path)
         # By name: what draws imports this module.
-        page: Path = import_module("datasets.exchange.view").view(self, path, other)
+        import_module("datasets.exchange.view").write_view(page, self, other)
+        if path is None:
+            webbrowser.open(page.as_uri())
         return page
 
     @staticmethod

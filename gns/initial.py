@@ -15,7 +15,7 @@ from datasets.geometry.ground import ground_raster
 from datasets.particles import initial_particles, mass_counts, released_volume
 from datasets.scene import Scene, coefficient
 from datasets.training.samples import check_known, thin
-from datasets.trajectory import Floats, Trajectory
+from datasets.trajectory import Floats, Trajectory, brackets
 from gns.settings import ModelSettings
 from gns.state import Conditions, Ground, State, Tensors
 from gns.units import Units
@@ -123,14 +123,12 @@ def require_memory(scene: Scene, settings: ModelSettings, units: Units, step: fl
 
 def resampled(frames: Trajectory, step: float) -> Floats:
     """Positions of a run `step` [s] apart from its start on, between its frames linear in time [m], shape [F, N, D]."""
-    times = np.arange(int(frames.time[-1] / step + 1.0e-6) + 1) * step
-    right = np.clip(np.searchsorted(frames.time, times), 1, max(1, len(frames.time) - 1))
     if len(frames.time) == 1:
         return frames.positions
-    left = right - 1
-    share = (times - frames.time[left]) / (frames.time[right] - frames.time[left])
+    count = int(frames.time[-1] / step + 1.0e-6) + 1
+    before, share = brackets(frames.time, step * np.arange(count, dtype=np.float64))
     between = share[:, None, None].astype(np.float32)
-    return np.asarray((1.0 - between) * frames.positions[left] + between * frames.positions[right])
+    return np.asarray((1.0 - between) * frames.positions[before] + between * frames.positions[before + 1])
 
 
 def check(scene: Scene, settings: ModelSettings) -> None:

@@ -8,12 +8,10 @@ import base64
 import html
 import json
 import re
-import webbrowser
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -258,12 +256,3 @@ def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float
     if scene.slope_deg:
         parts.append(f"the box is drawn level, gravity is inclined by {scene.slope_deg:g}°")
     return "; ".join(parts) + "."
-
-
-def view(flow: Trajectory, path: str | Path | None, other: Trajectory | None) -> Path:
-    """`Trajectory.view`."""
-    page = Path(mkdtemp(prefix="talus-")) / "flow.html" if path is None else Path(path)
-    write_view(page, flow, other)
-    if path is None:
-        webbrowser.open(page.as_uri())
-    return page
