@@ -63,8 +63,8 @@ def load(path: Path) -> Model:
         tensors, metadata = read(path)
         if metadata.get("format") != FORMAT:
             raise InputError(f"expected a model of format {FORMAT}", key="format")
-        settings = from_mapping(ModelSettings, parsed(metadata, "settings"))
-        provenance = parsed(metadata, "provenance")
+        described, provenance = (json_object(metadata.get(key, ""), key) for key in ("settings", "provenance"))
+        settings = from_mapping(ModelSettings, described)
         check(settings, tensors)
     except InputError as error:
         raise error.at(str(path)) from None
@@ -80,14 +80,6 @@ def read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     file_size(path, WHAT)
     with reading(path, WHAT), safe_open(path, framework="pt") as file:
         return {name: file.get_tensor(name).float() for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
-
-
-def parsed(metadata: Mapping[str, str], key: str) -> dict[str, Any]:
-    """A table of the metadata. Raises InputError."""
-    try:
-        return json_object(metadata.get(key, ""))
-    except InputError:
-        raise InputError("expected a table in JSON in the file's metadata", key=key) from None
 
 
 def check(settings: ModelSettings, tensors: Mapping[str, Tensor]) -> None:

@@ -81,11 +81,7 @@ def thin(
     order = shuffled[np.argsort(group[shuffled], kind="stable")]
     _, first, count = np.unique(group[order], return_index=True, return_counts=True)
     rank = np.arange(len(order)) - np.repeat(first, count)
-    each = weight[order]
-    if equal:
-        shared = np.repeat(count / np.minimum(count, kept), count) * each
-    else:
-        shared = np.repeat(np.add.reduceat(each, first) / np.minimum(count, kept), count)
+    shared = np.repeat(np.add.reduceat(weight[order], first) / np.minimum(count, kept), count)
     stays = rank < kept
     ascending = np.argsort(order[stays])
     return Thinned(indices=order[stays][ascending], volumes=shared[stays][ascending].astype(np.float32))

@@ -76,5 +76,5 @@ def test_metadata_that_is_no_table_is_refused(file: Path, text: str) -> None:
     tensors, metadata = checkpoint.read(file)
     for key in ("settings", "provenance"):
         save_file(tensors, file, {**metadata, key: text})
-        with pytest.raises(InputError, match=rf"model\.safetensors: {key}: expected a table in JSON"):
+        with pytest.raises(InputError, match=rf"model\.safetensors: {key}: expected (readable JSON|a JSON object)"):
             checkpoint.load(file)

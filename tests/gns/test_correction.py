@@ -14,7 +14,7 @@ from gns.losses import EndLoss
 from gns.samples import Rollouts, flows_of, measured
 from gns.settings import TrainingSettings
 from gns.simulator import Simulator
-from gns.state import State
+from gns.state import Conditions, State
 from gns.unroll import unroll
 from tests.gns.conftest import TINY, Cloud, rows, run_train
 
@@ -56,14 +56,8 @@ def test_samples_side_by_side_are_corrected_as_alone(corrected: Simulator, cloud
     flows = [cloud(lower=(0.1, 0.0), velocity=(speed, 0.0), seed=seed) for seed, speed in ((0, 1.0), (1, 0.3))]
     flows = [(state.to(dtype=torch.float64), conditions.to(dtype=torch.float64)) for state, conditions in flows]
     alone = torch.cat([unroll(corrected, *each, 6) for each in flows], dim=1)
-    state = State.joined([state for state, _ in flows])
-    both = {
-        each.name: torch.cat([getattr(conditions, each.name) for _, conditions in flows])
-        for each in dataclasses.fields(flows[0][1])
-        if isinstance(getattr(flows[0][1], each.name), torch.Tensor)
-    }
-    number = torch.arange(2).repeat_interleave(len(flows[0][0].positions))
-    together = unroll(corrected, state, dataclasses.replace(flows[0][1], batch=number, **both), 6)
+    states, conditions = zip(*flows, strict=True)
+    together = unroll(corrected, State.joined(states), Conditions.joined(conditions), 6)
     torch.testing.assert_close(together, alone, atol=1e-9, rtol=0.0)
 
 
