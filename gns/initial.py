@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import memory
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.geometry.ground import ground_raster
 from datasets.particles import initial_particles, mass_counts, released_volume
 from datasets.scene import Scene, coefficient
-from datasets.training.samples import check_known, thin
+from datasets.training import check_known, thin
 from datasets.trajectory import Floats, Trajectory, brackets
 from gns.settings import ModelSettings
 from gns.state import Conditions, Ground, State, Tensors
@@ -133,8 +133,8 @@ def resampled(frames: Trajectory, step: float) -> Floats:
 
 def check(scene: Scene, settings: ModelSettings) -> None:
     """Raise InputError for a scene that no model of these settings represents: the key, and what was expected."""
-    if scene.dimension != settings.dimension:
-        raise InputError(f"expected a {settings.dimension}D scene, as the model's, got {scene.dimension}D")
+    known = settings.dimension
+    require(scene.dimension == known, "", f"a {known}D scene, as the model's", f"{scene.dimension}D")
     check_known(scene, "the model")
 
 

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from datasets import measures
 from datasets.errors import InputError
-from datasets.training.samples import check_known, particle_cohesion, thin
+from datasets.training import check_known, particle_cohesion, thin
 from datasets.trajectory import Floats, open_trajectory, trajectory_files
 from gns.initial import conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings

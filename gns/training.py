@@ -30,7 +30,7 @@ from torch.optim.swa_utils import AveragedModel
 from tqdm import tqdm
 
 from datasets import files
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import InputError, WorkFailed, require
 from datasets.files import reading
 from datasets.lock import locked
 from datasets.processes import end_with_parent, stopping
@@ -224,9 +224,8 @@ def load(
     """Training flows of each dataset, and the validation flows chosen of all. Raises InputError."""
     if not datasets:
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
-    if training.shares and len(training.shares) != len(datasets):
-        message = f"expected {len(datasets)} shares, one of each dataset, got {len(training.shares)}"
-        raise InputError(message, key="shares")
+    count = len(training.shares)
+    require(count in (0, len(datasets)), "shares", f"{len(datasets)} shares, one of each dataset", count)
     train, valid = (
         [flows_of(dataset, split, settings, progress=progress) for dataset in datasets] for split in ("train", "valid")
     )

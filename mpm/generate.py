@@ -19,8 +19,7 @@ from datasets.lock import locked
 from datasets.particles import mass_counts
 from datasets.processes import processors
 from datasets.scene import Scene
-from datasets.training.samples import thin
-from datasets.training.statistics import MotionStatistics, metadata, motion_statistics
+from datasets.training import MotionStatistics, metadata, motion_statistics, thin
 from datasets.trajectory import Trajectory, stored_scene, trajectory_files
 from mpm.cluster import Workers, connected, pool
 

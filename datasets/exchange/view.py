@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.compare import Fields, common_stations, evenly, fields_at, heights_of, pairs
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.exchange.vtk import FIELDS, RANGE_QUANTILE, Colour, Field, Meshes, extent
 from datasets.files import finite, write_text
 from datasets.geometry.ground import ground_raster
@@ -120,8 +120,8 @@ def write_view(
     flows = (flow,) if other is None else (flow, other)
     dimension = flow.scene.dimension
     for each in flows[1:]:
-        if each.scene.dimension != dimension:
-            raise InputError(f"expected a {dimension}D flow over one, got {each.scene.dimension}D")
+        its = each.scene.dimension
+        require(its == dimension, "", f"a {dimension}D flow over one", f"{its}D")
     stations, times = common_stations(flows), evenly(flow.time, FRAMES)
     shown = [Shown(each, stations) for each in flows]
     same = None if other is None else pairs(shown[0].meshes, shown[1].meshes)

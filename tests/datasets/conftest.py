@@ -10,7 +10,7 @@ from datasets.files import write_json
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Domain, Mass, Scene
-from datasets.training.statistics import metadata, motion_statistics
+from datasets.training import metadata, motion_statistics
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 

@@ -10,8 +10,7 @@ import pytest
 from datasets.errors import InputError
 from datasets.particles import initial_particles
 from datasets.scene import Mass, Scene
-from datasets.training.samples import particle_cohesion, thin
-from datasets.training.statistics import MOVING_SPEED, MotionStatistics, motion_statistics
+from datasets.training import MOVING_SPEED, MotionStatistics, motion_statistics, particle_cohesion, thin
 
 FRAME_DT = 0.0025
 
