@@ -344,16 +344,9 @@ class Scene(Record):
     @staticmethod
     def from_json(text: str) -> "Scene":
         """Read what `to_json` wrote. Raises InputError."""
-        return from_mapping(Scene, stated(json_object(text, "scene")))
+        return from_mapping(Scene, json_object(text, "scene"))
 
 
 def keyed(scene: Scene, *groups: str) -> dict[str, Any]:
     """The members of groups such as `masses` by their keys in the scene, such as `masses[0]`."""
     return {f"{group}[{index}]": each for group in groups for index, each in enumerate(getattr(scene, group))}
-
-
-def stated(value: Any) -> Any:
-    """What a JSON states: without the keys that are null, which are as good as absent."""
-    if isinstance(value, dict):
-        return {key: stated(each) for key, each in value.items() if each is not None}
-    return [stated(each) for each in value] if isinstance(value, list) else value

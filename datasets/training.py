@@ -63,16 +63,6 @@ def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | No
     return np.repeat(values, counts)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Thinned:
-    """The particles that stay, and the volume that each of them stands for."""
-
-    indices: NDArray[np.int64]
-    """Indices of the kept particles, ascending, shape [n]."""
-    volumes: NDArray[np.float32]
-    """Initial volume of each kept particle [m^D], shape [n]; the sum is that of all particles."""
-
-
 def thin(
     positions: NDArray[np.floating],
     volume: float | NDArray[np.floating],
@@ -80,12 +70,13 @@ def thin(
     cell: float,
     kept: int,
     rng: np.random.Generator,
-) -> Thinned:
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Keep at random `kept` particles of each cell, those of more volume so much more often.
 
     positions: initial positions [m], shape [N, D]; volume: of the particles [m^D], one for all or shape [N];
     cell: edge of a cell [m]. The particles of a cell (all of them where it holds no more than `kept`) share its volume
-    equally. Two draws from `rng` keep different particles of the same flow, which augments the training data.
+    equally. Two draws from `rng` keep different particles of the same flow, which augments the training data. Returns
+    the indices of those that stay, ascending, and the volume that each stands for [m^D], both of shape [n].
     """
     cells = np.floor(positions.astype(np.float64) / cell).astype(np.int64)
     cells -= cells.min(axis=0)
@@ -101,7 +92,7 @@ def thin(
     shared = np.repeat(np.add.reduceat(weight[order], first) / np.minimum(count, kept), count)
     stays = rank < kept
     ascending = np.argsort(order[stays])
-    return Thinned(indices=order[stays][ascending], volumes=shared[stays][ascending].astype(np.float32))
+    return order[stays][ascending], shared[stays][ascending].astype(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -49,13 +49,8 @@ class InitialState(Tensors):
 
     @property
     def mass(self) -> NDArray[np.int32]:
-        """Index of the scene's mass that each particle belongs to, shape [n].
-
-        Raises InputError where the particles are not those of the scene's masses.
-        """
+        """Index of the scene's mass that each particle belongs to, shape [n]."""
         counts = mass_counts(self.scene)
-        if self.indices.max() >= sum(counts):
-            raise InputError(f"expected the {sum(counts)} particles of the scene's masses, there are more")
         return np.repeat(np.arange(len(counts), dtype=np.int32), counts)[self.indices]
 
     def of_mass(self, mass: int | None) -> Tensor:
@@ -90,8 +85,7 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
     require_memory(scene, settings, units, step)
     rng = np.random.default_rng(0)
     cell = units.length * settings.cell
-    thinned = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
-    kept = thinned.indices
+    kept, volumes = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
     known, velocity0 = known[:, kept], velocity0[kept]
     history = torch.from_numpy(known[-settings.history - 1 :])
     return InitialState(
@@ -101,7 +95,7 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
             cell,
             friction=torch.from_numpy(particles.friction[kept]),
             cohesion=torch.from_numpy(particles.cohesion[kept]),
-            volume=torch.from_numpy(thinned.volumes),
+            volume=torch.from_numpy(volumes),
             units=units,
         ),
         scene=scene,

@@ -153,15 +153,12 @@ def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: n
     Of a flow on disk it reads these frames, and as many before as a model's history, alone.
     """
     cell, kept, known = settings.cell, settings.particles_per_cell, flow.conditions
-    thinned = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
-    first, particles = max(0, now - settings.history), thinned.indices
+    particles, volumes = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
+    first = max(0, now - settings.history)
     frames = torch.from_numpy(np.asarray(flow.positions[first : now + 1 + steps, particles]))
     given, velocity0 = frames[: now + 1 - first], torch.from_numpy(flow.velocity0[particles])
     conditions = dataclasses.replace(
-        known,
-        friction=known.friction[particles],
-        cohesion=known.cohesion[particles],
-        volume=torch.from_numpy(thinned.volumes),
+        known, friction=known.friction[particles], cohesion=known.cohesion[particles], volume=torch.from_numpy(volumes)
     )
     state = State.observed(given, velocity0, step=settings.step, history=settings.history)
     return Batch(state=state, conditions=conditions, targets=frames[now + 1 - first :])
