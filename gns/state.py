@@ -42,8 +42,6 @@ class State(Tensors):
 
     def over(self, length: float) -> "State":
         """The same state with lengths in another unit, `length` [m]."""
-        if length == 1.0:
-            return self
         return State(positions=self.positions / length, displacements=self.displacements / length)
 
     @staticmethod
