@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from datasets import __version__
 from datasets.definitions.definition import Entry, Split
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.particles import mass_counts
 from datasets.scene import Scene, keyed
 from datasets.trajectory import Floats
@@ -28,7 +28,7 @@ MOVING_SPEED = 0.01
 """A particle slower than this [m/s] is at rest: it would need the whole second of a sequence to cross a grid cell."""
 
 
-def check_known(scene: Scene, who: str, where: str = "") -> None:
+def check_known(scene: Scene, who: str) -> None:
     """Raise InputError for a scene that has what no surrogate knows: the key, and what was expected."""
     densities = {scene.material_of(mass).density for mass in scene.masses}
     refused = [
@@ -42,10 +42,10 @@ def check_known(scene: Scene, who: str, where: str = "") -> None:
         refused.append((solid.contact != "coulomb", f"{place}.contact", "Coulomb friction alone"))
     for bad, key, expected in refused:
         if bad:
-            raise InputError(f"expected {expected}, {who} knows no other", where=where, key=key)
+            raise InputError(f"expected {expected}, {who} knows no other", key=key)
 
 
-def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | None, where: str = "") -> Floats:
+def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | None) -> Floats:
     """Cohesion [Pa] of each particle of a trajectory of `scene`, shape [particles].
 
     mass: the mass that each belongs to, where the particles are not those of `initial_particles`. Raises InputError
@@ -57,9 +57,8 @@ def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | No
     if len(set(values.tolist())) == 1:
         return np.full(particles, values[0], np.float32)
     counts = mass_counts(scene)
-    if sum(counts) != particles:
-        message = f"expected the {sum(counts)} particles of masses that differ in cohesion, got {particles}"
-        raise InputError(message, where=where, key="positions")
+    expected = f"the {sum(counts)} particles of masses that differ in cohesion"
+    require(sum(counts) == particles, "positions", expected, particles)
     return np.repeat(values, counts)
 
 

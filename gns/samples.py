@@ -14,7 +14,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from datasets import measures
-from datasets.errors import InputError
+from datasets.errors import InputError, naming, require
 from datasets.training import check_known, particle_cohesion, thin
 from datasets.trajectory import Floats, open_trajectory, trajectory_files
 from gns.initial import conditions_of
@@ -79,7 +79,8 @@ class Flows(Sequence[Flow]):
         return len(self._files)
 
     def __getitem__(self, index: Any) -> Any:
-        return flow_of(self._files[index], self._settings)
+        with naming(self._files[index]):
+            return flow_of(self._files[index], self._settings)
 
 
 def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bool = False) -> Flows:
@@ -100,23 +101,21 @@ def flow_of(path: Path, settings: ModelSettings) -> Flow:
     """The flow in a file, every so many frames that they are a step of the model apart.
 
     Where the frames are that in the units in which a rollout of the scene runs, so is the flow; other flows are taken
-    at the size that they have. Raises InputError, which names the file.
+    at the size that they have. Raises InputError.
     """
     trajectory = open_trajectory(path)
     scene, frame_dt, units = trajectory.scene, trajectory.frame_dt, Units()
-    if scene.dimension != settings.dimension:
-        raise InputError(f"expected a {settings.dimension}D trajectory, got {scene.dimension}D", where=str(path))
+    require(scene.dimension == settings.dimension, "", f"a {settings.dimension}D trajectory", f"{scene.dimension}D")
     if scene.gravity > 0.0:
         own = Units.of_model(scene, settings)
         units = own if math.isclose(frame_dt, own.time * settings.step, rel_tol=1.0e-9) else units
     step = units.time * settings.step
     stride = round(step / frame_dt)
-    if stride < 1 or abs(stride * frame_dt - step) > 1.0e-6 * step:
-        expected = f"expected frames {step:g} s apart or a whole fraction of it, got {frame_dt:g}"
-        raise InputError(expected, where=str(path))
-    check_known(scene, "a model", str(path))
+    fits = stride >= 1 and abs(stride * frame_dt - step) <= 1.0e-6 * step
+    require(fits, "", f"frames {step:g} s apart or a whole fraction of it", f"{frame_dt:g}")
+    check_known(scene, "a model")
     positions, velocity0 = trajectory.positions[::stride], trajectory.velocity0
-    cohesion = particle_cohesion(scene, positions.shape[1], trajectory.mass, str(path))
+    cohesion = particle_cohesion(scene, positions.shape[1], trajectory.mass)
     conditions = conditions_of(
         scene,
         units.length * settings.cell,

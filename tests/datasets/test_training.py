@@ -20,17 +20,15 @@ def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:
     masses = (*scene.masses, Mass(lower=(0.12, 0.0), size=(0.03, 0.03), material=stiff))
     two = dataclasses.replace(scene, masses=masses)
     points = initial_particles(two)
-    found = particle_cohesion(two, len(points.positions), None, "a")
+    found = particle_cohesion(two, len(points.positions), None)
     assert np.array_equal(found, [points.materials[index].cohesion for index in points.material])
     assert set(found) == {0.0, 500.0}
-    with pytest.raises(
-        InputError, match="a: positions: expected the 68 particles of masses that differ in cohesion, got"
-    ):
-        particle_cohesion(two, 60, None, "a")
+    with pytest.raises(InputError, match="positions: expected the 68 particles of masses that differ in cohesion, got"):
+        particle_cohesion(two, 60, None)
     # A part of the particles, as it is stored: each says its mass.
-    assert particle_cohesion(two, 3, np.array([1, 0, 1], np.int32), "a").tolist() == [500.0, 0.0, 500.0]
+    assert particle_cohesion(two, 3, np.array([1, 0, 1], np.int32)).tolist() == [500.0, 0.0, 500.0]
     # Where all are alike, any number of points will do: an imported trajectory has its own.
-    assert particle_cohesion(dataclasses.replace(scene, material=stiff), 3, None, "a").tolist() == [500.0] * 3
+    assert particle_cohesion(dataclasses.replace(scene, material=stiff), 3, None).tolist() == [500.0] * 3
 
 
 def test_moments_of_parts_are_those_of_the_whole() -> None:

@@ -17,7 +17,7 @@ from datasets.errors import InputError
 from datasets.scene import Baffle, Mass, Solid
 from gns.initial import conditions_of
 from gns.losses import UnrolledLoss
-from gns.samples import Batch, Flows, Sampler, batched, flow_of, flows_of, reflected, statistics, stretch, turned
+from gns.samples import Batch, Flow, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.state import Ground, State
@@ -36,12 +36,12 @@ def flows(dataset: Path, settings: ModelSettings) -> Flows:
 def test_a_flow_takes_every_so_many_frames(tmp_path: Path) -> None:
     trajectory = spreading(30.0)
     trajectory.save(tmp_path / "a.npz")
-    flow = flow_of(tmp_path / "a.npz", ModelSettings(frames_per_step=2))
+    (flow,) = Flows([tmp_path / "a.npz"], ModelSettings(frames_per_step=2))
     assert np.array_equal(flow.positions, trajectory.positions[::2])
     assert (flow.step, flow.released) == (0.005, True)
     for step in (0.004, 0.001):
         with pytest.raises(InputError, match=r"a\.npz: expected frames 0\.00"):
-            flow_of(tmp_path / "a.npz", ModelSettings(frame_dt=step, frames_per_step=1))
+            Flows([tmp_path / "a.npz"], ModelSettings(frame_dt=step, frames_per_step=1))[0]
 
 
 @pytest.mark.parametrize(("now", "given"), [(0, []), (2, [0, 1, 2]), (6, [3, 4, 5, 6])])
@@ -59,19 +59,19 @@ def test_a_stretch_gives_the_past_that_there_is(
 
 
 def test_a_flow_over_terrain_has_its_ground_and_other_solids_are_refused(tmp_path: Path) -> None:
-    def over(solid: Solid) -> Path:
+    def over(solid: Solid, cell: float = 0.01) -> Flow:
         flow = spreading(30.0)
         dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(solid,))).save(tmp_path / "a.npz")
-        return tmp_path / "a.npz"
+        return Flows([tmp_path / "a.npz"], ModelSettings(cell=cell))[0]
 
     ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.4, 0.0), (0.6, 0.1)), friction=0.5)
-    ground = flow_of(over(ramp), ModelSettings(cell=0.1)).conditions.ground
+    ground = over(ramp, 0.1).conditions.ground
     assert ground is not None
     assert ground.spacing == 0.1
     np.testing.assert_allclose(ground.elevation[0], [0.0] * 5 + [0.05, 0.1], atol=1e-7)
     np.testing.assert_array_equal(ground.friction[0], [0.5] * 7)
     with pytest.raises(InputError, match=r"a\.npz: solids\[0\].kind: expected baffles and terrain"):
-        flow_of(over(Solid(lower=(0.45, 0.0), size=(0.02, 0.05))), ModelSettings())
+        over(Solid(lower=(0.45, 0.0), size=(0.02, 0.05)))
 
 
 def test_flows_are_opened_when_they_are_asked_for(tmp_path: Path, settings: ModelSettings) -> None:
