@@ -61,14 +61,10 @@ def _warn_of_namesake() -> None:
 
 def _warn_of_shadowing() -> None:
     """Python imports a folder or a file of the user's own, beside a script or where it runs, in place of a package."""
-    ours = Path(__file__).resolve().parents[1]
-    for name in ("mpm", "gns", "inverse", "validation"):
-        spec = find_spec(name)
-        place = (
-            Path([*(spec.submodule_search_locations or ()), spec.origin or ""][0]) if spec is not None else ours / name
-        )
-        if place.resolve() != ours / name:
-            warnings.warn(f"{place} hides Talus's package `{name}` here: rename it", stacklevel=3)
+    for spec in filter(None, map(find_spec, ("mpm", "gns", "inverse", "validation"))):
+        place = Path([*(spec.submodule_search_locations or ()), spec.origin or ""][0])
+        if place.resolve() != Path(__file__).resolve().parents[1] / spec.name:
+            warnings.warn(f"{place} hides Talus's package `{spec.name}` here: rename it", stacklevel=3)
 
 
 _warn_of_namesake()

@@ -1,9 +1,4 @@
-"""Arrays in files: NPZ whole or mapped, HDF5 frame by frame; sizes are looked up before reading, nothing is executed.
-
-`numpy.savez` stores its arrays as they are, so the positions of an NPZ are a memory map of the file itself. An array of
-frames in HDF5 grows along its first axis, single precision as it is, in chunks of a frame (of small frames as many as
-fill `CHUNK`) that are deflated with their bytes shuffled; a text is an array of its bytes.
-"""
+"""Arrays in files: NPZ whole or mapped, HDF5 frame by frame; sizes are looked up before reading, nothing is run."""
 
 import math
 import struct
@@ -37,15 +32,9 @@ LOCAL_HEADER = struct.Struct("<26xHH")
 
 
 class FrameWriter:
-    """An HDF5 file that grows as frames are computed: memory holds no more of them than one call appends.
+    """An HDF5 file that grows as frames are computed, and takes its place when the block ends.
 
-    The file takes its place when the block ends. For example:
-
-        with FrameWriter("flow.h5") as file:
-            for positions in run:  # [F, N, D]
-                file.append(positions=positions)
-            flow = Trajectory(positions=file.frames("positions"), ...)  # which are read from the file
-            file.put(**flow.arrays())
+    Memory holds no more frames than one call appends.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -90,10 +79,7 @@ def frames_in_chunk(values: NDArray[Any]) -> int:
 
 
 class Frames:
-    """Frames in an HDF5 file, shape [T, ...]: a number reads one of them, a slice reads none until it is indexed.
-
-    Stands where an array of numpy does that is indexed by frame: `frames[-1]`, `frames[::2][3:5, particles]`.
-    """
+    """Frames in an HDF5 file, shape [T, ...]: a number reads one of them, a slice reads none until it is indexed."""
 
     def __init__(self, stored: "h5py.Dataset", chosen: range | None = None) -> None:
         self._stored = stored

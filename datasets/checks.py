@@ -28,12 +28,12 @@ def complete(scene: Scene) -> None:
     """Check a new scene, and give its masses the boxes around them. Raises InputError."""
     # First of all, because shapes are filled with particles before the rest is checked.
     check_sizes(scene)
+    for key, solid in keyed(scene, "solids").items():
+        check_solid(solid, key, scene.dimension)
     if any(mass.kind != "box" for mass in scene.masses):
         # The libraries of solid geometry load only where there is more than boxes.
         from datasets.geometry.bodies import with_boxes
 
-        for key, solid in keyed(scene, "solids").items():
-            check_solid(solid, key, scene.dimension)
         object.__setattr__(scene, "masses", with_boxes(scene))
     check(scene)
 
@@ -107,8 +107,6 @@ def check(scene: Scene) -> None:
     for key, baffle in keyed(scene, "baffles").items():
         if baffle.friction is not None:
             check_friction(baffle.friction, f"{key}.friction")
-    for key, solid in keyed(scene, "solids").items():
-        check_solid(solid, key, dimension)
     for key, mass in keyed(scene, "masses").items():
         check_start(scene, mass, key)
     # Other shapes than boxes say so when they are filled.

@@ -22,7 +22,7 @@ from tabulate import tabulate
 
 from datasets import measures
 from datasets.command_line import run
-from datasets.errors import InputError
+from datasets.errors import naming, require
 from datasets.exchange.vtk import Meshes
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.trajectory import Trajectory, brackets, open_trajectory, trajectory_file
@@ -126,11 +126,8 @@ def pairs(one: Meshes, other: Meshes) -> tuple[NDArray[np.int64], NDArray[np.int
 
 def figures_of(meshes: Meshes, fields: Fields) -> list[float]:
     """The `FIGURES` of a flow whose particles have these fields."""
-    positions, velocity, volume = (
-        fields["position"].astype(np.float64),
-        fields.get("velocity"),
-        meshes.trajectory.volumes,
-    )
+    positions, velocity = fields["position"].astype(np.float64), fields.get("velocity")
+    volume = meshes.trajectory.volumes
     mass = volume * np.array([each.density for each in meshes.materials])[meshes.material]
     kinetic = math.nan if velocity is None else float(0.5 * mass @ np.sum(velocity.astype(np.float64) ** 2, axis=1))
     potential = float(-mass @ (positions @ np.array(meshes.trajectory.scene.gravity_vector)))
@@ -173,9 +170,8 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
 
     Raises InputError where one is in 2D and the other in 3D.
     """
-    dimensions = (one.scene.dimension, other.scene.dimension)
-    if dimensions[0] != dimensions[1]:
-        raise InputError(f"expected a {dimensions[0]}D flow to compare with one, got {dimensions[1]}D")
+    dimension, its = one.scene.dimension, other.scene.dimension
+    require(dimension == its, "", f"a {dimension}D flow to compare with one", f"{its}D")
     meshes, stations = (Meshes(one), Meshes(other)), common_stations((one, other))
     same = pairs(*meshes)
     end = float(other.time[-1]) * (1.0 + 1e-9)
@@ -196,7 +192,7 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     figures = [dict(zip(FIGURES, np.array(own).T, strict=True)) for own in rows[:2]]
     return Comparison(
         labels=labels,
-        dimension=dimensions[0],
+        dimension=dimension,
         time=time,
         figures=(figures[0], figures[1]),
         apart=dict(zip(APART.values(), np.array(rows[2]).T, strict=True)),
@@ -253,10 +249,8 @@ def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
     """
     paths = [trajectory_file(path) for path in (one, other)]
     first, second = (open_trajectory(path, "velocities") for path in paths)
-    try:
+    with naming(paths[1]):
         found = compare(first, second, labels=labels_of(one, other))
-    except InputError as error:
-        raise error if error.where else error.at(str(paths[1])) from None
     print(found.table())
     if out is None:
         return

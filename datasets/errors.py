@@ -9,10 +9,7 @@ LONGEST = 1000
 
 
 class InputError(ValueError):
-    """A user's mistake in one line: which file, which key, what was expected.
-
-    Commands print the line to stderr and exit with status 2 (see `datasets.command_line`).
-    """
+    """A user's mistake in one line: which file, which key, what was expected; exit status 2."""
 
     def __init__(self, message: str, *, where: str = "", key: str = "") -> None:
         self.message, self.where, self.key = shortened(message), where, key

@@ -53,32 +53,21 @@ class Grid:
     def weights(self, positions: Floats) -> Any:
         """Sparse matrix of w_k at `positions` [m], shape [N, D]; [N, K]. Its transpose takes derivatives to nodes."""
         # Scenes without fields have no use for it.
-        from scipy.sparse import csr_array
+        from scipy.interpolate import NdBSpline
 
         last = np.array(self.nodes) - 1
         scaled = np.clip((positions - np.array(self.origin)) / np.array(self.spacing), 0.0, last)
-        low = np.minimum(scaled.astype(np.int64), np.maximum(last - 1, 0))
-        share = scaled - low
-        columns, values = np.zeros((len(positions), 1), np.int64), np.ones((len(positions), 1))
-        for axis, count in enumerate(self.nodes):
-            neighbours = np.stack([low[:, axis], np.minimum(low[:, axis] + 1, last[axis])], axis=1)
-            parts = np.stack([1.0 - share[:, axis], share[:, axis]], axis=1)
-            columns = (columns[:, :, None] * count + neighbours[:, None]).reshape(len(positions), -1)
-            values = (values[:, :, None] * parts[:, None]).reshape(len(positions), -1)
-        rows = np.repeat(np.arange(len(positions)), columns.shape[1])
-        return csr_array((values.ravel(), (rows, columns.ravel())), shape=(len(positions), self.count))
+        # Of degree 0 along an axis of one node.
+        degrees = np.minimum(last, 1)
+        ends = zip(degrees, last, strict=True)
+        knots = tuple(np.clip(np.arange(-low, high + 2.0), 0.0, max(high, 1)) for low, high in ends)
+        # The last node is a place too, so that there is a column for it.
+        return NdBSpline.design_matrix(np.vstack((scaled, last)), knots, degrees)[:-1]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Field(Grid, Record):
-    """What varies over the particles of a scene at the start, in place of what their mass or its material has.
-
-    For example:
-
-        Field(
-            quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 0.2), nodes=(1, 2), values=(30.0, 20.0)
-        )
-    """
+    """What varies over the particles of a scene at the start, in place of what their mass or its material has."""
 
     quantity: str
     """`friction_deg`, `velocity_x`, `velocity_y` or `velocity_z`."""

@@ -72,8 +72,6 @@ def remove_own_parts() -> None:
 
 def flush(path: Path) -> None:
     """Return once the contents of a file, or the names in a folder, are on the disk."""
-    if path.is_dir() and os.name != "posix":
-        return
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(handle)
@@ -144,8 +142,7 @@ def file_size(path: Path, what: str, *, most: int | None = None) -> int:
 def reading(path: Path, what: str, key: str = "") -> Iterator[None]:
     """Whatever a library makes of a broken or hostile file in the block, as one InputError that names file and key.
 
-    Their readers fail in many ways on a file that is none of theirs; to the user all of them mean the same. Keep the
-    block to the library's own work, so that no mistake of ours hides in it.
+    Keep the block to the library's own work, so that no mistake of ours hides in it.
     """
     with naming(path, key):
         try:

@@ -28,12 +28,7 @@ def find(name: str, shelf: Path, what: str) -> Path:
 
 
 def read_scene(name: str | Path) -> Scene:
-    """Read the scene at a path or of a shipped name, with the files that it names beside it.
-
-    For example:
-
-        scene = read_scene("column-short-21")
-        scene = read_scene("my-slope.toml")
+    """Read the scene at a path, or of a shipped name such as `column-short-21`, with the files that it names beside it.
 
     Raises InputError, which names the file and the key.
     """
@@ -52,14 +47,7 @@ def scene_from(data: dict[str, Any], folder: Path) -> Scene:
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
-    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one.
-
-    For example:
-
-        scene = Scene(domain=Domain(size=(1.0, 0.5), cell=0.01), material=Material(friction_deg=30.0),
-                      masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),))
-        write_scene(scene, "column.toml")
-    """
+    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one."""
     table = changed(scene)
     for mass in table["masses"]:
         if mass.get("kind", "box") != "box":

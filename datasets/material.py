@@ -33,7 +33,7 @@ with mu_s, mu_2 from `friction_deg`, `friction_limit_deg` and I_0 = `inertial_nu
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,9 @@ BOUNDS = {
     "grain_density": (1.0e-3, 1.0e6, "a positive density in kg/m^3, 0.001 to 1e6"),
 }
 """Of the keys that have fixed ones: least and greatest value, and what is expected."""
+
+SOFTENING = ("friction_deg", "cohesion", "tension_cutoff")
+"""Keys that have a residual value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,11 +132,7 @@ class Material(Record):
         require(0.0 <= self.dilation_deg <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
         strong = self.friction_deg > 0.0 or self.cohesion > 0.0
         require(strong, "friction_deg", "an angle above 0 degrees where there is no cohesion")
-        for key, peak in (
-            ("friction_deg", self.friction_deg),
-            ("cohesion", self.cohesion),
-            ("tension_cutoff", self.cutoff_at(0.0)),
-        ):
+        for key, peak in zip(SOFTENING, (self.friction_deg, self.cohesion, self.cutoff_at(0.0)), strict=True):
             value = getattr(self, f"residual_{key}")
             if value is not None:
                 require(0.0 <= value <= peak, f"residual_{key}", f"a value in [0, {key}], at most {peak:g},")
@@ -222,19 +221,17 @@ class Material(Record):
             # The sensitivity, peak over residual, is that of the top.
             share = self.residual_cohesion / self.cohesion if self.cohesion > 0.0 else 0.0
         given, cohesion, cutoff = self.residual_friction_deg, self.residual_cohesion, self.residual_tension_cutoff
+        names = ("friction_limit_deg", "softening_length", *(f"residual_{key}" for key in SOFTENING))
+        none: dict[str, Any] = dict.fromkeys(names)
         return dataclasses.replace(
             self,
             angle="triaxial",
             friction_deg=self.phi_deg if given is None else self.phi_deg_of(given),
-            friction_limit_deg=None,
             dilation_deg=0.0,
             cohesion=self.cohesion if cohesion is None else cohesion,
             strength_gradient=share * self.strength_gradient,
             tension_cutoff=self.cutoff_at(0.0) if cutoff is None else cutoff,
-            softening_length=None,
-            residual_friction_deg=None,
-            residual_cohesion=None,
-            residual_tension_cutoff=None,
+            **none,
         )
 
     def cohesion_at(self, depth: Depth) -> Depth:

@@ -1,6 +1,5 @@
 """Scene -> particles: a jittered lattice in each mass, whose particles have exactly its volume."""
 
-import dataclasses
 import math
 import warnings
 from dataclasses import dataclass
@@ -99,33 +98,29 @@ def initial_particles(scene: Scene) -> Particles:
         positions.append(moved)
         depths.append(depth)
     materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
-    of_mass = np.array([materials.index(scene.material_of(mass)) for mass in scene.masses], np.int32)
     number = np.repeat(np.arange(len(scene.masses), dtype=np.int32), mass_counts(scene))
+    material = np.array([materials.index(scene.material_of(mass)) for mass in scene.masses], np.int32)[number]
     spins = np.array([mass.spin for mass in scene.masses])
     alike = np.broadcast_to(spins[0], (len(number), *spins.shape[1:]))  # takes no memory
-    particles = Particles(
-        positions=np.concatenate(positions),
-        velocities=np.concatenate(velocities),
+    placed, moving, friction_deg = np.concatenate(positions), np.concatenate(velocities), None
+    for field in scene.fields:
+        here, values = field.mass is None or number == field.mass, field.at(placed)
+        if field.quantity == FRICTION:
+            known = np.array([each.friction_deg for each in materials])[material]
+            friction_deg = np.where(here, values, known if friction_deg is None else friction_deg)
+        else:
+            moving[:, field.axis] = np.where(here, values, moving[:, field.axis])
+    return Particles(
+        positions=placed,
+        velocities=moving,
         mass=number,
         velocity_gradients=alike if (spins == spins[0]).all() else spins[number],
-        material=of_mass[number],
+        material=material,
         materials=materials,
         volume=initial_volumes(scene),
         depth=np.concatenate(depths),
+        friction_deg=friction_deg,
     )
-    if not scene.fields:
-        return particles
-    friction_deg, moving = particles.friction_deg, particles.velocities.copy()
-    for field in scene.fields:
-        here = field.mass is None or particles.mass == field.mass
-        values = field.at(particles.positions)
-        if field.quantity != FRICTION:
-            moving[:, field.axis] = np.where(here, values, moving[:, field.axis])
-            continue
-        if friction_deg is None:
-            friction_deg = np.array([each.friction_deg for each in particles.materials])[particles.material]
-        friction_deg = np.where(here, values, friction_deg)
-    return dataclasses.replace(particles, velocities=moving, friction_deg=friction_deg)
 
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
@@ -172,14 +167,9 @@ def mass_particle_volumes(scene: Scene) -> NDArray[np.float64]:
     Volumes that differ by rounding alone are the same number, `scene.particle_volume` where the masses fit the lattice.
     """
     known = [scene.particle_volume]
-    volumes = []
-    for whole, count in zip(mass_volumes(scene).tolist(), mass_counts(scene), strict=True):
-        volume = whole / count
-        near = next((each for each in known if abs(volume - each) <= ROUNDING * each), None)
-        if near is None:
-            known.append(volume)
-        volumes.append(volume if near is None else near)
-    return np.array(volumes)
+    for volume in (mass_volumes(scene) / mass_counts(scene)).tolist():
+        known.append(next((each for each in known if abs(volume - each) <= ROUNDING * each), volume))
+    return np.array(known[1:])
 
 
 def initial_volumes(scene: Scene) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 import difflib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, ClassVar, TypeVar
 
@@ -25,10 +25,8 @@ class Record:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
-@cache
-def _adapter(kind: Any) -> TypeAdapter[Any]:
-    """Building one costs a hundred times as much as a validation with it."""
-    return TypeAdapter(kind)
+# Building one costs a hundred times as much as a validation with it.
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 
 
 def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
@@ -43,7 +41,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
     except (ValueError, RecursionError) as error:
         # Of thousands of digits, or tables in tables.
         raise InputError(f"expected tables of finite numbers, {line_of(error)}") from None
-    adapter = _adapter(kind)  # type: ignore[arg-type]  # Types are hashable.
+    adapter = _adapter(kind)
     try:
         record: T = adapter.validate_json(text)
         return record

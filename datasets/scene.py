@@ -38,12 +38,7 @@ def coefficient(friction: float | str, rough: float = NO_SLIP) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Domain(Record):
-    """The rigid box [0, size] and the background grid in it; y, the second axis, points up.
-
-    For example:
-
-        Domain(size=(1.0, 0.5), cell=0.01)  # 2D: 100 x 50 cells
-    """
+    """The rigid box [0, size] and the background grid in it; y, the second axis, points up."""
 
     size: Vector
     """Extent in x, y and, in 3D, z [m]; a whole number of cells."""
@@ -58,12 +53,7 @@ class Domain(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Gate(Record):
-    """How the barriers of a mass rise from its release on, with the speed v (1 - exp(-t / tau)) after the time t.
-
-    For example:
-
-        Mass(lower=(0.0, 0.0), size=(0.2, 0.1), release=0.1, gate=Gate(speed=0.7, time_constant=0.13))
-    """
+    """How the barriers of a mass rise from its release on, with the speed v (1 - exp(-t / tau)) after the time t."""
 
     speed: float
     """v [m/s], in the end."""
@@ -123,12 +113,7 @@ class Mass(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Baffle(Record):
-    """A fixed rigid box in the way of the flow.
-
-    For example:
-
-        Baffle(lower=(0.8, 0.0, 0.4), size=(0.1, 0.3, 0.1), turned_deg=30.0)
-    """
+    """A fixed rigid box in the way of the flow."""
 
     lower: Vector
     """Lower corner [m]."""
@@ -145,10 +130,6 @@ class Channel(Record):
     """Two vertical walls along x between which a scene in 2D flows; their friction acts on its whole depth.
 
     Per volume of the material -2 tan(friction) (-sigma_zz) v / (width |v|), with its own pressure across the plane.
-
-    For example:
-
-        Channel(width=0.06, friction_deg=10.0)
     """
 
     width: float
@@ -363,16 +344,9 @@ class Scene(Record):
     @staticmethod
     def from_json(text: str) -> "Scene":
         """Read what `to_json` wrote. Raises InputError."""
-        return from_mapping(Scene, stated(json_object(text, "scene")))
+        return from_mapping(Scene, json_object(text, "scene"))
 
 
 def keyed(scene: Scene, *groups: str) -> dict[str, Any]:
     """The members of groups such as `masses` by their keys in the scene, such as `masses[0]`."""
     return {f"{group}[{index}]": each for group in groups for index, each in enumerate(getattr(scene, group))}
-
-
-def stated(value: Any) -> Any:
-    """What a JSON states: without the keys that are null, which are as good as absent."""
-    if isinstance(value, dict):
-        return {key: stated(each) for key, each in value.items() if each is not None}
-    return [stated(each) for each in value] if isinstance(value, list) else value

@@ -1,10 +1,12 @@
 """Trajectory: the motion of all particles of one scene, in memory and as a plain NPZ or HDF5 file."""
 
 import json
+import webbrowser
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -20,17 +22,19 @@ Floats = NDArray[np.float32]
 
 SUFFIXES = (".npz", HDF5)
 """Of the files of trajectories."""
-FIELDS = {
-    "volume": np.float32,
-    "velocities": np.float32,
-    "stress": np.float32,
-    "pressure": np.float32,
-    "plastic_strain": np.float32,
-    "solid_impulse": np.float64,
+STORED: dict[str, tuple[type, str]] = {
+    "time": (np.float64, "T"),
+    "velocity0": (np.float32, "ND"),
+    "friction": (np.float32, "N"),
+    "mass": (np.int32, "N"),
+    "volume": (np.float32, "N"),
+    "velocities": (np.float32, "TND"),
+    "stress": (np.float32, "TNS"),
+    "pressure": (np.float32, "TN"),
+    "plastic_strain": (np.float32, "TN"),
+    "solid_impulse": (np.float64, "TBD"),
 }
-"""What a simulation may have recorded besides the positions, and as what it is stored."""
-STORED = {"time": np.float64, "velocity0": np.float32, "friction": np.float32, "mass": np.int32, **FIELDS}
-"""As what all but the positions is stored."""
+"""As what all but the positions is stored, and its axes: T frames, N particles, D dimensions, S stresses, B solids."""
 REQUIRED = ("positions", "time", "velocity0", "friction", "scene")
 
 
@@ -59,10 +63,7 @@ class Trajectory:
     summary: dict[str, Any] = field(default_factory=dict)
     """What it cost and came to: steps, wall seconds, energies, runout; see `mpm.output.outcome`."""
     volume: Floats | None = None
-    """Initial volume of each particle [m^D], shape [N]; absent where it is that of the scene's own particles.
-
-    A learned simulator follows some of them, each with the volume of those that it stands for.
-    """
+    """Initial volume of each particle [m^D], shape [N]; absent where it is that of the scene's own particles."""
     mass: NDArray[np.int32] | None = None
     """Index of the scene's mass of each particle, shape [N]; absent where the particles are the scene's."""
     velocities: Floats | None = None
@@ -102,7 +103,7 @@ class Trajectory:
     def arrays(self) -> dict[str, NDArray[Any] | str]:
         """What a file holds besides the positions: the fields that there are; `scene` and `summary` as JSON."""
         found = {key: getattr(self, key) for key in STORED}
-        stored = {key: array.astype(STORED[key], copy=False) for key, array in found.items() if array is not None}
+        stored = {key: array.astype(STORED[key][0], copy=False) for key, array in found.items() if array is not None}
         return {**stored, "scene": self.scene.to_json(), "summary": json.dumps(self.summary)}
 
     def save(self, path: str | Path) -> None:
@@ -125,8 +126,11 @@ class Trajectory:
 
         other: a flow to draw over this one. Returns the page's path. Raises InputError.
         """
+        page = Path(mkdtemp(prefix="talus-")) / "flow.html" if path is None else Path(path)
         # By name: what draws imports this module.
-        page: Path = import_module("datasets.exchange.view").view(self, path, other)
+        import_module("datasets.exchange.view").write_view(page, self, other)
+        if path is None:
+            webbrowser.open(page.as_uri())
         return page
 
     @staticmethod
@@ -156,23 +160,13 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
     known = positions.ndim == 3 and positions.shape[2] in (2, 3) and positions.size > 0
     require(known, "positions", "shape [T, N, 2 or 3], at least one frame of one particle", positions.shape)
     frames, particles, dimension = positions.shape
-    shapes: dict[str, tuple[int, ...]] = {
-        "positions": positions.shape,
-        "time": (frames,),
-        "velocity0": (particles, dimension),
-        "friction": (particles,),
-        "volume": (particles,),
-        "velocities": positions.shape,
-        "stress": (frames, particles, 4 if dimension == 2 else 6),
-        "pressure": (frames, particles),
-        "plastic_strain": (frames, particles),
-        "solid_impulse": (frames, len(solid_names(scene)), dimension),
-    }
-    for key, shape in shapes.items():
+    sizes = {"T": frames, "N": particles, "D": dimension, "S": 2 * dimension, "B": len(solid_names(scene))}
+    for key, (kind, axes) in {"positions": (np.float32, "TND"), **STORED}.items():
         if key in arrays:
-            require(arrays[key].shape == shape, key, f"shape {shape}", arrays[key].shape)
-            is_float = np.issubdtype(arrays[key].dtype, np.floating)
-            require(is_float, key, "floating-point numbers", arrays[key].dtype)
+            shape, found = tuple(sizes[axis] for axis in axes), arrays[key]
+            require(found.shape == shape, key, f"shape {shape}", found.shape)
+            expected, parent = ("integers", np.integer) if kind is np.int32 else ("floating-point numbers", np.floating)
+            require(np.issubdtype(found.dtype, parent), key, expected, found.dtype)
     require(scene.dimension == dimension, "positions", f"{scene.dimension}D positions as in the scene", f"{dimension}D")
     for key in ("velocity0",) if lazily else ("velocity0", "positions"):
         require(bool((np.abs(arrays[key]) < FARTHEST).all()), key, "finite numbers", "others")
@@ -183,8 +177,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
     if volume is not None:
         require(bool((np.isfinite(volume) & (volume > 0.0)).all()), "volume", "positive volumes", "others")
     if mass is not None:
-        whole = np.issubdtype(mass.dtype, np.integer) and mass.shape == (particles,)
-        known = bool(whole and mass.min() >= 0 and mass.max() < len(scene.masses))
+        known = bool(mass.min() >= 0 and mass.max() < len(scene.masses))
         expected = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"
         require(known, "mass", expected, "others")
     summary = json_object(str(arrays.get("summary", "{}")), "summary")
@@ -192,7 +185,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
         positions=positions if lazily and positions.dtype == np.float32 else np.asarray(positions, np.float32),
         scene=scene,
         summary=summary,
-        **{key: arrays[key].astype(kind, copy=False) for key, kind in STORED.items() if key in arrays},
+        **{key: arrays[key].astype(kind, copy=False) for key, (kind, _) in STORED.items() if key in arrays},
     )
 
 
@@ -211,14 +204,7 @@ def solid_names(scene: Scene) -> tuple[str, ...]:
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
-    """Read the trajectory at a path, or in the folder of a run.
-
-    For example:
-
-        flow = read_trajectory("results")  # results/trajectory.npz
-
-    Raises InputError, which names the file and the key.
-    """
+    """Read the trajectory at a path, or in the folder of a run. Raises InputError, which names file and key."""
     return Trajectory.load(trajectory_file(path))
 
 

@@ -21,7 +21,7 @@ from safetensors.torch import save as serialised
 from torch import Tensor
 
 from datasets import files
-from datasets.errors import InputError
+from datasets.errors import InputError, naming, require
 from datasets.files import file_size, json_object, reading
 from datasets.records import from_mapping
 from gns.settings import ModelSettings
@@ -59,15 +59,13 @@ def save(path: Path, simulator: Simulator, provenance: Mapping[str, Any]) -> Non
 
 def load(path: Path) -> Model:
     """Read what `save` wrote and build the simulator. Raises InputError, which names the file and what is wrong."""
-    try:
+    with naming(path):
         tensors, metadata = read(path)
         if metadata.get("format") != FORMAT:
             raise InputError(f"expected a model of format {FORMAT}", key="format")
-        settings = from_mapping(ModelSettings, parsed(metadata, "settings"))
-        provenance = parsed(metadata, "provenance")
+        described, provenance = (json_object(metadata.get(key, ""), key) for key in ("settings", "provenance"))
+        settings = from_mapping(ModelSettings, described)
         check(settings, tensors)
-    except InputError as error:
-        raise error.at(str(path)) from None
     # Built without memory: what it has is that of the tensors in the file.
     with reading(path, "weights of a model of these settings"), torch.device("meta"):
         simulator = Simulator(settings, BLANK, corrected=any(name.startswith("correction.") for name in tensors))
@@ -82,21 +80,10 @@ def read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         return {name: file.get_tensor(name).float() for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
 
 
-def parsed(metadata: Mapping[str, str], key: str) -> dict[str, Any]:
-    """A table of the metadata. Raises InputError."""
-    try:
-        return json_object(metadata.get(key, ""))
-    except InputError:
-        raise InputError("expected a table in JSON in the file's metadata", key=key) from None
-
-
 def check(settings: ModelSettings, tensors: Mapping[str, Tensor]) -> None:
     """Raise InputError where tensors are no finite numbers, or fewer than the layers of such a model."""
     for name, tensor in tensors.items():
         if not torch.isfinite(tensor).all():
             raise InputError("expected finite numbers", key=name)
     built = settings.layers * (settings.mlp_layers + 1) + settings.rounds * (settings.grid_layers + 1)
-    if built > len(tensors):
-        raise InputError(
-            f"expected at most {len(tensors)} layers, from the tensors in the file, got {built}", key="settings"
-        )
+    require(built <= len(tensors), "settings", f"at most {len(tensors)} layers, from the tensors in the file", built)

@@ -3,8 +3,7 @@
 The neighbours are found on the CPU, whatever the model runs on, by a compiled cell list: it sorts the particles into
 cells no smaller than the radius, so that the neighbours of a particle lie in its own cell and those around it; along
 the first axis these are one run of sorted particles. Distances are compared in double precision, |x_j - x_i|^2 <= R^2,
-summed axis by axis. Measured on one core: a seventh to a tenth of the time that SciPy's cKDTree takes for its pairs in
-the same order.
+summed axis by axis. SciPy's cKDTree takes several times as long for its pairs in the same order.
 """
 
 import math

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from datasets import measures
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.library import read_scene
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
@@ -22,9 +22,7 @@ from gns.unroll import unroll
 
 
 def load(model: str | Path) -> Simulator:
-    """A trained simulator: a file, or the name of a model that ships.
-
-        simulator = gns.load("flow2d")
+    """A trained simulator: a file, or the name of a model that ships, such as `flow2d`.
 
     Its weights are frozen: a gradient with respect to the flow costs a fraction of one that is recorded for the weights
     too. Raises InputError, which names the file.
@@ -123,8 +121,7 @@ def predict(scene: Scene | str | Path, *, model: str | Path | None = None, level
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     path = model_path(model or shipped(scene.dimension))
-    if level not in card.LEVELS:
-        raise InputError(f"expected one of {', '.join(map(str, card.LEVELS))}, got {level:g}", key="level")
+    require(level in card.LEVELS, "level", f"one of {', '.join(map(str, card.LEVELS))}", f"{level:g}")
     described, key = card.read(path), f"{level:g}"
     known = described.calibration(scene, key) if described is not None else None
     if known is None:

@@ -1,7 +1,6 @@
 """What a rollout begins with: a scene at time 0, or the end of the MPM's first frames; and what is around its flow."""
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,26 +10,20 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import memory
-from datasets.errors import InputError
+from datasets.errors import InputError, require
+from datasets.geometry.ground import ground_raster
 from datasets.particles import initial_particles, mass_counts, released_volume
-from datasets.scene import Scene
-from datasets.training.samples import Surroundings, check_known, thin
-from datasets.trajectory import Floats, Trajectory
+from datasets.scene import Scene, coefficient
+from datasets.training import check_known, thin
+from datasets.trajectory import Floats, Trajectory, brackets
 from gns.settings import ModelSettings
 from gns.state import Conditions, Ground, State, Tensors
 from gns.units import Units
 
-ABSENT = -10.0
-"""Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class InitialState(Tensors):
-    """All that a rollout begins with. An unknown of an inversion replaces a part of it, differentiably.
-
-    initial = initial_state(scene, simulator.settings)
-    positions = unroll(simulator, initial.state, initial.conditions, initial.steps)
-    """
+    """All that a rollout begins with. An unknown of an inversion replaces a part of it, differentiably."""
 
     state: State
     """Positions and past displacements of the particles."""
@@ -56,13 +49,8 @@ class InitialState(Tensors):
 
     @property
     def mass(self) -> NDArray[np.int32]:
-        """Index of the scene's mass that each particle belongs to, shape [n].
-
-        Raises InputError where the particles are not those of the scene's masses.
-        """
+        """Index of the scene's mass that each particle belongs to, shape [n]."""
         counts = mass_counts(self.scene)
-        if self.indices.max() >= sum(counts):
-            raise InputError(f"expected the {sum(counts)} particles of the scene's masses, there are more")
         return np.repeat(np.arange(len(counts), dtype=np.int32), counts)[self.indices]
 
     def of_mass(self, mass: int | None) -> Tensor:
@@ -97,18 +85,17 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
     require_memory(scene, settings, units, step)
     rng = np.random.default_rng(0)
     cell = units.length * settings.cell
-    thinned = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
-    kept = thinned.indices
+    kept, volumes = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
     known, velocity0 = known[:, kept], velocity0[kept]
     history = torch.from_numpy(known[-settings.history - 1 :])
     return InitialState(
         state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
         conditions=conditions_of(
-            [Surroundings.of_scene(scene, cell)],
+            scene,
+            cell,
             friction=torch.from_numpy(particles.friction[kept]),
             cohesion=torch.from_numpy(particles.cohesion[kept]),
-            volume=torch.from_numpy(thinned.volumes),
-            spacing=cell,
+            volume=torch.from_numpy(volumes),
             units=units,
         ),
         scene=scene,
@@ -130,66 +117,50 @@ def require_memory(scene: Scene, settings: ModelSettings, units: Units, step: fl
 
 def resampled(frames: Trajectory, step: float) -> Floats:
     """Positions of a run `step` [s] apart from its start on, between its frames linear in time [m], shape [F, N, D]."""
-    times = np.arange(int(frames.time[-1] / step + 1.0e-6) + 1) * step
-    right = np.clip(np.searchsorted(frames.time, times), 1, max(1, len(frames.time) - 1))
     if len(frames.time) == 1:
         return frames.positions
-    left = right - 1
-    share = (times - frames.time[left]) / (frames.time[right] - frames.time[left])
+    count = int(frames.time[-1] / step + 1.0e-6) + 1
+    before, share = brackets(frames.time, step * np.arange(count, dtype=np.float64))
     between = share[:, None, None].astype(np.float32)
-    return np.asarray((1.0 - between) * frames.positions[left] + between * frames.positions[right])
+    return np.asarray((1.0 - between) * frames.positions[before] + between * frames.positions[before + 1])
 
 
 def check(scene: Scene, settings: ModelSettings) -> None:
     """Raise InputError for a scene that no model of these settings represents: the key, and what was expected."""
-    if scene.dimension != settings.dimension:
-        raise InputError(f"expected a {settings.dimension}D scene, as the model's, got {scene.dimension}D")
+    known = settings.dimension
+    require(scene.dimension == known, "", f"a {known}D scene, as the model's", f"{scene.dimension}D")
     check_known(scene, "the model")
 
 
 def conditions_of(
-    around: Sequence[Surroundings],
-    *,
-    friction: Tensor,
-    cohesion: Tensor,
-    volume: Tensor,
-    spacing: float,
-    batch: Tensor | None = None,
-    units: Units | None = None,
+    scene: Scene, spacing: float, *, friction: Tensor, cohesion: Tensor, volume: Tensor, units: Units
 ) -> Conditions:
-    """The conditions of one flow, or of several side by side.
+    """The conditions of a flow of `scene`; spacing: between two elevations of the ground [m]; others: `Conditions`."""
 
-    around: what is around each of them; spacing: between two elevations of their ground [m]; the others: see
-    `Conditions`. A flow with fewer baffles than another gets boxes of no size far outside, one without terrain ground
-    far below, and a smaller raster goes on level.
-    """
-    numbers = ("size", "gravity", "floor_friction", "wall_friction", "damping")
-    parts = {name: joined([getattr(each, name) for each in around]) for name in numbers}
-    if count := max(len(each.baffles) for each in around):
-        for name, value in (("baffles", ABSENT), ("baffle_friction", 0.0), ("baffle_turn", 0.0)):
-            if name != "baffle_turn" or any(each.baffle_turn.any() for each in around):
-                parts[name] = joined([padded(getattr(each, name), [count], constant_values=value) for each in around])
-    grounds = [each.ground for each in around]
+    def one(values: Any) -> Tensor:
+        return torch.from_numpy(np.asarray(values, np.float32)[None])
+
     ground = None
-    if shapes := [each[0].shape for each in grounds if each is not None]:
-        shape = tuple(map(max, zip(*shapes, strict=True)))
-        absent = np.full(shape, ABSENT), np.zeros(shape)
-        elevation, roughness = (
-            joined([padded((absent if each is None else each)[field], shape, mode="edge") for each in grounds])
-            for field in (0, 1)
-        )
-        ground = Ground(elevation=elevation, friction=roughness, spacing=spacing)
+    if scene.solids:
+        elevation, roughness, _ = ground_raster(scene, spacing)
+        ground = Ground(elevation=one(elevation), friction=one(roughness), spacing=spacing)
+    # Sand shears above what is rougher than itself.
+    frictions = scene.floor_friction, scene.wall_friction, *map(scene.friction_of, scene.baffles)
+    floor, wall, *rough = (coefficient(each, 1.0) for each in frictions)
+    lower, extent = (np.array([getattr(each, key) for each in scene.baffles], np.float32) for key in ("lower", "size"))
+    turn = np.radians([each.turned_deg for each in scene.baffles])
     return Conditions(
-        friction=friction, cohesion=cohesion, volume=volume, batch=batch, ground=ground, units=units or Units(), **parts
+        friction=friction,
+        cohesion=cohesion,
+        volume=volume,
+        size=one(scene.domain.size),
+        gravity=one(scene.gravity_vector),
+        floor_friction=one(floor),
+        wall_friction=one(wall),
+        damping=one(scene.damping),
+        baffles=one(np.stack((lower, lower + extent), axis=1)) if scene.baffles else None,
+        baffle_turn=one(turn) if turn.any() else None,
+        baffle_friction=one(rough) if scene.baffles else None,
+        ground=ground,
+        units=units,
     )
-
-
-def joined(values: Sequence[Floats | float]) -> Tensor:
-    """Values of the samples, each of one shape, as a tensor whose first axis is that of the samples."""
-    return torch.from_numpy(np.stack([np.asarray(each, np.float32) for each in values]))
-
-
-def padded(values: NDArray[np.floating], shape: Sequence[int], **how: Any) -> NDArray[np.floating]:
-    """Values with more behind them along their first axes, up to `shape`; how: see `numpy.pad`."""
-    behind = [(0, count - own) for count, own in zip(shape, values.shape, strict=False)]
-    return np.pad(values, behind + [(0, 0)] * (values.ndim - len(shape)), **how)

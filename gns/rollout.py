@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from datasets import command_line, files
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.exchange.vtk import write_vtk
 from datasets.library import read_scene
 from datasets.trajectory import Trajectory
@@ -61,12 +61,11 @@ def rollout(
     if frames is not None and dataclasses.replace(frames.scene, duration=read.duration) != read:
         raise InputError(f"expected the frames of {scene}, they are of another scene", where=str(start))
     try:
-        check(read, simulator.settings)
-        if warning := card.warning(path, read):
-            print(warning, file=sys.stderr)
-        trajectory = simulate(read, model=simulator, start=frames, device=device, progress=True)
-    except InputError as error:
-        raise error if error.where else error.at(scene) from None
+        with naming(Path(scene)):
+            check(read, simulator.settings)
+            if warning := card.warning(path, read):
+                print(warning, file=sys.stderr)
+            trajectory = simulate(read, model=simulator, start=frames, device=device, progress=True)
     except KeyboardInterrupt as interrupt:
         raise type(interrupt)("nothing was written") from None
     summary = trajectory.summary

@@ -4,17 +4,19 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
+from tqdm import tqdm
 
 from datasets import measures
-from datasets.errors import InputError
-from datasets.training.samples import Flow, Flows, Sample, cut, load_flows, reflected
-from datasets.trajectory import open_trajectory
+from datasets.errors import InputError, naming, require
+from datasets.training import check_known, particle_cohesion, thin
+from datasets.trajectory import Floats, open_trajectory, trajectory_files
 from gns.initial import conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings
 from gns.simulator import Normalisation, Simulator
@@ -22,6 +24,8 @@ from gns.state import Conditions, State, Tensors
 from gns.units import Units
 from gns.unroll import unroll
 
+MOVING = 0.02
+"""Root mean square speed [m/s] above which a flow counts as moving."""
 SHARE_EARLY = 0.12
 """Share of the samples not of the first frame that start just after it, with a history from the initial velocities."""
 SHARE_MOVING = 0.70
@@ -34,32 +38,102 @@ SAMPLED_TIMES = 2048
 """Times in all over which the statistics run; where there are fewer, all."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Flow:
+    """One trajectory at a model's step and in its units; all of its particles."""
+
+    name: str
+    """The file it came from."""
+    positions: Floats
+    """Positions one step apart [m], shape [T, N, D]; may be a map of the file, of which only what is used is read."""
+    velocity0: Floats
+    """Initial velocities [m/s], shape [N, D]."""
+    conditions: Conditions
+    """Of these particles; N volumes, frictions and cohesions."""
+    step: float
+    """Time between two positions [s]."""
+
+    @property
+    def volume(self) -> NDArray[np.float32]:
+        """Initial volume of each particle [m^D], shape [N]."""
+        return self.conditions.volume.numpy()
+
+    @property
+    def released(self) -> bool:
+        """Whether it starts at rest."""
+        return not self.velocity0.any()
+
+    def moves(self, time: int) -> bool:
+        """Whether it moves from index `time` to the next."""
+        displacements = self.positions[time + 1] - self.positions[time]
+        return float(np.square(displacements).sum(axis=1).mean()) > (MOVING * self.step) ** 2
+
+
+class Flows(Sequence[Flow]):
+    """Flows on disk, each opened when it is asked for: all that is held of them is the names of their files."""
+
+    def __init__(self, files: Sequence[Path], settings: ModelSettings) -> None:
+        self._files, self._settings = tuple(files), settings
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __getitem__(self, index: Any) -> Any:
+        with naming(self._files[index]):
+            return flow_of(self._files[index], self._settings)
+
+
 def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bool = False) -> Flows:
-    """The trajectories of a split (`train`, `valid`, `test`) of a dataset, at the model's step. Raises InputError."""
-    return load_flows(dataset, split, partial(flow_of, settings=settings), progress=progress)
+    """The trajectories of a split (`train`, `valid`, `test`) of a dataset by file name, at the model's step.
+
+    Each is opened once to see that it is whole. Raises InputError.
+    """
+    files = trajectory_files(dataset / split)
+    if not files:
+        raise InputError(f"expected trajectories in {split}/*.npz or *.h5, there are none", where=str(dataset))
+    flows = Flows(files, settings)
+    for _ in tqdm(flows, desc=f"{dataset.name}/{split}", unit="file", disable=not progress):
+        pass
+    return flows
 
 
 def flow_of(path: Path, settings: ModelSettings) -> Flow:
-    """The flow in a file at the model's step. Raises InputError, which names the file.
+    """The flow in a file, every so many frames that they are a step of the model apart.
 
-    Where the frames are a step apart in the units in which a rollout of the scene runs, so is the flow; other flows are
-    taken at the size that they have.
+    Where the frames are that in the units in which a rollout of the scene runs, so is the flow; other flows are taken
+    at the size that they have. Raises InputError.
     """
     trajectory = open_trajectory(path)
-    scene, units = trajectory.scene, Units()
-    if scene.dimension != settings.dimension:
-        raise InputError(f"expected a {settings.dimension}D trajectory, got {scene.dimension}D", where=str(path))
+    scene, frame_dt, units = trajectory.scene, trajectory.frame_dt, Units()
+    require(scene.dimension == settings.dimension, "", f"a {settings.dimension}D trajectory", f"{scene.dimension}D")
     if scene.gravity > 0.0:
         own = Units.of_model(scene, settings)
-        units = own if math.isclose(trajectory.frame_dt, own.time * settings.step, rel_tol=1.0e-9) else units
-    flow = Flow.from_trajectory(trajectory, units.time * settings.step, str(path), spacing=units.length * settings.cell)
-    return flow.over(units.length, units.time, units.stress)
-
-
-def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> Sample:
-    """The stretch of a flow with `steps` targets after index `now`; rng: which particles stay."""
-    history, cell, kept = settings.history, settings.cell, settings.particles_per_cell
-    return cut(flow, now=now, steps=steps, history=history, cell=cell, kept=kept, rng=rng)
+        units = own if math.isclose(frame_dt, own.time * settings.step, rel_tol=1.0e-9) else units
+    step = units.time * settings.step
+    stride = round(step / frame_dt)
+    fits = stride >= 1 and abs(stride * frame_dt - step) <= 1.0e-6 * step
+    require(fits, "", f"frames {step:g} s apart or a whole fraction of it", f"{frame_dt:g}")
+    check_known(scene, "a model")
+    positions, velocity0 = trajectory.positions[::stride], trajectory.velocity0
+    cohesion = particle_cohesion(scene, positions.shape[1], trajectory.mass)
+    conditions = conditions_of(
+        scene,
+        units.length * settings.cell,
+        friction=torch.from_numpy(trajectory.friction),
+        cohesion=torch.from_numpy(cohesion),
+        volume=torch.from_numpy(trajectory.volumes.astype(np.float32)),
+        units=units,
+    )
+    if units != Units():
+        positions = (np.asarray(positions) / units.length).astype(np.float32)
+        velocity0 = (velocity0 / units.speed).astype(np.float32)
+    return Flow(
+        name=str(path),
+        positions=positions,
+        velocity0=velocity0,
+        conditions=conditions.in_model_units(),
+        step=settings.step,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,33 +146,29 @@ class Batch(Tensors):
     """Positions after each of the coming steps [m], shape [K, N, D]."""
 
 
-def batched(samples: Sequence[Sample], settings: ModelSettings) -> Batch:
+def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> Batch:
+    """A sample: the stretch of a flow with `steps` targets after index `now`; rng: which particles stay (`thin`).
+
+    Of a flow on disk it reads these frames, and as many before as a model's history, alone.
+    """
+    cell, kept, known = settings.cell, settings.particles_per_cell, flow.conditions
+    particles, volumes = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
+    first = max(0, now - settings.history)
+    frames = torch.from_numpy(np.asarray(flow.positions[first : now + 1 + steps, particles]))
+    given, velocity0 = frames[: now + 1 - first], torch.from_numpy(flow.velocity0[particles])
+    conditions = dataclasses.replace(
+        known, friction=known.friction[particles], cohesion=known.cohesion[particles], volume=torch.from_numpy(volumes)
+    )
+    state = State.observed(given, velocity0, step=settings.step, history=settings.history)
+    return Batch(state=state, conditions=conditions, targets=frames[now + 1 - first :])
+
+
+def batched(samples: Sequence[Batch]) -> Batch:
     """Join samples; they have equally many targets."""
-
-    def joined(name: str, axis: int = 0) -> Tensor:
-        return torch.from_numpy(np.concatenate([getattr(sample, name) for sample in samples], axis=axis))
-
-    states = [
-        State.observed(
-            torch.from_numpy(sample.frames),
-            torch.from_numpy(sample.velocity0),
-            step=settings.step,
-            history=settings.history,
-        )
-        for sample in samples
-    ]
-    counts = torch.tensor([len(sample.friction) for sample in samples])
     return Batch(
-        state=State.joined(states),
-        conditions=conditions_of(
-            [sample.surroundings for sample in samples],
-            friction=joined("friction"),
-            cohesion=joined("cohesion"),
-            volume=joined("volume"),
-            spacing=settings.cell,
-            batch=torch.arange(len(samples)).repeat_interleave(counts),
-        ),
-        targets=joined("targets", axis=1),
+        state=State.joined([each.state for each in samples]),
+        conditions=Conditions.joined([each.conditions for each in samples]),
+        targets=torch.cat([each.targets for each in samples], dim=1),
     )
 
 
@@ -112,15 +182,14 @@ class Sampler:
 
     def batch(self, steps: int, rng: np.random.Generator) -> Batch:
         """Samples with `steps` targets, side by side."""
-        samples = [self.sample(steps, rng) for _ in range(self._training.batch)]
-        return batched(samples, self._settings)
+        return batched([self.sample(steps, rng) for _ in range(self._training.batch)])
 
-    def sample(self, steps: int, rng: np.random.Generator) -> Sample:
+    def sample(self, steps: int, rng: np.random.Generator) -> Batch:
         """A sample with `steps` targets."""
         flows = self._datasets[int(rng.choice(len(self._datasets), p=self._shares))]
         flow = flows[int(rng.integers(len(flows)))]
         now = self._start(flow, len(flow.positions) - 1 - steps, rng)
-        return turned(stretch(flow, self._settings, now=now, steps=steps, rng=rng), self._settings.cell, rng)
+        return turned(stretch(flow, self._settings, now=now, steps=steps, rng=rng), rng)
 
     def _start(self, flow: Flow, last: int, rng: np.random.Generator) -> int:
         """Index at which a sample starts, at most `last`."""
@@ -157,12 +226,12 @@ class Rollouts(Sampler):
     ) -> None:
         super().__init__(datasets, settings, training)
         self._simulator = simulator
-        self._kept: dict[tuple[int, ...], list[tuple[Sample, State, Tensor]]] = {}
+        self._kept: dict[tuple[int, ...], list[tuple[Batch, State, Tensor]]] = {}
 
     def batch(self, steps: int, rng: np.random.Generator) -> Ends:
         """Ends side by side: half of them the flow's own, the other at any time."""
         drawn = [self._drawn(rng) for _ in range(self._training.batch)]
-        together = batched([sample for sample, _, _ in drawn], self._settings)
+        together = batched([sample for sample, _, _ in drawn])
         return Ends(
             state=together.state,
             conditions=together.conditions,
@@ -171,7 +240,7 @@ class Rollouts(Sampler):
             whole=torch.stack([whole for _, _, whole in drawn]),
         )
 
-    def _drawn(self, rng: np.random.Generator) -> tuple[Sample, State, Tensor]:
+    def _drawn(self, rng: np.random.Generator) -> tuple[Batch, State, Tensor]:
         """One of the ends of a random rollout, the last of them as often as all others."""
         dataset = int(rng.choice(len(self._datasets), p=self._shares))
         key = dataset, int(rng.integers(len(self._datasets[dataset]))), int(rng.integers(self._training.rollouts))
@@ -180,26 +249,26 @@ class Rollouts(Sampler):
         ends = self._kept[key]
         return ends[-1] if rng.random() < 0.5 else ends[int(rng.integers(len(ends)))]
 
-    def _rolled_out(self, flow: Flow, rng: np.random.Generator) -> list[tuple[Sample, State, Tensor]]:
+    def _rolled_out(self, flow: Flow, rng: np.random.Generator) -> list[tuple[Batch, State, Tensor]]:
         """A rollout of the flow to its end, and `MOMENTS` before it: what it began with, with one target, where the
         model is then, and `measured` of the whole flow."""
         settings, last = self._settings, len(flow.positions) - 1
         now, seed = self._start(flow, last - 1, rng), rng.integers(2**32)
         every = dataclasses.replace(settings, particles_per_cell=len(flow.volume))
         sample, whole = (
-            turned(stretch(flow, each, now=now, steps=last - now, rng=rng), settings.cell, np.random.default_rng(seed))
+            turned(stretch(flow, each, now=now, steps=last - now, rng=rng), np.random.default_rng(seed))
             for each in (settings, every)
         )
-        batch = batched([sample], settings).to(self._simulator.displacement_scale.device)
+        there = sample.to(self._simulator.displacement_scale.device)
         with torch.no_grad():
-            positions = unroll(self._simulator, batch.state, batch.conditions, last - now, corrected=False).cpu()
+            positions = unroll(self._simulator, there.state, there.conditions, last - now, corrected=False).cpu()
         moments = sorted({last - now, *(int(each) for each in rng.integers(1, last - now + 1, size=MOMENTS))})
-        moved = torch.cat((batch.state.displacements.cpu(), positions[1:] - positions[:-1]))
+        moved = torch.cat((sample.state.displacements, positions[1:] - positions[:-1]))
         return [
             (
                 dataclasses.replace(sample, targets=sample.targets[step - 1 : step]),
                 State(positions=positions[step].clone(), displacements=moved[step : step + settings.history].clone()),
-                measured(torch.from_numpy(whole.targets[step - 1]), torch.from_numpy(whole.volume)),
+                measured(whole.targets[step - 1], whole.conditions.volume),
             )
             for step in moments
         ]
@@ -225,15 +294,50 @@ def measured(positions: Tensor, volume: Tensor) -> Tensor:
     return torch.cat(found).view(-1, 2 + measures.SHARES)
 
 
-def turned(sample: Sample, spacing: float, rng: np.random.Generator) -> Sample:
-    """The sample in a random one of the symmetries of its box; spacing: between two elevations of its ground [m]."""
-    size = sample.surroundings.size
-    for axis in (axis for axis in range(len(size)) if axis != UP):
+def turned(sample: Batch, rng: np.random.Generator) -> Batch:
+    """The sample in a random one of the symmetries of its box."""
+    axes = sample.targets.shape[2]
+    for axis in (axis for axis in range(axes) if axis != UP):
         if rng.random() < 0.5:
-            sample = reflected(sample, axis, spacing)
-    if len(size) == 3 and rng.random() < 0.5:
-        sample = reflected(sample, None, spacing)
-    return sample
+            sample = reflected(sample, axis)
+    return reflected(sample, None) if axes == 3 and rng.random() < 0.5 else sample
+
+
+def reflected(sample: Batch, axis: int | None) -> Batch:
+    """The same flow in a mirror: along a level `axis`, or in 3D, where that is None, with x and z exchanged."""
+    around, ground = sample.conditions, sample.conditions.ground
+    order, flip, origin = list(range(around.size.shape[1])), torch.ones_like(around.size[0]), 0.0 * around.size[0]
+    if axis is None:
+        order.reverse()
+    else:
+        flip[axis], origin[axis] = -1.0, around.size[0, axis]
+
+    def vectors(values: Tensor) -> Tensor:
+        return flip * values[..., order]
+
+    def points(values: Tensor) -> Tensor:
+        return origin + vectors(values)
+
+    def raster(values: Tensor) -> Tensor:
+        if axis is None or ground is None:
+            return values.mT
+        along = min(axis, 1) + 1
+        plan, end = ground.spacing * np.arange(values.shape[along]), float(origin[axis])
+        mirrored = np.apply_along_axis(lambda line: np.interp(end - plan, plan, line), along, values.numpy())
+        return torch.from_numpy(mirrored.astype(np.float32))
+
+    changes: dict[str, Any] = {"size": around.size[:, order], "gravity": vectors(around.gravity)}
+    if around.baffles is not None:
+        # What was the lower side is now the upper.
+        changes["baffles"] = points(around.baffles).sort(dim=2).values
+    if around.baffle_turn is not None:
+        changes["baffle_turn"] = -around.baffle_turn
+    if ground is not None:
+        elevation, friction = raster(ground.elevation), raster(ground.friction)
+        changes["ground"] = dataclasses.replace(ground, elevation=elevation, friction=friction)
+    state = State(positions=points(sample.state.positions), displacements=vectors(sample.state.displacements))
+    conditions = dataclasses.replace(around, **changes)
+    return dataclasses.replace(sample, state=state, conditions=conditions, targets=points(sample.targets))
 
 
 def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
@@ -246,14 +350,14 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
     share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
     rng = np.random.default_rng(0)
     for flow in (flow for flows in datasets for flow in flows):
-        friction.append(flow.friction.mean(dtype=np.float64))
+        friction.append(float(flow.conditions.friction.double().mean()))
         times = len(flow.positions) - 2
         for time in rng.choice(times, min(share, times), replace=False):
             if not flow.moves(time):
                 continue
             moved = np.diff(flow.positions[time : time + 3], axis=0)
             change = moved[1] - moved[0]
-            change -= flow.surroundings.gravity * flow.step**2
+            change -= flow.conditions.gravity.numpy()[0] * flow.step**2
             displacement += float(np.square(moved[0], dtype=np.float64).sum())
             acceleration += float(np.square(change, dtype=np.float64).sum())
             count += change.size

@@ -26,12 +26,12 @@ from tabulate import tabulate
 
 from datasets import command_line, measures
 from datasets.errors import InputError
-from datasets.training.samples import Flow
 from gns import card
 from gns.card import LEVELS, Calibration
 from gns.library import model_path
 
 if TYPE_CHECKING:
+    from gns.samples import Flow
     from gns.simulator import Simulator
 
 
@@ -86,12 +86,12 @@ class Deposit:
         return (beyond if self.side == 1 else -beyond) / self.extent, apart / self.extent
 
 
-def evaluate(simulator: "Simulator", flows: Sequence[Flow]) -> list[Score]:
+def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
     """Roll out `flows` from their starts. The deposits are compared with all particles that the flows have."""
     # Here, because torch takes seconds, which --help should not.
     import torch
 
-    from gns.samples import batched, stretch
+    from gns.samples import stretch
     from gns.unroll import unroll
 
     settings, rng = simulator.settings, np.random.default_rng(0)
@@ -99,11 +99,11 @@ def evaluate(simulator: "Simulator", flows: Sequence[Flow]) -> list[Score]:
     for flow in flows:
         steps = len(flow.positions) - 1
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
-        batch = batched([sample], settings).to(simulator.displacement_scale.device)
+        there = sample.to(simulator.displacement_scale.device)
         with torch.no_grad():
-            deposit = unroll(simulator, batch.state, batch.conditions, steps)[-1].cpu().numpy()
+            deposit = unroll(simulator, there.state, there.conditions, steps)[-1].cpu().numpy()
         truth = Deposit.of_positions(flow.positions[0], flow.positions[-1], flow.volume)
-        front, profile = truth.errors(deposit, sample.volume)
+        front, profile = truth.errors(deposit, sample.conditions.volume.numpy())
         scores.append(Score(released=flow.released, front_error=front, profile_error=profile))
     return scores
 

@@ -4,20 +4,13 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.records import Record
 
 GRAVITY = 9.81
 """Gravitational acceleration of all training data [m/s^2]."""
 UP = 1
 """The axis that points up."""
-
-
-def require(settings: object, key: str, ok: bool, expected: str) -> None:
-    """Raise InputError where `ok` does not hold of `key`."""
-    if not ok:
-        value = getattr(settings, key)
-        raise InputError(f"expected {expected}, got {list(value) if isinstance(value, tuple) else value}", key=key)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,15 +54,15 @@ class ModelSettings(Record):
     """Convolutions on the background grid per round, with dilations 1, 2, 4, ..."""
 
     def __post_init__(self) -> None:
-        require(self, "dimension", self.dimension in (2, 3), "2 or 3")
+        require(self.dimension in (2, 3), "dimension", "2 or 3", self.dimension)
         lengths = ("cell", "radius", "grid_cell", *(() if self.body_length is None else ("body_length",)))
         for key in (*lengths, "frame_dt", "density"):
-            require(self, key, 0.0 < getattr(self, key) < math.inf, "a positive number")
+            require(0.0 < getattr(self, key) < math.inf, key, "a positive number", getattr(self, key))
         for key in ("particles_per_cell", "frames_per_step", "history", "width", "layers", "rounds", "grid_channels"):
-            require(self, key, getattr(self, key) >= 1, "an integer of at least 1")
+            require(getattr(self, key) >= 1, key, "an integer of at least 1", getattr(self, key))
         for key in ("rest_speed", "mlp_layers", "grid_layers"):
-            require(self, key, getattr(self, key) >= 0, "a number of at least 0")
-        require(self, "layers", self.layers % self.rounds == 0, f"a multiple of the {self.rounds} rounds")
+            require(getattr(self, key) >= 0, key, "a number of at least 0", getattr(self, key))
+        require(self.layers % self.rounds == 0, "layers", f"a multiple of the {self.rounds} rounds", self.layers)
 
     @property
     def step(self) -> float:
@@ -154,9 +147,10 @@ class TrainingSettings:
     def __post_init__(self) -> None:
         positive = "minutes", "batch", "learning_rate", "loss_scale", "validations", "validate_flows", "memory_gib"
         for key in positive:
-            require(self, key, getattr(self, key) > 0, "a positive number")
-        require(self, "rollouts", self.rollouts >= 1, "an integer of at least 1")
-        require(self, "updates", self.updates is None or self.updates >= 1, "an integer of at least 1")
-        require(self, "unroll", bool(self.unroll) and min(self.unroll) >= 1, "integers of at least 1")
+            require(getattr(self, key) > 0, key, "a positive number", getattr(self, key))
+        for key in ("rollouts", "updates"):
+            value = getattr(self, key)
+            require(value is None or value >= 1, key, "an integer of at least 1", value)
+        require(min(self.unroll, default=0) >= 1, "unroll", "integers of at least 1", list(self.unroll))
         some = not self.shares or (min(self.shares) >= 0.0 and sum(self.shares) > 0.0)
-        require(self, "shares", some, "shares of at least 0, not all of them")
+        require(some, "shares", "shares of at least 0, not all of them", list(self.shares))

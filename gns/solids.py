@@ -16,10 +16,8 @@ from gns.settings import UP
 from gns.state import Conditions, Ground
 
 ROUNDING = 0.1
-"""Radius to which edges are rounded for the outward direction of a baffle, as a share of the cutoff radius.
-
-The direction from a sharp edge turns by any angle within any distance, and its gradient would have no bound.
-"""
+"""Radius to which edges are rounded for outward directions, over the cutoff radius: at sharp ones their gradients have
+no bound."""
 
 
 @dataclass(frozen=True, kw_only=True)

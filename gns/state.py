@@ -7,8 +7,12 @@ from typing import Any, Self
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from gns.units import Units
+
+ABSENT = -10.0
+"""Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +42,6 @@ class State(Tensors):
 
     def over(self, length: float) -> "State":
         """The same state with lengths in another unit, `length` [m]."""
-        if length == 1.0:
-            return self
         return State(positions=self.positions / length, displacements=self.displacements / length)
 
     @staticmethod
@@ -104,15 +106,9 @@ class Conditions(Tensors):
     batch: Tensor | None = None
     """Sample that each particle belongs to, shape [N]; absent where there is one."""
     baffles: Tensor | None = None
-    """Lower and upper corner of the K baffles of each sample [m], shape [B, K, 2, D].
-
-    A sample with fewer has boxes of no size far outside the domain. Those of a turned one are before its turn.
-    """
+    """Lower and upper corner of the K baffles of each sample before their turn [m], shape [B, K, 2, D]."""
     baffle_turn: Tensor | None = None
-    """Turn of these baffles about their centres [rad], in 2D from x to y, in 3D about the vertical from x to z, [B, K].
-
-    Absent where none is turned.
-    """
+    """Turn of these about their centres [rad], in 2D from x to y, in 3D from x to z, [B, K]; absent where none is."""
     baffle_friction: Tensor | None = None
     """Coulomb coefficient of these baffles [-], shape [B, K]."""
     ground: Ground | None = None
@@ -149,3 +145,40 @@ class Conditions(Tensors):
             ground=ground,
             units=Units(),
         )
+
+    @staticmethod
+    def joined(samples: Sequence["Conditions"]) -> "Conditions":
+        """Samples side by side, of one each, all in units of the model.
+
+        One with fewer baffles than another gets boxes of no size far outside, one without terrain ground far below, and
+        a smaller raster goes on level.
+        """
+        names = ("friction", "cohesion", "volume", "size", "gravity", "floor_friction", "wall_friction", "damping")
+        found: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in samples]) for name in names}
+        for name, absent in (("baffles", ABSENT), ("baffle_turn", 0.0), ("baffle_friction", 0.0)):
+            own = [getattr(each, name) for each in samples]
+            count = max((each.baffles.shape[1] for each in samples if each.baffles is not None), default=0)
+            if some := [each for each in own if each is not None]:
+                whole = some[0].new_full((len(own), count, *some[0].shape[2:]), absent)
+                for row, each in zip(whole, own, strict=True):
+                    if each is not None:
+                        row[: each.shape[1]] = each[0]
+                found[name] = whole
+        if grounds := [each.ground for each in samples if each.ground is not None]:
+            shape = [max(counts) for counts in zip(*(each.elevation.shape[1:] for each in grounds), strict=True)]
+            rasters = {
+                name: torch.cat([level(each.ground, name, shape, absent) for each in samples])
+                for name, absent in (("elevation", ABSENT), ("friction", 0.0))
+            }
+            found["ground"] = Ground(**rasters, spacing=grounds[0].spacing)
+        counts = torch.tensor([len(each.friction) for each in samples])
+        return Conditions(batch=torch.arange(len(samples)).repeat_interleave(counts), **found)
+
+
+def level(ground: Ground | None, name: str, shape: Sequence[int], absent: float) -> Tensor:
+    """A raster of one sample's ground that goes on level up to a larger shape; where there is none a constant one."""
+    if ground is None:
+        return torch.full((1, *shape), absent)
+    raster: Tensor = getattr(ground, name)
+    behind = [end for count, own in zip(shape, raster.shape[1:], strict=True) for end in (count - own, 0)]
+    return functional.pad(raster, behind[::-1], mode="replicate")

@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,19 +30,18 @@ from torch.optim.swa_utils import AveragedModel
 from tqdm import tqdm
 
 from datasets import files
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import InputError, WorkFailed, require
 from datasets.files import reading
 from datasets.lock import locked
 from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
-from datasets.training.samples import Flow, Flows
 from datasets.trajectory import stored_scene, trajectory_files
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.correction import Correction
 from gns.library import BEST
 from gns.losses import EndLoss, UnrolledLoss
-from gns.samples import Rollouts, Sampler, flows_of, statistics
+from gns.samples import Flow, Flows, Rollouts, Sampler, flows_of, statistics
 from gns.score import evaluate, table, validation_score
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
@@ -88,11 +88,6 @@ def share_of(training: TrainingSettings, seconds: float, updates: int) -> float:
     return seconds / (60.0 * training.minutes) if training.updates is None else updates / training.updates
 
 
-def unrolled_steps(schedule: Sequence[int], progress: float) -> int:
-    """Steps to train through at `progress` in [0, 1]: the entries of `schedule` share the budget equally."""
-    return schedule[min(int(progress * len(schedule)), len(schedule) - 1)]
-
-
 def learning_rate(training: TrainingSettings, progress: float, updates: int) -> float:
     """At `progress` in [0, 1] of the budget, after so many updates."""
     cosine = 0.5 * (1.0 + math.cos(math.pi * progress))
@@ -132,7 +127,7 @@ def fit(
             raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
         simulator = Simulator(model, statistics(flows)) if begin is None else continued(begin, model, training)
         simulator = simulator.to(where)
-        average = AveragedModel(simulator, avg_fn=lambda old, new, count: averaged(old, new, int(count), training))
+        average = AveragedModel(simulator, avg_fn=partial(averaged, training.average))
         sampler, own_loss = sampler_and_loss(simulator, flows, training)
         free = [weight for weight in simulator.parameters() if weight.requires_grad]
         matrices = [weight for weight in free if weight.dim() == 2]
@@ -175,7 +170,8 @@ def fit(
                 if first:
                     save(out / LAST, model, parts, position)
                 continue
-            steps, rate = unrolled_steps(training.unroll, progress), learning_rate(training, progress, position.updates)
+            steps = training.unroll[min(int(progress * len(training.unroll)), len(training.unroll) - 1)]
+            rate = learning_rate(training, progress, position.updates)
             batch = sampler.batch(steps, np.random.default_rng([seed, rank(), position.updates]))
             loss = loss_of(batch.to(where))
             loss.backward()
@@ -217,9 +213,9 @@ def sampler_and_loss(
     return rollouts, loss
 
 
-def averaged(average: Tensor, current: Tensor, updates: int, training: TrainingSettings) -> Tensor:
+def averaged(decay: float, average: Tensor, current: Tensor, updates: Tensor) -> Tensor:
     """The running average; over few updates at first, so that the initial weights soon lose their share."""
-    return torch.lerp(current, average, min(training.average, (1.0 + updates) / (10.0 + updates)))
+    return torch.lerp(current, average, min(decay, (1.0 + int(updates)) / (10.0 + int(updates))))
 
 
 def load(
@@ -228,9 +224,8 @@ def load(
     """Training flows of each dataset, and the validation flows chosen of all. Raises InputError."""
     if not datasets:
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
-    if training.shares and len(training.shares) != len(datasets):
-        message = f"expected {len(datasets)} shares, one of each dataset, got {len(training.shares)}"
-        raise InputError(message, key="shares")
+    count = len(training.shares)
+    require(count in (0, len(datasets)), "shares", f"{len(datasets)} shares, one of each dataset", count)
     train, valid = (
         [flows_of(dataset, split, settings, progress=progress) for dataset in datasets] for split in ("train", "valid")
     )

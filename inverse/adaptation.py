@@ -26,12 +26,11 @@ from datasets.files import make_folder, write_json
 from datasets.processes import processors
 from datasets.records import read_json
 from datasets.scene import Scene
-from datasets.training.samples import Flow
 from datasets.trajectory import Trajectory, trajectory_files
 from gns import card, checkpoint
 from gns.initial import check
 from gns.library import model_path, shipped
-from gns.samples import flows_of
+from gns.samples import Flow, flows_of
 from gns.score import Score, calibrated, evaluate, table
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator

@@ -19,8 +19,7 @@ from datasets.lock import locked
 from datasets.particles import mass_counts
 from datasets.processes import processors
 from datasets.scene import Scene
-from datasets.training.samples import thin
-from datasets.training.statistics import MotionStatistics, metadata, motion_statistics
+from datasets.training import MotionStatistics, metadata, motion_statistics, thin
 from datasets.trajectory import Trajectory, stored_scene, trajectory_files
 from mpm.cluster import Workers, connected, pool
 
@@ -155,15 +154,15 @@ def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
     """Some of the particles of a trajectory of the MPM, each with the volume of those that it stands for."""
     scene = trajectory.scene
     positions, rng = trajectory.positions, np.random.default_rng(scene.seed)
-    stay = thin(positions[0], trajectory.volumes, cell=storage.cell, kept=storage.kept, rng=rng)
+    stay, volumes = thin(positions[0], trajectory.volumes, cell=storage.cell, kept=storage.kept, rng=rng)
     mass = np.repeat(np.arange(len(scene.masses)), mass_counts(scene))
     return replace(
         trajectory,
-        positions=positions[:, stay.indices],
-        velocity0=trajectory.velocity0[stay.indices],
-        friction=trajectory.friction[stay.indices],
-        volume=stay.volumes,
-        mass=mass[stay.indices].astype(np.int32),
+        positions=positions[:, stay],
+        velocity0=trajectory.velocity0[stay],
+        friction=trajectory.friction[stay],
+        volume=volumes,
+        mass=mass[stay].astype(np.int32),
     )
 
 

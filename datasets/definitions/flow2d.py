@@ -10,6 +10,7 @@ sand than the scene's turn with it in variants, so that single ones leave `FRICT
 import dataclasses
 from collections.abc import Iterable
 from itertools import repeat
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,35 +245,24 @@ def floor(stream: Stream, usual: float = 0.385) -> float:
     return usually(stream, {0.3: usual}, 0.1, 1.0)
 
 
-def scene(
-    stream: Stream,
-    *,
-    masses: tuple[Mass, ...],
-    width: float,
-    material: Material | None = None,
-    baffles: tuple[Baffle, ...] = (),
-    solids: tuple[Solid, ...] = (),
-    slope_deg: float = 0.0,
-    floor_friction: float | None = None,
-) -> Scene:
-    """The scene of these masses, with random friction of its box and, in half of the scenes, damping."""
-    material = material or sand(stream)
+def scene(stream: Stream, *, masses: tuple[Mass, ...], width: float, **keys: Any) -> Scene:
+    """The scene of these masses and keys, with random friction of its box and, in half of the scenes, damping."""
+    if "material" not in keys:
+        keys["material"] = sand(stream)
     damping = usually(stream, {0.5: 0.0, 0.7: 0.12}, 0.02, 0.25)
     wall_friction = usually(stream, {0.3: 0.0, 0.6: 0.385}, 0.0, 0.8)
     tallest = max(mass.lower[1] + mass.size[1] if mass.size else 0.8 for mass in masses)
+    if "floor_friction" not in keys:
+        keys["floor_friction"] = floor(stream)
     return flow(
         stream,
         domain=Domain(size=(width, 1.0 if tallest < 0.9 else 1.4), cell=CELL),
-        material=material,
         masses=masses,
-        baffles=baffles,
-        solids=solids,
-        duration=1.2 if damping > 0.0 and slope_deg == 0.0 else 1.5,
-        slope_deg=slope_deg,
-        floor_friction=floor(stream) if floor_friction is None else floor_friction,
+        duration=1.2 if damping > 0.0 and "slope_deg" not in keys else 1.5,
         wall_friction=wall_friction,
-        baffle_friction=float(stream.uniform(0.0, 0.8)) if baffles else 0.0,
+        baffle_friction=float(stream.uniform(0.0, 0.8)) if keys.get("baffles") else 0.0,
         damping=damping,
+        **keys,
     )
 
 

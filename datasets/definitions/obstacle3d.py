@@ -9,6 +9,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -274,30 +275,29 @@ def scene(
     length: float | None = None,
     height: float | None = None,
     baffles: tuple[Baffle, ...] = (),
-    solids: tuple[Solid, ...] = (),
-    slope_deg: float = 0.0,
-    floor_friction: float | None = None,
+    **keys: Any,
 ) -> Scene:
-    """The scene of a mass, with random friction of its box and, in two of five scenes, damping."""
+    """The scene of a mass and keys, with random friction of its box and, in two of five scenes, damping."""
     damping = usually(stream, {0.6: 0.0, 0.75: 0.12}, 0.02, 0.25)
     wall_friction = usually(stream, {0.3: 0.0, 0.6: 0.43}, 0.0, 0.8)
     on_baffles = usually(stream, {0.3: 0.43}, 0.0, 0.8)
     front = max([mass.lower[0] + mass.size[0] if mass.size else 0.0, *(boxes(baffles, 3)[:, 1, 0] + 0.1)])
     length = length or float(stream.choice([each for each in LENGTHS if each > front] or LENGTHS[-1:]))
     top = height or max(mass.lower[1] + mass.size[1] + 0.16, 0.48)
+    material = sand(stream)
+    if "floor_friction" not in keys:
+        keys["floor_friction"] = flow2d.floor(stream, 0.43)
     return flow(
         stream,
         domain=Domain(size=tuple(CELL * math.ceil(each / CELL - 1e-6) for each in (length, top, width)), cell=CELL),
-        material=sand(stream),
+        material=material,
         masses=(mass,),
         baffles=baffles,
-        solids=solids,
         duration=DURATION,
-        slope_deg=slope_deg,
-        floor_friction=flow2d.floor(stream, 0.43) if floor_friction is None else floor_friction,
         wall_friction=wall_friction,
         baffle_friction=on_baffles if baffles else 0.0,
         damping=damping,
+        **keys,
     )
 
 

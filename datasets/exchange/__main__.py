@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from datasets.command_line import run
 from datasets.definitions.definition import Entry, Split
-from datasets.errors import InputError, naming
+from datasets.errors import InputError, naming, require
 from datasets.exchange import geoelements
 from datasets.exchange.geoelements import Sand
 from datasets.files import read_json, write_json
@@ -25,7 +25,7 @@ from datasets.measures import front, runout, toe
 from datasets.particles import particle_volumes
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
-from datasets.training.statistics import MotionStatistics, metadata, motion_statistics
+from datasets.training import MotionStatistics, metadata, motion_statistics
 from datasets.trajectory import Trajectory, open_trajectory, trajectory_files
 
 STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
@@ -138,8 +138,8 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
             raise InputError("expected a set in 3D for --up z")
         positions, bounds = positions[..., [0, 2, 1]], bounds[[0, 2, 1]]
     size = bounds[:, 1] - bounds[:, 0]
-    if len(size) != scene.dimension or not np.allclose(size, scene.domain.size, rtol=CLOSE):
-        raise InputError(f"expected a scene in the box of the set, {size.tolist()} m, got {list(scene.domain.size)} m")
+    same = len(size) == scene.dimension and np.allclose(size, scene.domain.size, rtol=CLOSE)
+    require(same, "", f"a scene in the box of the set, {size.tolist()} m", f"{list(scene.domain.size)} m")
     positions = np.ascontiguousarray(positions - bounds[:, 0], dtype=np.float32)
     if friction is None:
         friction = np.full(positions.shape[1], scene.material.friction)

@@ -8,12 +8,10 @@ import base64
 import html
 import json
 import re
-import webbrowser
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.compare import Fields, common_stations, evenly, fields_at, heights_of, pairs
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.exchange.vtk import FIELDS, RANGE_QUANTILE, Colour, Field, Meshes, extent
 from datasets.files import finite, write_text
 from datasets.geometry.ground import ground_raster
@@ -122,8 +120,8 @@ def write_view(
     flows = (flow,) if other is None else (flow, other)
     dimension = flow.scene.dimension
     for each in flows[1:]:
-        if each.scene.dimension != dimension:
-            raise InputError(f"expected a {dimension}D flow over one, got {each.scene.dimension}D")
+        its = each.scene.dimension
+        require(its == dimension, "", f"a {dimension}D flow over one", f"{its}D")
     stations, times = common_stations(flows), evenly(flow.time, FRAMES)
     shown = [Shown(each, stations) for each in flows]
     same = None if other is None else pairs(shown[0].meshes, shown[1].meshes)
@@ -258,12 +256,3 @@ def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float
     if scene.slope_deg:
         parts.append(f"the box is drawn level, gravity is inclined by {scene.slope_deg:g}°")
     return "; ".join(parts) + "."
-
-
-def view(flow: Trajectory, path: str | Path | None, other: Trajectory | None) -> Path:
-    """`Trajectory.view`."""
-    page = Path(mkdtemp(prefix="talus-")) / "flow.html" if path is None else Path(path)
-    write_view(page, flow, other)
-    if path is None:
-        webbrowser.open(page.as_uri())
-    return page

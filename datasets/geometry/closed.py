@@ -279,11 +279,11 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
 
 def friction_at(body: Body, positions: Floats) -> Floats:
     """The coefficient at the nearest place of a ring, linear along its edges, shape [N]."""
-    corners, friction = body.vertices[body.faces], body.friction[body.faces]
-    edge = shapely.STRtree(shapely.linestrings(corners)).nearest(shapely.points(positions))
-    start, along = corners[edge, 0], corners[edge, 1] - corners[edge, 0]
-    share = np.clip(((positions - start) * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
-    return np.asarray((1.0 - share) * friction[edge, 0] + share * friction[edge, 1])
+    edges, places = shapely.linestrings(body.vertices[body.faces]), shapely.points(positions)
+    edge = shapely.STRtree(edges).nearest(places)
+    share = shapely.line_locate_point(edges[edge], places, normalized=True)
+    first, last = body.friction[body.faces[edge]].T
+    return np.asarray((1.0 - share) * first + share * last)
 
 
 def split(loop: Floats, known: Floats, tolerance: float) -> Floats:

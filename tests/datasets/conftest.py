@@ -1,11 +1,18 @@
-"""Small things that several tests of `datasets` start from."""
+"""Small things that several tests of `datasets` start from; datasets made by hand: sand that slides past baffles."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from datasets.definitions.definition import Entry, Split
+from datasets.files import write_json
 from datasets.material import Material
-from datasets.scene import Domain, Mass, Scene
+from datasets.particles import initial_particles
+from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.training import metadata, motion_statistics
 from datasets.trajectory import Trajectory
+from tests.flows import flow_of
 
 
 @pytest.fixture
@@ -31,3 +38,57 @@ def trajectory(scene: Scene) -> Trajectory:
         scene=scene,
         summary={"steps": 7},
     )
+
+
+FRAMES = 6
+SPLITS = (Split.TRAIN, Split.TRAIN, Split.VALID, Split.TEST)
+
+
+def toy_scene(dimension: int, seed: int) -> Scene:
+    """A block that slides at 1 m/s towards two baffles."""
+    if dimension == 2:
+        domain = Domain(size=(0.5, 0.25), cell=0.01)
+        mass = Mass(lower=(0.05, 0.0), size=(0.1, 0.08), velocity=(1.0, 0.0))
+        baffles = (Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), Baffle(lower=(0.373, 0.01), size=(0.004, 0.08)))
+    else:
+        domain = Domain(size=(0.4, 0.2, 0.16), cell=0.02)
+        mass = Mass(lower=(0.0, 0.0, 0.02), size=(0.1, 0.08, 0.12), velocity=(1.0, 0.0, 0.0))
+        baffles = (
+            Baffle(lower=(0.2, 0.0, 0.02), size=(0.033, 0.1, 0.04)),
+            Baffle(lower=(0.3, 0.0, 0.1), size=(0.05, 0.1, 0.041)),
+        )
+    return Scene(
+        domain=domain,
+        material=Material(friction_deg=30.0 + seed),
+        masses=(mass,),
+        baffles=baffles,
+        duration=(FRAMES - 1) * 0.0025,
+        seed=seed,
+    )
+
+
+def toy(dimension: int, seed: int = 0) -> Trajectory:
+    """The block's trajectory; each point wanders a little."""
+    scene = toy_scene(dimension, seed)
+    points = initial_particles(scene)
+    time = np.arange(FRAMES) * scene.frame_dt
+    wander = np.random.default_rng(seed).normal(0.0, 1.0e-5, (FRAMES, *points.positions.shape))
+    wander[0] = 0.0
+    positions = points.positions + points.velocities * time[:, None, None] + wander
+    return flow_of(scene, positions, velocity0=points.velocities.astype(np.float32))
+
+
+def toy_dataset(folder: Path, dimension: int) -> Path:
+    """A dataset of Talus with two trajectories to train on and one each to validate and to test."""
+    entries, statistics = [], None
+    for seed, split in enumerate(SPLITS):
+        trajectory = toy(dimension, seed)
+        trajectory.save(folder / split.value / f"toy-{seed:04d}.npz")
+        entries.append(Entry(split=split, name=f"toy-{seed:04d}", scene=trajectory.scene))
+        if split is Split.TRAIN:
+            each = motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
+            statistics = each if statistics is None else statistics + each
+    assert statistics is not None
+    described = metadata("toy", entries, seed=0, statistics=statistics)
+    write_json(folder / "metadata.json", described)
+    return folder

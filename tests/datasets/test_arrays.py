@@ -1,6 +1,7 @@
-"""Arrays in files: an NPZ is mapped, HDF5 grows and is read frame by frame; a foreign file is read, or is one line."""
+"""Trajectories on disk: an NPZ is mapped, HDF5 read frame by frame; what is foreign is read, or is one line."""
 
 import dataclasses
+import pickle
 import zipfile
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import pytest
 
 from datasets.arrays import FrameWriter, read_arrays
 from datasets.errors import InputError
-from datasets.trajectory import FIELDS, Trajectory, open_trajectory, read_trajectory, stored_scene
+from datasets.trajectory import STORED, Trajectory, open_trajectory, read_trajectory, stored_scene
+from tests.refusals import refused
 
 
 @pytest.fixture
@@ -29,7 +31,7 @@ def flow(trajectory: Trajectory) -> Trajectory:
         velocity0=stream.random((count, 2), np.float32),
         friction=np.full(count, 0.5, np.float32),
         mass=np.zeros(count, np.int32),
-        **{key: (0.1 + stream.random(shape)).astype(FIELDS[key]) for key, shape in shapes.items()},
+        **{key: (0.1 + stream.random(shape)).astype(STORED[key][0]) for key, shape in shapes.items()},
     )
 
 
@@ -43,7 +45,7 @@ def saved(flow: Trajectory, tmp_path: Path, request: pytest.FixtureRequest) -> P
 
 def test_everything_comes_back_to_the_bit(flow: Trajectory, saved: Path) -> None:
     for read in (Trajectory.load(str(saved)), read_trajectory(str(saved.parent))):
-        for key in ("positions", "time", "velocity0", "friction", "mass", *FIELDS):
+        for key in ("positions", *STORED):
             np.testing.assert_array_equal(getattr(read, key), getattr(flow, key))
             assert getattr(read, key).dtype == getattr(flow, key).dtype
         assert (read.scene, read.summary) == (flow.scene, flow.summary)
@@ -120,10 +122,8 @@ OBJECTS = "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
     ],
 )
 def test_hostile_members(tmp_path: Path, content: bytes, expected: str) -> None:
-    with pytest.raises(InputError) as caught:
-        read_arrays(with_member(tmp_path / "bad.npz", content))
-    assert (caught.value.where, caught.value.key) == (str(tmp_path / "bad.npz"), "data")
-    assert expected in caught.value.message
+    found = refused(read_arrays, with_member(tmp_path / "bad.npz", content), said=expected)
+    assert (found.where, found.key) == (str(tmp_path / "bad.npz"), "data")
 
 
 def test_hdf5_of_numbers_in_the_file_itself(tmp_path: Path) -> None:
@@ -140,3 +140,62 @@ def test_hdf5_of_numbers_in_the_file_itself(tmp_path: Path) -> None:
             read_arrays(tmp_path / "data.h5", key)
     with pytest.raises(InputError, match=r"other\.h5: expected a trajectory, there is none"):
         read_arrays(tmp_path / "none" / "other.h5")
+
+
+def test_volumes_and_the_time_between_frames(trajectory: Trajectory) -> None:
+    assert trajectory.frame_dt == trajectory.scene.frame_dt == 0.0025
+    np.testing.assert_allclose(trajectory.volumes, np.full(5, 0.04 * 0.02 / 5))
+    own = dataclasses.replace(trajectory, positions=np.zeros((1, 32, 2), np.float32), time=np.zeros(1))
+    assert (own.volumes == own.scene.particle_volume).all()
+    weighted = dataclasses.replace(trajectory, volume=np.arange(1.0, 6.0, dtype=np.float32), time=np.arange(3) * 0.01)
+    np.testing.assert_allclose(weighted.volumes, np.arange(1.0, 6.0))
+    assert weighted.frame_dt == pytest.approx(0.01)
+    with pytest.raises(InputError, match="evenly spaced"):
+        _ = dataclasses.replace(trajectory, time=np.array([0.0, 0.0025, 0.01])).frame_dt
+
+
+class Intruder:
+    """Leaves a mark when unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (Path.touch, (self.mark,))
+
+
+def test_a_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    (tmp_path / "plain.npz").write_bytes(pickle.dumps(Intruder(mark)))
+    np.savez(tmp_path / "object.npz", gns_data=np.array([Intruder(mark)], dtype=object))
+    for name in ("plain.npz", "object.npz"):
+        found = refused(Trajectory.load, tmp_path / name, said="whole NPZ of plain arrays")
+        assert found.where == str(tmp_path / name)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("positions", None, "missing"),
+        ("positions", np.full((3, 5, 2), np.nan), "finite numbers"),
+        ("time", np.zeros(3), "ascending times"),
+        ("plastic_strain", np.zeros((3, 5), int), "floating-point"),
+        ("volume", np.zeros(5), "positive volumes"),
+        ("mass", np.ones(5, int), "the index of one of 1 masses for each of 5"),
+        ("summary", np.array("nonsense"), "JSON"),
+    ],
+)
+def test_a_foreign_npz(
+    tmp_path: Path, trajectory: Trajectory, key: str, value: np.ndarray | None, expected: str
+) -> None:
+    path = tmp_path / "trajectory.npz"
+    trajectory.save(path)
+    with np.load(path, allow_pickle=False) as file:
+        arrays = dict(file)
+    if value is None:
+        del arrays[key]
+    else:
+        arrays[key] = value
+    np.savez(path, **arrays)
+    assert refused(Trajectory.load, path, said=expected).where == str(path)

@@ -16,8 +16,8 @@ from datasets.files import read_columns, read_toml
 from datasets.library import SCENES, scene_from
 from datasets.particles import initial_particles
 from datasets.trajectory import Trajectory
+from tests.datasets.conftest import toy
 from tests.datasets.geometry.solids import sphere
-from tests.datasets.toys import toy
 
 SEEDS = range(4)
 PER_SEED = 25

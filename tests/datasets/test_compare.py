@@ -12,7 +12,7 @@ from datasets.command_line import run
 from datasets.compare import command, compare, fields_at, pairs
 from datasets.exchange.vtk import Meshes
 from datasets.trajectory import Trajectory
-from tests.datasets.toys import toy
+from tests.datasets.conftest import toy
 
 APART = 0.05
 

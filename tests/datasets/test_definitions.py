@@ -1,10 +1,13 @@
-"""The dataset definitions: reproducible, divided as promised, and blind to the test scenarios."""
+"""The dataset definitions: reproducible, divided as promised, blind to the test scenarios; those in TOML."""
 
+import dataclasses
 import hashlib
 import json
 import re
 from collections import Counter
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +15,17 @@ import pytest
 from datasets.definitions import NAMES, read_definition
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.definitions.flow2d import FLOW2D
-from datasets.definitions.held_out import is_held_out
+from datasets.definitions.held_out import ASPECTS, is_held_out, neighbours
 from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.definitions.paper_families import BAFFLES3D, COLUMNS2D
 from datasets.errors import InputError
+from datasets.geometry.placement import overlaps
 from datasets.library import read_scene
 from datasets.particles import initial_particles
 from datasets.records import changed
+from datasets.scene import Baffle, Mass, Scene
+from tests.refusals import refused
+from tests.scenes import scaled, scene_of
 
 every = pytest.mark.parametrize("definition", [read_definition(name) for name in NAMES], ids=NAMES)
 SMALL = 40
@@ -96,3 +103,115 @@ def test_the_paper_s_baffle_scenes(name: str, count: int) -> None:
     entry = first_entries(read_definition("paper3d"))[0].scene
     for key in ("material", "frame_dt", "floor_friction", "wall_friction", "baffle_friction", "damping", "jitter"):
         assert getattr(scene, key) == getattr(entry, key)
+
+
+def mirrored(scene: Scene) -> Scene:
+    """The scene in the mirror along x."""
+
+    def box(each: Mass | Baffle) -> Any:
+        left = scene.domain.size[0] - each.lower[0] - each.size[0]
+        return dataclasses.replace(each, lower=(left, *each.lower[1:]))
+
+    masses, baffles = (tuple(map(box, some)) for some in (scene.masses, scene.baffles))
+    return dataclasses.replace(scene, masses=masses, baffles=baffles)
+
+
+@pytest.mark.parametrize("name", ["column-tall-42", "layers-10", "baffles-5"])
+def test_what_ships_is_held_out_scaled_mirrored_and_of_another_sand(name: str) -> None:
+    scene = read_scene(name)
+    softer = dataclasses.replace(scene.with_friction_deg(17.0), floor_friction=0.9)
+    for same in (scene, scaled(scene, 3.0), mirrored(scaled(scene, 0.5)), softer):
+        assert is_held_out(same)
+    assert neighbours(mirrored(scaled(scene, 0.5)), scaled(scene, 3.0))
+
+
+COLUMN = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.31, 0.4)),
+    size=(2.0, 1.0),
+    cell=0.01,
+    material=read_scene("column-short-21").material,
+)
+
+
+def column(length: float, height: float, left: float = 0.0) -> Scene:
+    """A column in a box of two metres."""
+    return dataclasses.replace(COLUMN, masses=(Mass(lower=(left, 0.0), size=(length, height)),))
+
+
+@pytest.mark.parametrize("aspect", ASPECTS[1::2])
+def test_a_column_of_a_held_out_aspect_at_a_wall_is_held_out(aspect: float) -> None:
+    length = 0.3
+    height = length * aspect
+    assert is_held_out(column(length, height))
+    assert is_held_out(column(length, height, left=2.0 - length))
+    assert is_held_out(column(length, 0.97 * height))
+    # Away from the walls its aspect is none of those that are tested, nor are those between.
+    assert not is_held_out(column(length, height, left=0.5))
+    assert not is_held_out(column(0.2, 0.48))
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+(EXAMPLE,) = re.findall(r"```toml\n(.*?)```", PAGE.split("\n## Definition (TOML)\n")[1].split("\n## ")[0], re.DOTALL)
+
+TEXT = """
+[scene]
+duration = 0.01
+[scene.domain]
+size = [0.4, 0.2]
+cell = 0.02
+[scene.material]
+friction_deg = {friction}
+[[scene.masses]]
+lower = [{lower}, 0.0]
+size = [0.1, 0.1]
+"""
+
+
+def definition(folder: Path, text: str = EXAMPLE, name: str = "steps.toml") -> Definition:
+    (folder / name).write_text(text)
+    return read_definition(str(folder / name))
+
+
+def test_the_definition_on_the_page(tmp_path: Path) -> None:
+    steps = definition(tmp_path)
+    entries = steps.entries(seed=0)
+    assert len(entries) == 200
+    assert [sum(entry.split is split for entry in entries) for split in Split] == [160, 20, 20]
+    scenes = [entry.scene for entry in entries]
+    assert {scene.domain.size for scene in scenes} == {(1.0, 0.5), (1.5, 0.5)}
+    assert {scene.domain.cell for scene in scenes} == {0.02, 0.025}
+    assert {scene.duration for scene in scenes} == {0.5, 0.75}
+    assert {len(scene.masses) for scene in scenes} == {1, 2}
+    assert {len(scene.baffles) for scene in scenes} == {0, 1, 2}
+    assert len({scene.seed for scene in scenes}) == 200
+    angles = np.array([scene.material.friction_deg for scene in scenes])
+    assert 20.0 <= angles.min() < 21.5
+    assert 38.5 < angles.max() <= 40.0
+    for scene in scenes:
+        assert scene.material.tension_cutoff == pytest.approx(0.5 * scene.material.cohesion)
+        assert len({mass.size[1] for mass in scene.masses}) == 1
+        assert all(0.0999 < mass.size[1] < 0.3001 for mass in scene.masses)
+        boxes = (*scene.masses, *scene.baffles)
+        assert not overlaps(boxes).any()
+        for baffle in scene.baffles:
+            others = [box for box in boxes if box is not baffle]
+            gaps = [max(b.lower[0] - a.lower[0] - a.size[0] for a, b in ((baffle, o), (o, baffle))) for o in others]
+            assert all(gap > 0.0399 for gap in gaps) or any(o.lower[1] > 0.0 for o in others)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("{friction}", "{ uniform = [1.0] }", "scene.material.friction_deg.uniform: expected two numbers"),
+        ("{friction}", "{ normal = [30, 2], step = 1 }", "no other key beside it than it, got step"),
+        (
+            "{friction}",
+            "30.0\ncohesoin = 1.0",
+            "scene.material.cohesoin: expected a known key, did you mean 'cohesion'",
+        ),
+        ("{friction}", "{ uniform = [91, 95] }", "(in each of 1000 draws)"),
+    ],
+)
+def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected: str) -> None:
+    text = TEXT.replace(old, new).replace("{friction}", "30.0").replace("{lower}", "0.1")
+    assert refused(definition, tmp_path, text, said=expected).where == str(tmp_path / "steps.toml")

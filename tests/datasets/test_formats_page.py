@@ -18,7 +18,7 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.records import from_mapping
 from datasets.scene import Baffle, Channel, Domain, Gate, Mass, Scene, Solid
-from datasets.training.statistics import MOVING_SPEED, metadata, motion_statistics
+from datasets.training import MOVING_SPEED, metadata, motion_statistics
 from datasets.trajectory import Trajectory
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")

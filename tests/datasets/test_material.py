@@ -15,14 +15,6 @@ def test_tresca_requires_a_cohesion_and_has_no_apex() -> None:
     clay = Material(friction_deg=0.0, cohesion=2.0e4, tension_cutoff=3.0e4)
     assert clay.friction == 0.0
     assert clay.tension_limit == 3.0e4
-    with pytest.raises(
-        InputError, match=r"material\.friction_deg: expected an angle above 0 degrees where there is no"
-    ):
-        Material(friction_deg=0.0)
-    with pytest.raises(InputError, match=r"material\.friction_deg.*\[0, 90\)"):
-        Material(friction_deg=90.0)
-    with pytest.raises(InputError, match=r"material\.dilation_deg"):
-        Material(friction_deg=0.0, cohesion=1.0, dilation_deg=1.0)
 
 
 def test_a_share_of_the_cohesion_is_the_default_cutoff() -> None:
@@ -45,8 +37,6 @@ def test_the_default_cutoff_stays_after_softening_below_the_residual_apex() -> N
     np.testing.assert_allclose(nearly_none.residual_tension_limit_at(depth), apex)
     assert Material(**soft, residual_cohesion=0.0).residual_tension_limit_at(2.0) == 0.0
     assert Material(**soft, residual_tension_cutoff=1.0).residual_tension_limit_at(2.0) == 1.0
-    with pytest.raises(InputError, match=r"material\.residual_tension_cutoff: .*at most 3"):
-        Material(**soft, residual_tension_cutoff=3.1)
 
 
 def test_the_residual_material() -> None:
@@ -77,10 +67,13 @@ def test_the_residual_material() -> None:
     ("key", "wrong"),
     [
         ("angle", {"angle": "table"}),
+        ("friction_deg: expected an angle above 0 degrees where there is no", {"friction_deg": 0.0, "cohesion": 0.0}),
+        (r"friction_deg: expected an angle in \[0, 90\)", {"friction_deg": 90.0}),
+        ("dilation_deg", {"friction_deg": 0.0, "dilation_deg": 1.0}),
         ("friction_deg", {"angle": "slope", "friction_deg": 45.0}),
         ("residual_friction_deg", {"residual_friction_deg": 31.0, "softening_length": 1.0}),
         ("residual_friction_deg", {"residual_friction_deg": 0.0, "residual_cohesion": 0.0, "softening_length": 1.0}),
-        ("residual_tension_cutoff", {"residual_tension_cutoff": 3.1, "softening_length": 1.0}),
+        ("residual_tension_cutoff: .*at most 3", {"residual_tension_cutoff": 3.1, "softening_length": 1.0}),
         ("residual_cohesion", {"residual_cohesion": 10.0}),
         ("friction_limit_deg", {"friction_limit_deg": 29.0, "grain_diameter": 1e-3}),
         ("friction_limit_deg", {"friction_limit_deg": 45.0, "grain_diameter": 1e-3, "angle": "slope"}),
@@ -90,8 +83,9 @@ def test_the_residual_material() -> None:
     ],
 )
 def test_what_cannot_be_is_named(key: str, wrong: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match=rf"^material\.{key}: expected"):
+    with pytest.raises(InputError, match=rf"^material\.{key}") as caught:
         Material(**{"friction_deg": 30.0, "cohesion": 1000.0, **wrong})
+    assert caught.value.message.startswith("expected")
 
 
 def test_a_slopes_angle_is_daviss() -> None:

@@ -22,7 +22,7 @@ from datasets.exchange.view import Observed, write_view
 from datasets.material import Material
 from datasets.scene import Solid
 from datasets.trajectory import Trajectory
-from tests.datasets.toys import toy
+from tests.datasets.conftest import toy
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 HOSTILE = "</script><img src=x onerror=alert(1)>"

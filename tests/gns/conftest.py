@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 import torch
 
+from datasets import command_line
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Mass
 from datasets.trajectory import Trajectory
+from gns.initial import conditions_of
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.state import Conditions, State
+from gns.train import train
+from gns.units import Units
 from tests.flows import flow_of
 from tests.scenes import scene_of
 
@@ -25,6 +29,11 @@ TINY = [
     *("--threads", "1", "--unroll", "1", "--unroll", "2", "--validate-flows", "1", "--device", "cpu"),
 ]
 """Flags of a training that takes a second."""
+
+
+def run_train(dataset: Path, out: Path, *flags: str) -> int:
+    """Train; the exit status."""
+    return command_line.run(train, "train", [str(dataset), "--out", str(out), *flags])
 
 
 def rows(out: Path) -> list[dict[str, str]]:
@@ -67,19 +76,10 @@ def cloud(settings: ModelSettings) -> Cloud:
         positions = torch.tensor(lower) + settings.cell * (lattice + jitter)
         velocities = torch.tensor(velocity).expand_as(positions)
         state = State.moving(positions, velocities, step=settings.step, history=settings.history)
-        friction = torch.full((len(positions),), 0.5)
-        volume = torch.full((len(positions),), settings.particle_volume)
-        cohesion = torch.full_like(friction, 100.0)
-        return state, Conditions(
-            friction=friction,
-            cohesion=cohesion,
-            volume=volume,
-            size=torch.ones(1, 2),
-            gravity=torch.tensor([[0.0, -9.81]]),
-            floor_friction=torch.tensor([0.4]),
-            wall_friction=torch.tensor([0.2]),
-            damping=torch.tensor([0.1]),
-        )
+        numbers = {"friction": 0.5, "cohesion": 100.0, "volume": settings.particle_volume}
+        each = {name: torch.full((len(positions),), value) for name, value in numbers.items()}
+        scene = scene_of(floor_friction=0.4, wall_friction=0.2, damping=0.1)
+        return state, conditions_of(scene, settings.cell, **each, units=Units())
 
     return build
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from datasets.errors import InputError
 from gns import checkpoint
 from gns.simulator import Simulator
 from tests.gns.conftest import NORMALISATION
+from tests.refusals import refused
 
 LAST = "network.decoder.mlp.2.weight"
 
@@ -66,9 +68,7 @@ def test_each_fault_is_named_in_a_line(file: Path, changes: dict[str, Any], expe
     if not changes:
         tensors[LAST] *= math.nan
     save_file(tensors, file, {**metadata, "settings": settings})
-    with pytest.raises(InputError, match=r"model\.safetensors: " + expected) as caught:
-        checkpoint.load(file)
-    assert "\n" not in str(caught.value)
+    assert re.search(r"model\.safetensors: " + expected, str(refused(checkpoint.load, file)))
 
 
 @pytest.mark.parametrize("text", ["", "3", "{", "[" * 10_000])
@@ -76,5 +76,5 @@ def test_metadata_that_is_no_table_is_refused(file: Path, text: str) -> None:
     tensors, metadata = checkpoint.read(file)
     for key in ("settings", "provenance"):
         save_file(tensors, file, {**metadata, key: text})
-        with pytest.raises(InputError, match=rf"model\.safetensors: {key}: expected a table in JSON"):
+        with pytest.raises(InputError, match=rf"model\.safetensors: {key}: expected (readable JSON|a JSON object)"):
             checkpoint.load(file)

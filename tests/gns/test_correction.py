@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import command_line, measures
+from datasets import measures
 from gns import checkpoint
 from gns.correction import Correction, stretched
 from gns.losses import EndLoss
 from gns.samples import Rollouts, flows_of, measured
 from gns.settings import TrainingSettings
 from gns.simulator import Simulator
-from gns.state import State
-from gns.train import train
+from gns.state import Conditions, State
 from gns.unroll import unroll
-from tests.gns.conftest import TINY, Cloud, rows
+from tests.gns.conftest import TINY, Cloud, rows, run_train
 
 
 @pytest.fixture
@@ -57,14 +56,8 @@ def test_samples_side_by_side_are_corrected_as_alone(corrected: Simulator, cloud
     flows = [cloud(lower=(0.1, 0.0), velocity=(speed, 0.0), seed=seed) for seed, speed in ((0, 1.0), (1, 0.3))]
     flows = [(state.to(dtype=torch.float64), conditions.to(dtype=torch.float64)) for state, conditions in flows]
     alone = torch.cat([unroll(corrected, *each, 6) for each in flows], dim=1)
-    state = State.joined([state for state, _ in flows])
-    both = {
-        each.name: torch.cat([getattr(conditions, each.name) for _, conditions in flows])
-        for each in dataclasses.fields(flows[0][1])
-        if isinstance(getattr(flows[0][1], each.name), torch.Tensor)
-    }
-    number = torch.arange(2).repeat_interleave(len(flows[0][0].positions))
-    together = unroll(corrected, state, dataclasses.replace(flows[0][1], batch=number, **both), 6)
+    states, conditions = zip(*flows, strict=True)
+    together = unroll(corrected, State.joined(states), Conditions.joined(conditions), 6)
     torch.testing.assert_close(together, alone, atol=1e-9, rtol=0.0)
 
 
@@ -93,18 +86,13 @@ def test_ends_and_equal_shares_are_the_measured_ones() -> None:
         np.testing.assert_allclose(row, [front, -rear, *measures.equal_shares(line, volume)], rtol=1e-12)
 
 
-def run(dataset: Path, out: Path, *flags: str) -> int:
-    """Train a tiny model; the exit status."""
-    return command_line.run(train, "train", [str(dataset), "--out", str(out), *flags])
-
-
 def test_a_correction_learns_and_is_left_out_where_the_steps_change(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(dataset, tmp_path / "steps", *TINY, "--updates", "2") == 0
+    assert run_train(dataset, tmp_path / "steps", *TINY, "--updates", "2") == 0
     begin = ("--begin", str(tmp_path / "steps" / "best.safetensors"), "--device", "cpu", "--unroll", "1")
     more = ("--correct", "--validations", "2", "--learning-rate", "2e-2", "--warmup", "5", "--validate-flows", "1")
-    assert run(dataset, tmp_path / "ends", *begin, *more, "--updates", "120") == 0
+    assert run_train(dataset, tmp_path / "ends", *begin, *more, "--updates", "120") == 0
     before = float(rows(tmp_path / "steps")[-1]["score"])
     assert float(rows(tmp_path / "ends")[-1]["score"]) < 0.8 * before
     steps, ends = (checkpoint.load(tmp_path / each / "best.safetensors").simulator for each in ("steps", "ends"))
@@ -113,11 +101,11 @@ def test_a_correction_learns_and_is_left_out_where_the_steps_change(
     for name, weights in steps.state_dict().items():
         torch.testing.assert_close(ends.state_dict()[name], weights)
     # The run goes on where it was, and another one that trains the steps begins without the correction.
-    assert run(dataset, tmp_path / "ends", *begin, *more, "--updates", "124", "--resume") == 0
+    assert run_train(dataset, tmp_path / "ends", *begin, *more, "--updates", "124", "--resume") == 0
     begin = ("--begin", str(tmp_path / "ends" / "best.safetensors"), *begin[2:])
-    assert run(dataset, tmp_path / "again", *begin, "--updates", "1") == 0
+    assert run_train(dataset, tmp_path / "again", *begin, "--updates", "1") == 0
     assert checkpoint.load(tmp_path / "again" / "best.safetensors").simulator.correction is None
-    assert run(dataset, tmp_path / "none", *TINY, "--correct") == 2
+    assert run_train(dataset, tmp_path / "none", *TINY, "--correct") == 2
     assert "--begin: expected a model to begin with" in capsys.readouterr().err
 
 

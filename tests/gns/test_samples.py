@@ -1,50 +1,30 @@
-"""Samples: drawn of the flows in all their symmetries, and side by side what they are alone."""
+"""Samples: flows at a model's step, stretches in all their symmetries, alone, side by side, in two processes."""
 
 import dataclasses
+import os
+import socket
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torch.nn.parallel import DistributedDataParallel
 
-from datasets.training.samples import Flows, Sample, Surroundings, cut
-from gns.samples import Sampler, batched, flows_of, statistics, turned
+from datasets.errors import InputError
+from datasets.scene import Baffle, Mass, Solid
+from gns.initial import conditions_of
+from gns.losses import UnrolledLoss
+from gns.samples import Batch, Flow, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
-
-
-def samples(dataset: Path, settings: ModelSettings, starts: tuple[int, int] = (0, 5)) -> list[Sample]:
-    """Two samples, one of them from the very start."""
-    flows = flows_of(dataset, "valid", settings)
-    rng = np.random.default_rng(0)
-    return [
-        cut(flow, now=now, steps=2, history=settings.history, cell=settings.cell, kept=1, rng=rng)
-        for flow, now in zip(flows, starts, strict=True)
-    ]
-
-
-def after(simulator: Simulator, some: list[Sample]) -> torch.Tensor:
-    """Where a step takes the particles of samples side by side [m]."""
-    batch = batched(some, simulator.settings)
-    with torch.no_grad():
-        return simulator(batch.state, batch.conditions).positions
-
-
-def test_baffles_and_ground_of_one_sample_have_no_effect_on_another(lively: Simulator, dataset: Path) -> None:
-    first, second = samples(dataset, lively.settings, starts=(5, 5))
-    second = dataclasses.replace(first, friction=second.friction)
-    ground = np.linspace(0.05, 0.0, 61, dtype=np.float32), np.full(61, 0.3, np.float32)
-    around = dataclasses.replace(
-        first.surroundings,
-        baffles=np.array([[[0.15, 0.0], [0.2, 0.1]]], np.float32),
-        baffle_friction=np.array([0.5], np.float32),
-        baffle_turn=np.array([0.4], np.float32),
-        ground=ground,
-    )
-    rough = dataclasses.replace(second, surroundings=around)
-    alone = [after(lively, [sample]) for sample in (first, rough)]
-    assert (alone[1] - after(lively, [second])).abs().max() > 1e-3
-    torch.testing.assert_close(after(lively, [first, rough]), torch.cat(alone), atol=1e-6, rtol=0.0)
+from gns.state import Ground, State
+from gns.training import LAST, joined, rank
+from gns.units import Units
+from tests.gns.conftest import TINY, rows, spreading
+from tests.scenes import scene_of
 
 
 @pytest.fixture
@@ -53,21 +33,103 @@ def flows(dataset: Path, settings: ModelSettings) -> Flows:
     return flows_of(dataset, "train", settings)
 
 
+def test_a_flow_takes_every_so_many_frames(tmp_path: Path) -> None:
+    trajectory = spreading(30.0)
+    trajectory.save(tmp_path / "a.npz")
+    (flow,) = Flows([tmp_path / "a.npz"], ModelSettings(frames_per_step=2))
+    assert np.array_equal(flow.positions, trajectory.positions[::2])
+    assert (flow.step, flow.released) == (0.005, True)
+    for step in (0.004, 0.001):
+        with pytest.raises(InputError, match=r"a\.npz: expected frames 0\.00"):
+            Flows([tmp_path / "a.npz"], ModelSettings(frame_dt=step, frames_per_step=1))[0]
+
+
+@pytest.mark.parametrize(("now", "given"), [(0, []), (2, [0, 1, 2]), (6, [3, 4, 5, 6])])
+def test_a_stretch_gives_the_past_that_there_is(
+    flows: Flows, settings: ModelSettings, now: int, given: list[int]
+) -> None:
+    flow, every = flows[0], dataclasses.replace(settings, particles_per_cell=4)
+    sample = stretch(flow, every, now=now, steps=3, rng=np.random.default_rng(0))
+    state, known = sample.state, np.diff(flow.positions[given], axis=0)
+    assert np.array_equal(state.positions, flow.positions[now])
+    assert np.array_equal(state.displacements[len(state.displacements) - len(known) :], known)
+    assert np.array_equal(sample.targets, flow.positions[now + 1 : now + 4])
+    few = stretch(flow, settings, now=now, steps=3, rng=np.random.default_rng(0))
+    assert few.conditions.volume.sum() == pytest.approx(flow.volume.sum())
+
+
+def test_a_flow_over_terrain_has_its_ground_and_other_solids_are_refused(tmp_path: Path) -> None:
+    def over(solid: Solid, cell: float = 0.01) -> Flow:
+        flow = spreading(30.0)
+        dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(solid,))).save(tmp_path / "a.npz")
+        return Flows([tmp_path / "a.npz"], ModelSettings(cell=cell))[0]
+
+    ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.4, 0.0), (0.6, 0.1)), friction=0.5)
+    ground = over(ramp, 0.1).conditions.ground
+    assert ground is not None
+    assert ground.spacing == 0.1
+    np.testing.assert_allclose(ground.elevation[0], [0.0] * 5 + [0.05, 0.1], atol=1e-7)
+    np.testing.assert_array_equal(ground.friction[0], [0.5] * 7)
+    with pytest.raises(InputError, match=r"a\.npz: solids\[0\].kind: expected baffles and terrain"):
+        over(Solid(lower=(0.45, 0.0), size=(0.02, 0.05)))
+
+
+def test_flows_are_opened_when_they_are_asked_for(tmp_path: Path, settings: ModelSettings) -> None:
+    trajectory = spreading(30.0)
+    for name in ("a", "b", "c"):
+        trajectory.save(tmp_path / "train" / f"{name}.npz")
+    flows = flows_of(tmp_path, "train", settings)
+    assert np.array_equal(flows[1].positions, trajectory.positions[::4])
+    assert not flows[1].positions.flags.owndata
+    assert [Path(flow.name).stem for flow in flows] == ["a", "b", "c"]
+    (tmp_path / "train" / "b.npz").write_bytes(b"none")
+    assert Path(flows[2].name).stem == "c"
+    with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
+        flows[1]
+    with pytest.raises(InputError, match=r"b\.npz: expected a whole NPZ"):
+        flows_of(tmp_path, "train", settings)
+
+
+def after(simulator: Simulator, some: list[Batch]) -> torch.Tensor:
+    """Where a step takes the particles of samples side by side [m]."""
+    batch = batched(some)
+    with torch.no_grad():
+        return simulator(batch.state, batch.conditions).positions
+
+
+def test_baffles_and_ground_of_one_sample_have_no_effect_on_another(lively: Simulator, flows: Flows) -> None:
+    first = stretch(flows[0], lively.settings, now=5, steps=2, rng=np.random.default_rng(0))
+    rougher = 0.1 + first.conditions.friction
+    second = dataclasses.replace(first, conditions=dataclasses.replace(first.conditions, friction=rougher))
+    ground = torch.linspace(0.05, 0.0, 61)[None]
+    around = {
+        "baffles": torch.tensor([[[[0.15, 0.0], [0.2, 0.1]]]]),
+        "baffle_friction": torch.tensor([[0.5]]),
+        "baffle_turn": torch.tensor([[0.4]]),
+        "ground": Ground(elevation=ground, friction=torch.full_like(ground, 0.3), spacing=lively.settings.cell),
+    }
+    rough = dataclasses.replace(second, conditions=dataclasses.replace(second.conditions, **around))
+    alone = [after(lively, [sample]) for sample in (first, rough)]
+    assert (alone[1] - after(lively, [second])).abs().max() > 1e-3
+    torch.testing.assert_close(after(lively, [first, rough]), torch.cat(alone), atol=1e-6, rtol=0.0)
+
+
 def test_samples_are_stretches_of_the_flows(flows: Flows, settings: ModelSettings) -> None:
     sampler, rng = Sampler([flows], settings, TrainingSettings()), np.random.default_rng(0)
     drawn = [sampler.sample(4, rng) for _ in range(60)]
-    assert {len(sample.frames) for sample in drawn} == {1, 2, 3, 4}
+    # Of a flow that begins at rest the past that there is not is at rest too.
+    assert {int(sample.state.displacements.any(dim=2).any(dim=1).sum()) for sample in drawn} == {0, 1, 2, 3}
     assert all(len(sample.targets) == 4 for sample in drawn)
     # The columns lean on the left wall; mirrored ones on the right.
-    mirrored = {bool(sample.frames[-1, :, 0].mean() > 0.3) for sample in drawn}
+    mirrored = {bool(sample.state.positions[:, 0].mean() > 0.3) for sample in drawn}
     assert mirrored == {False, True}
     for sample in drawn:
-        assert sample.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
+        assert sample.conditions.volume.sum() == pytest.approx(0.12 * 0.16, rel=1e-5)
 
 
 def test_a_batch_joins_domains_and_datasets_have_their_shares(flows: Flows, settings: ModelSettings) -> None:
-    around = dataclasses.replace(flows[0].surroundings, size=np.array([1.2, 0.4], np.float32))
-    wide = [dataclasses.replace(flow, surroundings=around) for flow in flows]
+    size = torch.tensor([[1.2, 0.4]])
+    wide = [dataclasses.replace(flow, conditions=dataclasses.replace(flow.conditions, size=size)) for flow in flows]
     training = TrainingSettings(batch=2, shares=(1.0, 3.0))
     sampler, rng = Sampler([flows, wide], settings, training), np.random.default_rng(0)
     sizes = torch.cat([sampler.batch(1, rng).conditions.size for _ in range(100)])
@@ -84,12 +146,10 @@ def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
     time = np.arange(8) * 0.01
     corner = np.stack((0.1 * np.arange(5), np.full(5, 0.9)), axis=1)
     falling = (corner + 0.5 * time[:, None, None] ** 2 * gravity).astype(np.float32)
+    changes = {"gravity": torch.from_numpy(gravity)[None], "friction": torch.ones(5)}
+    conditions = dataclasses.replace(flows[0].conditions, **changes)
     flow = dataclasses.replace(
-        flows[0],
-        positions=falling,
-        friction=np.ones(5, np.float32),
-        velocity0=np.zeros((5, 2), np.float32),
-        surroundings=dataclasses.replace(flows[0].surroundings, gravity=gravity),
+        flows[0], positions=falling, velocity0=np.zeros((5, 2), np.float32), conditions=conditions
     )
     found = statistics([[flow]])
     assert found.acceleration_scale < 1e-6
@@ -97,22 +157,139 @@ def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
     assert found.friction_std == 1.0
 
 
-def test_samples_in_3d_come_in_all_eight_symmetries() -> None:
-    rng, one = np.random.default_rng(0), np.ones(1, np.float32)
-    corner = np.array([0.1, 0.2, 0.15], np.float32)
-    around = Surroundings(
-        size=np.array((0.6, 0.4, 0.5), np.float32),
-        gravity=np.array([3.0, -9.0, 0.0], np.float32),
-        floor_friction=0.4,
-        wall_friction=0.2,
-        damping=0.0,
-        baffles=np.stack((corner, corner + 0.1))[None],
-        baffle_friction=one,
-        baffle_turn=np.zeros(1, np.float32),
-        ground=None,
+@pytest.fixture
+def deep() -> Batch:
+    """A sample in a box of 0.8 x 0.6 x 0.8 m, points and elevations at random, before two baffles."""
+    rng = np.random.default_rng(0)
+    scene = scene_of(
+        Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.1, 0.1)),
+        size=(0.8, 0.6, 0.8),
+        cell=0.1,
+        baffles=(
+            Baffle(lower=(0.5, 0.0, 0.1), size=(0.1, 0.3, 0.2)),
+            Baffle(lower=(0.2, 0.0, 0.6), size=(0.05, 0.4, 0.1), turned_deg=30.0),
+        ),
+        slope_deg=20.0,
+        baffle_friction=0.3,
     )
-    points = {name: corner.reshape(1, 1, -1) for name in ("frames", "targets")}
-    numbers = dict.fromkeys(("friction", "cohesion", "volume"), one)
-    sample = Sample(velocity0=corner[None], surroundings=around, **points, **numbers)
-    found = {tuple(np.round(turned(sample, 0.01, rng).targets[0, 0].astype(float), 5)) for _ in range(100)}
+
+    def some(*shape: int) -> torch.Tensor:
+        return torch.from_numpy(rng.random(shape, np.float32))
+
+    own = dict(zip(("friction", "cohesion", "volume"), some(3, 7), strict=True))
+    ground = Ground(elevation=some(1, 9, 9), friction=some(1, 9, 9), spacing=0.1)
+    return Batch(
+        state=State(positions=some(7, 3), displacements=some(3, 7, 3)),
+        conditions=dataclasses.replace(conditions_of(scene, 0.1, **own, units=Units()), ground=ground),
+        targets=some(2, 7, 3),
+    )
+
+
+def tensors(value: Any) -> dict[str, torch.Tensor]:
+    """All tensors of a record, by name."""
+    found = {}
+    for field in dataclasses.fields(value):
+        each = getattr(value, field.name)
+        if isinstance(each, torch.Tensor):
+            found[field.name] = each
+        elif dataclasses.is_dataclass(each):
+            found |= {f"{field.name}.{name}": part for name, part in tensors(each).items()}
+    return found
+
+
+@pytest.mark.parametrize("axis", [0, 2, None])
+def test_a_mirror_turns_its_axes_and_twice_changes_nothing(deep: Batch, axis: int | None) -> None:
+    """All lengths are those of one body: in the mirror distances to baffles, walls and ground are what they were."""
+    once = reflected(deep, axis)
+    order, sign = ([2, 1, 0], 1.0) if axis is None else ([0, 1, 2], -1.0)
+    side = 0 if axis is None else axis
+    moved, before, after = deep.state.displacements, deep.conditions, once.conditions
+    torch.testing.assert_close(once.state.displacements[..., side], sign * moved[..., order[side]])
+    assert after.gravity[0, side] == sign * before.gravity[0, order[side]]
+    assert torch.equal(after.baffle_turn, -before.baffle_turn)
+    for own, there in ((deep.state.positions, once.state.positions), (deep.targets, once.targets)):
+        mine = own[..., order]
+        torch.testing.assert_close(there[..., side], mine[..., side] if sign > 0 else 0.8 - mine[..., side])
+        assert torch.equal(there[..., 1], mine[..., 1])
+        gaps = [
+            (points[..., None, None, :] - around.baffles[0]).abs().sort(dim=-2).values[..., axes]
+            for points, around, axes in ((own, before, order), (there, after, [0, 1, 2]))
+        ]
+        torch.testing.assert_close(*gaps, atol=1e-6, rtol=0.0)
+    assert before.ground is not None
+    assert after.ground is not None
+    for there, here in (
+        (after.ground.elevation, before.ground.elevation),
+        (after.ground.friction, before.ground.friction),
+    ):
+        expected = here.mT if axis is None else here.flip(min(axis, 1) + 1)
+        torch.testing.assert_close(there, expected, atol=1e-6, rtol=0.0)
+    again, given = tensors(reflected(once, axis)), tensors(deep)
+    assert again.keys() == given.keys()
+    for name, value in given.items():
+        torch.testing.assert_close(again[name], value, atol=1e-6, rtol=0.0)
+
+
+def test_samples_in_3d_come_in_all_eight_symmetries(deep: Batch) -> None:
+    rng = np.random.default_rng(0)
+    found = {tuple(turned(deep, rng).targets[0, 0].double().round(decimals=5).tolist()) for _ in range(100)}
     assert len(found) == 8
+
+
+ROOT = Path(__file__).parents[2]
+STEPS = 3
+
+
+def gradients(simulator: Simulator, samples: list[Batch]) -> dict[str, torch.Tensor]:
+    """Those of one update, in double precision; one step keeps its activations, the others are checkpointed."""
+    batch = batched(samples).to(dtype=torch.float64)
+    model: torch.nn.Module = UnrolledLoss(simulator, TrainingSettings(memory_gib=2e-3))
+    if torch.distributed.is_initialized():
+        model = DistributedDataParallel(model)
+    simulator.zero_grad()
+    model(batch).backward()
+    return {name: value.grad for name, value in simulator.named_parameters() if value.grad is not None}
+
+
+def work(number: int, port: str, simulator: Simulator, parts: list[list[Batch]], out: Path) -> None:
+    """One of two processes."""
+    common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
+    os.environ.update(common | {"RANK": str(number)})
+    with joined("cpu"):
+        torch.save(gradients(simulator, parts[rank()]), out / f"{rank()}.pt")
+
+
+def test_two_processes_give_the_mean_of_their_gradients(
+    lively: Simulator, settings: ModelSettings, dataset: Path, tmp_path: Path
+) -> None:
+    simulator, rng = lively.double(), np.random.default_rng(0)
+    flows = flows_of(dataset, "train", settings)
+    samples = [
+        stretch(flow, settings, now=now, steps=STEPS, rng=rng) for flow, now in zip(flows, (0, 5, 9), strict=False)
+    ]
+    parts = [samples[:2], samples[2:]]
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    torch.multiprocessing.start_processes(work, (port, simulator, parts, tmp_path), nprocs=2, start_method="fork")
+    alone = [gradients(simulator, part) for part in parts]
+    first, second = (torch.load(tmp_path / f"{rank}.pt", weights_only=True) for rank in (0, 1))
+    assert alone[0].keys() == first.keys()
+    for name, value in first.items():
+        expected = 0.5 * (alone[0][name] + alone[1][name])
+        assert torch.equal(value, second[name])
+        assert (value - expected).norm() <= 1e-6 * expected.norm()
+        assert expected.norm() > 0.0
+
+
+@pytest.mark.slow
+def test_torchrun_trains_and_resumes(dataset: Path, tmp_path: Path) -> None:
+    def run(out: Path, *more: str) -> int:
+        command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m"]
+        command += ["gns.train", str(dataset), "--out", str(out), *TINY, "--validations", "2", *more]
+        subprocess.run(command, cwd=ROOT, check=True, timeout=120)
+        return int(torch.load(out / LAST, weights_only=True)["position"]["updates"])
+
+    assert run(tmp_path, "--updates", "6") == 6
+    assert len(rows(tmp_path)) == 2
+    assert run(tmp_path, "--updates", "8", "--resume") == 8

@@ -10,9 +10,8 @@ import torch
 import gns
 from datasets import command_line, measures
 from datasets.errors import InputError
-from datasets.training.samples import Flow
 from gns import card, checkpoint
-from gns.samples import flows_of
+from gns.samples import Flow, flows_of
 from gns.score import Score, calibrated, evaluate, score, table, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator

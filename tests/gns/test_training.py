@@ -22,7 +22,7 @@ from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.train import train
 from gns.training import LAST
-from tests.gns.conftest import NORMALISATION, TINY, rows
+from tests.gns.conftest import NORMALISATION, TINY, rows, run_train
 
 
 def test_the_loss_measures_positions_and_displacements() -> None:
@@ -63,7 +63,7 @@ def test_half_precision_hardly_turns_the_gradient(gradient: Callable[..., torch.
 
 def run(dataset: Path, out: Path, *flags: str) -> int:
     """Train a tiny model; the exit status."""
-    return command_line.run(train, "train", [str(dataset), "--out", str(out), *TINY, *flags])
+    return run_train(dataset, out, *TINY, *flags)
 
 
 def last(out: Path) -> dict[str, Any]:
@@ -150,8 +150,7 @@ def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys
     model, other = (tmp_path / name / "best.safetensors" for name in ("first", "second"))
     # At hardly any learning rate it stays what it was; its settings need not be repeated.
     begin = ("--updates", "1", "--begin", str(model), "--learning-rate", "1e-30", "--final-learning-rate", "0")
-    flags = [str(dataset), "--out", str(tmp_path / "second"), "--unroll", "1", "--device", "cpu"]
-    assert command_line.run(train, "train", [*flags, *begin]) == 0
+    assert run_train(dataset, tmp_path / "second", "--unroll", "1", "--device", "cpu", *begin) == 0
     first, second = (checkpoint.load(path).simulator.state_dict() for path in (model, other))
     for name, weight in first.items():
         torch.testing.assert_close(second[name], weight)
@@ -195,7 +194,7 @@ def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path)
 def test_mistakes_are_named_in_one_line(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[str], message: str
 ) -> None:
-    assert command_line.run(train, "train", [str(dataset), "--out", str(tmp_path), *flags]) == 2
+    assert run_train(dataset, tmp_path, *flags) == 2
     assert message in capsys.readouterr().err.splitlines()[-1]
 
 

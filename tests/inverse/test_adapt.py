@@ -78,7 +78,7 @@ def test_flows_are_stored_as_a_rollout_runs_them(adapted: Path, make_problem: Ma
     stored = Trajectory.load(flow.name)
     assert flow.step == pytest.approx(settings.step)
     np.testing.assert_allclose(flow.positions * units.length, stored.positions, rtol=1e-5, atol=1e-7)
-    assert flow.surroundings.gravity[1] == pytest.approx(-9.81, rel=1e-4)
+    assert float(flow.conditions.gravity[0, 1]) == pytest.approx(-9.81, rel=1e-4)
     assert flow.velocity0.max() == pytest.approx(stored.velocity0.max() / units.speed, rel=1e-5)
     assert flow.volume.sum() * units.length**2 == pytest.approx(stored.volumes.sum(), rel=1e-5)
 

@@ -13,7 +13,7 @@ from datasets.library import read_scene, write_scene
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Mass, Scene, Stage
-from datasets.training.samples import check_known
+from datasets.training import check_known
 from mpm import AT_REST, LAST, Recording, runtime, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.initial.stages import particles_after

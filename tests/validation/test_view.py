@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from datasets.command_line import run
-from tests.datasets.toys import toy
+from tests.datasets.conftest import toy
 from validation.view import command
 
 

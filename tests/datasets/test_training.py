@@ -1,0 +1,92 @@
+"""What a model learns of trajectories: cohesion, thinning that keeps volumes, statistics against NumPy."""
+
+import dataclasses
+from functools import reduce
+from operator import add
+
+import numpy as np
+import pytest
+
+from datasets.errors import InputError
+from datasets.particles import initial_particles
+from datasets.scene import Mass, Scene
+from datasets.training import MOVING_SPEED, MotionStatistics, motion_statistics, particle_cohesion, thin
+
+FRAME_DT = 0.0025
+
+
+def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:
+    stiff = dataclasses.replace(scene.material, cohesion=500.0)
+    masses = (*scene.masses, Mass(lower=(0.12, 0.0), size=(0.03, 0.03), material=stiff))
+    two = dataclasses.replace(scene, masses=masses)
+    points = initial_particles(two)
+    found = particle_cohesion(two, len(points.positions), None)
+    assert np.array_equal(found, [points.materials[index].cohesion for index in points.material])
+    assert set(found) == {0.0, 500.0}
+    with pytest.raises(InputError, match="positions: expected the 68 particles of masses that differ in cohesion, got"):
+        particle_cohesion(two, 60, None)
+    # A part of the particles, as it is stored: each says its mass.
+    assert particle_cohesion(two, 3, np.array([1, 0, 1], np.int32)).tolist() == [500.0, 0.0, 500.0]
+    # Where all are alike, any number of points will do: an imported trajectory has its own.
+    assert particle_cohesion(dataclasses.replace(scene, material=stiff), 3, None).tolist() == [500.0] * 3
+
+
+def test_moments_of_parts_are_those_of_the_whole() -> None:
+    # A mean far above the spread: the sum of squares alone would lose every digit.
+    samples = np.random.default_rng(0).normal([1.0e6, -3.0], [0.01, 2.0], (1000, 2))
+    parts = np.split(samples, [1, 1, 300, 999])
+    joint = reduce(add, (MotionStatistics.from_samples(part, part[:0]) for part in parts))
+    assert joint.count.tolist() == [[1000], [0]]
+    np.testing.assert_allclose(joint.mean, [samples.mean(axis=0), [0.0, 0.0]], rtol=1e-14)
+    np.testing.assert_allclose(joint.std, [samples.std(axis=0), [0.0, 0.0]], rtol=1e-7)
+
+
+def walk(seed: int, frames: int, points: int) -> np.ndarray:
+    """Points that always move faster than the threshold; positions [m], shape [T, N, 2]."""
+    steps = np.random.default_rng(seed).uniform(0.001, 0.01, (frames, points, 2))
+    return np.cumsum(steps, axis=0)
+
+
+def test_statistics_of_moving_points_are_numpys() -> None:
+    sequences = [walk(0, 6, 40), walk(1, 9, 10)]
+    joint = reduce(add, (motion_statistics(sequence, FRAME_DT) for sequence in sequences))
+    velocities = np.concatenate([np.diff(sequence, axis=0).reshape(-1, 2) for sequence in sequences])
+    accelerations = np.concatenate([np.diff(sequence, 2, axis=0).reshape(-1, 2) for sequence in sequences])
+    for index, samples in enumerate((velocities, accelerations)):
+        assert joint.count[index] == len(samples)
+        np.testing.assert_allclose(joint.mean[index], samples.mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(joint.std[index], samples.std(axis=0), rtol=1e-12)
+
+
+def test_points_at_rest_do_not_count() -> None:
+    moving = walk(0, 6, 40)
+    resting = np.broadcast_to([0.5, 0.1], (6, 1000, 2)).copy()
+    resting[1:, :, 0] += 0.9 * MOVING_SPEED * FRAME_DT  # one step just below the threshold
+    both = motion_statistics(np.concatenate([moving, resting], axis=1), FRAME_DT)
+    alone = motion_statistics(moving, FRAME_DT)
+    assert both.count.tolist() == [[5 * 40], [4 * 40]]
+    np.testing.assert_array_equal([both.mean, both.std], [alone.mean, alone.std])
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("kept", [1, 2, 5])
+def test_every_cell_keeps_its_volume(dimension: int, kept: int) -> None:
+    positions = np.random.default_rng(0).uniform(-0.1, 0.3, (500, dimension))
+    indices, volumes = thin(positions, 2.0, cell=0.1, kept=kept, rng=np.random.default_rng(1))
+    cells = np.floor(positions / 0.1).astype(int)
+    stays = cells[indices]
+    assert len(np.unique(indices)) == len(indices)
+    for cell, count in zip(*np.unique(cells, axis=0, return_counts=True), strict=True):
+        chosen = (stays == cell).all(axis=1)
+        assert chosen.sum() == min(count, kept)
+        assert volumes[chosen].sum() == pytest.approx(2.0 * count)
+
+
+def test_a_cell_keeps_its_particles_in_proportion_to_their_volume() -> None:
+    # Three quarters of the volume of each cell are at its right end, in a quarter of the particles.
+    positions = np.tile([[0.01, 0.05], [0.02, 0.05], [0.03, 0.05], [0.09, 0.05]], (2000, 1))
+    positions[:, 1] += np.repeat(np.arange(2000), 4) * 0.1
+    volume = np.tile([1.0, 1.0, 1.0, 9.0], 2000)
+    indices, volumes = thin(positions, volume, cell=0.1, kept=1, rng=np.random.default_rng(0))
+    assert np.mean(positions[indices, 0] > 0.05) == pytest.approx(0.75, abs=0.04)
+    assert volumes.sum() == pytest.approx(volume.sum())
