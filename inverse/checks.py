@@ -126,6 +126,9 @@ def check_fields(problem: "Problem") -> None:
             expected = "a body without initial stress, whose yield depends on an unknown friction"
             for number, mass in enumerate(scene.masses):
                 require(mass.k0 is None, f"scene.masses[{number}].k0", expected, mass.k0)
+    for index, parameter in enumerate(problem.parameters):
+        require(parameter.prior is None, f"unknowns[{index}].prior", "none beside a field", "one")
+    require(not problem.correlations, "correlations", "none beside a field", "some")
     for index, kind in enumerate(each.kind for each in problem.observations):
         operator = KINDS[kind]
         jointly = operator.of_positions and not operator.every_particle

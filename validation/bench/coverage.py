@@ -21,6 +21,7 @@ from tqdm import tqdm
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.records import Record, from_mapping, read_json
+from inverse.parameters.prior import Correlation, Prior
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.settings import Surrogate, TargetSettings
@@ -54,6 +55,10 @@ class Family:
     """Cells of the inversion [m]; unless given those of the problem."""
     finer: float | None = None
     """Cells of the target's flow, as a share of the inversion's: what the inversion's own cells get wrong."""
+    priors: tuple[Prior, ...] = ()
+    """Of the numbers, in their order; uniform unless given."""
+    correlation: float | None = None
+    """Of the priors of the first two."""
     surrogate: Surrogate = Surrogate.NONE
     """Whether one leads."""
     adapted: bool = False
@@ -88,6 +93,26 @@ FAMILIES = {
     "layers": Family(title="Friction of four layers, deposit", problem="slope-layers"),
     "velocities": Family(title="Velocities of ten layers, deposit", problem="velocity-layers-10"),
     "baffles": Family(title="Two baffles, toe", problem="baffles-2"),
+    **{
+        f"prior-{prior.kind}": Family(
+            title=f"Friction, {prior.kind} prior, front with 10 % noise",
+            problem="friction-tall-42",
+            noise="10%",
+            priors=(prior,),
+        )
+        for prior in (
+            Prior(kind="normal", mean=30.0, deviation=5.0),
+            Prior(kind="lognormal", mean=28.0, deviation=8.0),
+            Prior(kind="triangular", mode=25.0),
+        )
+    },
+    "prior-correlated": Family(
+        title="Friction, normal, and cohesion, lognormal, correlated by -0.5, profile to 5 mm",
+        problem="cohesion-friction",
+        noise=0.005,
+        priors=(Prior(kind="normal", mean=30.0, deviation=5.0), Prior(kind="lognormal", mean=600.0, deviation=400.0)),
+        correlation=-0.5,
+    ),
     "front-gns": Family(
         title="Friction, front, the surrogate leads", problem="friction-tall-42", surrogate=Surrogate.GNS
     ),
@@ -152,8 +177,9 @@ def bench(
         Of each family, in place of 40, or 20 of velocities-gns and baffles-gns.
     only
         Families to solve (front, profile, front-noise, front-fine, profile-fine, cohesion, cohesion-fine, floor,
-        floor-fine, terrain, layers, velocities, baffles; where the surrogate leads: front-gns, velocities-gns,
-        baffles-gns, front-adapted); the page has all that there are in `keep`.
+        floor-fine, terrain, layers, velocities, baffles; with stated priors: prior-normal, prior-lognormal,
+        prior-triangular, prior-correlated; where the surrogate leads: front-gns, velocities-gns, baffles-gns,
+        front-adapted); the page has all that there are in `keep`.
     model
         Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
     scheduler
@@ -212,8 +238,9 @@ def solve_twin(family: Family, number: int, model: Path | None = None, threads: 
 
 def drawn(family: Family, number: int) -> Problem:
     """The twin experiment of this number, with its truth and its jitter seeds."""
-    asked, rng = read_problem(family.problem), np.random.default_rng([FIRST_SEED, number])
-    truth = asked.named(asked.box.at(rng.random(len(asked.names))))
+    asked, rng = stated(family), np.random.default_rng([FIRST_SEED, number])
+    shares = rng.random(len(asked.names))
+    truth = asked.named(asked.box.at(shares if asked.prior is None else asked.prior.at(shares)))
     scene = dataclasses.replace(asked.scene, seed=int(rng.integers(2**31)))
     if family.cell is not None:
         scene = scene.with_cell(family.cell)
@@ -227,6 +254,22 @@ def drawn(family: Family, number: int) -> Problem:
         ),
         target=TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=finer),
         surrogate=family.surrogate,
+    )
+
+
+def stated(family: Family) -> Problem:
+    """The problem of a family, with its priors."""
+    problem = read_problem(family.problem)
+    if not family.priors:
+        return problem
+    both = zip(problem.parameters, family.priors, strict=True)
+    pair = (problem.names[0], problem.names[-1])
+    return dataclasses.replace(
+        problem,
+        parameters=tuple(dataclasses.replace(each, prior=prior) for each, prior in both),
+        correlations=()
+        if family.correlation is None
+        else (Correlation(between=pair, coefficient=family.correlation),),
     )
 
 
