@@ -362,7 +362,10 @@ def emulated_slopes(state: Inversion, points: Matrix) -> tuple[list[Matrix], Mat
 
 def around_minima(state: Inversion) -> Region:
     """Three standard deviations about each minimum of L that its region holds, by L as it curves there."""
-    found, fall = state.misfits(state.minima) + state.penalty(state.minima), chi2.isf(EXCLUDED, state.points.shape[1]) * state.factor**2
+    found, fall = (
+        state.misfits(state.minima) + state.penalty(state.minima),
+        chi2.isf(EXCLUDED, state.points.shape[1]) * state.factor**2,
+    )
     minima = state.minima[found <= found.min() + fall]
     prior = 12.0 * np.eye(minima.shape[1])
     inverse = np.linalg.inv(metrics(state, minima) / state.factor**2 + prior)

@@ -192,8 +192,8 @@ class Result:
         return found | self.record
 
     def save(self, folder: Path | str) -> None:
-        """Write `result.json`, `posterior.npz`, `report.md`, pictures and, where they lack, the MPM runs."""
-        from inverse import report  # matplotlib takes a second to load
+        """Write `result.json`, `posterior.npz`, `posterior.nc`, `report.md`, pictures and missing MPM runs."""
+        from inverse import inference_data, report  # matplotlib takes a second to load
 
         folder = Path(folder)
         make_folder(folder)
@@ -204,6 +204,8 @@ class Result:
             names, weights = np.array(self.problem.names, dtype=np.str_), self.posterior.samples.weights
             with replacing(folder / "posterior.npz") as part:
                 np.savez_compressed(part, names=names, samples=self.samples, weights=weights)
+            if not self.problem.target.minimise:
+                inference_data.write(self, folder / "posterior.nc")
         if self.fields:
             arrays = {f"{k}_{key}": own for k, found in enumerate(self.fields) for key, own in found.saved.items()}
             with replacing(folder / "field.npz") as part:

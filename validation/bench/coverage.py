@@ -107,9 +107,9 @@ FAMILIES = {
         )
     },
     "prior-correlated": Family(
-        title="Friction, normal, and cohesion, lognormal, correlated by -0.5, profile to 5 mm",
+        title="Friction, normal, and cohesion, lognormal, correlated by -0.5, profile to 2 cm",
         problem="cohesion-friction",
-        noise=0.005,
+        noise=0.02,
         priors=(Prior(kind="normal", mean=30.0, deviation=5.0), Prior(kind="lognormal", mean=600.0, deviation=400.0)),
         correlation=-0.5,
     ),
@@ -267,9 +267,7 @@ def stated(family: Family) -> Problem:
     return dataclasses.replace(
         problem,
         parameters=tuple(dataclasses.replace(each, prior=prior) for each, prior in both),
-        correlations=()
-        if family.correlation is None
-        else (Correlation(between=pair, coefficient=family.correlation),),
+        correlations=() if family.correlation is None else (Correlation(between=pair, coefficient=family.correlation),),
     )
 
 
