@@ -36,8 +36,16 @@ _MODULES = {
 }
 
 __all__ = [
-    *("Correlation", "ObservationSettings", "Parameter", "Prior", "Problem", "Result", "TargetSettings"),
-    *("adapt", "invert", "read_problem"),
+    "Correlation",
+    "ObservationSettings",
+    "Parameter",
+    "Prior",
+    "Problem",
+    "Result",
+    "TargetSettings",
+    "adapt",
+    "invert",
+    "read_problem",
 ]
 
 

@@ -1,7 +1,7 @@
 """Priors of numbers as people state them: a distribution each, cut off at the bounds, and correlations of pairs.
 
-A distribution function F between bounds a and b becomes F*(x) = (F(x) - F(a)) / (F(b) - F(a)), its density f*. Pairs are
-correlated by their normal scores z = Phi^-1(F*(x)), a Gaussian copula,
+A distribution function F between bounds a and b becomes F*(x) = (F(x) - F(a)) / (F(b) - F(a)), of density f*. Pairs
+are correlated by their normal scores z = Phi^-1(F*(x)), a Gaussian copula,
 
     p(x) = phi(z; R) prod_i f*_i(x_i) / phi(z_i)
 
