@@ -13,6 +13,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import chisquare, kstest
@@ -27,6 +28,7 @@ from inverse.result import Result
 from inverse.settings import Surrogate, TargetSettings
 from mpm import simulate_many
 from mpm.cluster import connected
+from validation.bench import reference
 from validation.loop.solve import solve
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import GREY, figure
@@ -132,6 +134,8 @@ FAMILIES = {
         adapted=True,
     ),
 }
+REFERENCE, ROWS = "reference", "rows.json"
+"""Name of the posterior without an emulator (`validation.bench.reference`), and the file of its table."""
 DEFAULT = ("front", "profile")
 """Families that are solved where none is named."""
 
@@ -179,19 +183,20 @@ def bench(
         Families to solve (front, profile, front-noise, front-fine, profile-fine, cohesion, cohesion-fine, floor,
         floor-fine, terrain, layers, velocities, baffles; with stated priors: prior-normal, prior-lognormal,
         prior-triangular, prior-correlated; where the surrogate leads: front-gns, velocities-gns, baffles-gns,
-        front-adapted); the page has all that there are in `keep`.
+        front-adapted), and reference, a posterior without an emulator; the page has all that there are in `keep`.
     model
         Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
     scheduler
         Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
     """
-    if unknown := [name for name in only if name not in FAMILIES]:
-        raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
+    if unknown := [name for name in only if name not in (*FAMILIES, REFERENCE)]:
+        raise InputError(f"expected {', '.join((*FAMILIES, REFERENCE))}, got {unknown[0]}", where="--only")
     if twins is not None and twins < 1:
         raise InputError(f"expected at least one twin, got {twins}", where="--twins")
     asked = [
         (name, number)
         for name in (only[:1] if quick else only)
+        if name != REFERENCE
         for number in range(2 if quick else twins or FAMILIES[name].twins)
     ]
     missing = [(name, number) for name, number in asked if read_twin(path_of(number, keep / name)) is None]
@@ -212,11 +217,16 @@ def bench(
         for name in FAMILIES
     }
     found = {family: some for family, some in stored.items() if some}
+    if REFERENCE in only:
+        few: dict[str, int] = {"cells": 2, "second": 8} if quick else {}
+        compared = reference.compare(drawn(FAMILIES["prior-correlated"], 0), keep / REFERENCE, **few)
+        write_json(keep / REFERENCE / ROWS, {"rows": compared})
+    rows = (read_json(keep / REFERENCE / ROWS) or {}).get("rows", [])
     draw(out / "coverage.png", found)
     flags = "" if twins is None else f" --twins {twins}"
     flags += "" if only == DEFAULT else "".join(f" --only {name}" for name in only)
     flags += "" if model is None else " --model RUN"
-    return page(found, flags=flags, quick=quick).write(out / "coverage.md")
+    return page(found, rows, flags=flags, quick=quick).write(out / "coverage.md")
 
 
 def path_of(number: int, folder: Path) -> Path:
@@ -293,7 +303,9 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     )
 
 
-def page(found: Mapping[Family, Sequence[Twin]], *, flags: str = "", quick: bool) -> Page:
+def page(
+    found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]] = (), *, flags: str = "", quick: bool
+) -> Page:
     """The table and its conclusion."""
     tested = {
         level: [family.title for family, each in found.items() if not low <= held(each, level) <= high]
@@ -301,6 +313,7 @@ def page(found: Mapping[Family, Sequence[Twin]], *, flags: str = "", quick: bool
     }
     uneven = [family.title for family, each in found.items() if uniformity(each) < SIGNIFICANT]
     every = [each for twins_of_one in found.values() for each in twins_of_one]
+    compared = [reference.conclusion(rows)] if rows else []
     result = Page(
         "Coverage of the posterior",
         command=f"python -m validation.bench coverage{flags} --out docs",
@@ -312,6 +325,7 @@ def page(found: Mapping[Family, Sequence[Twin]], *, flags: str = "", quick: bool
                 for level, names in tested.items()
             ),
             f"Ranks are not uniform (p below {SIGNIFICANT:g}) for {', '.join(uneven) or 'none'}.",
+            *compared,
         ],
         packages=MPM | GNS,
         quick=quick,
@@ -324,6 +338,8 @@ def page(found: Mapping[Family, Sequence[Twin]], *, flags: str = "", quick: bool
         Half-widths are those of the answer nearest to the truth.
     """)
     result.table([row(family, each) for family, each in found.items()])
+    if rows:
+        reference.section(result, rows)
     return result
 
 

@@ -138,8 +138,8 @@ def section(page: Page, rows: Sequence[dict[str, Any]]) -> None:
     """The table on the page."""
     page.section("A posterior without an emulator")
     page.text(f"""
-        Friction and cohesion of a column by heights at {len(GAUGES)} gauges to {100.0 * NOISE:g} cm, mean ± deviation: by the
-        emulator, and by importance sampling with runs of the MPM alone, each of which draws the likelihood once
-        (effective runs: (sum w)² / sum w²).
+        Friction and cohesion of a column by heights at {len(GAUGES)} gauges to {100.0 * NOISE:g} cm, mean ± deviation:
+        by the emulator, and by importance sampling with runs of the MPM alone, each of which draws the likelihood
+        once (effective runs: (sum w)² / sum w²).
     """)
     page.table([{key: f"{own:.2f}" if isinstance(own, float) else own for key, own in each.items()} for each in rows])
