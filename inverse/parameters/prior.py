@@ -131,7 +131,7 @@ class Marginal:
 
     def at(self, shares: Matrix) -> Matrix:
         """The inverse of F*; any shape."""
-        return np.clip(self.law.ppf(self.below + self.mass * shares), self.lower, self.upper)
+        return np.asarray(np.clip(self.law.ppf(self.below + self.mass * shares), self.lower, self.upper))
 
     @property
     def width(self) -> float:
