@@ -17,13 +17,16 @@ if TYPE_CHECKING:
     from inverse.adaptation import adapt
     from inverse.inversion import invert
     from inverse.parameters import Parameter
+    from inverse.parameters.prior import Correlation, Prior
     from inverse.problem import Problem, read_problem
     from inverse.result import Result
     from inverse.settings import ObservationSettings, TargetSettings
 
 _MODULES = {
+    "Correlation": "inverse.parameters.prior",
     "ObservationSettings": "inverse.settings",
     "Parameter": "inverse.parameters",
+    "Prior": "inverse.parameters.prior",
     "Problem": "inverse.problem",
     "Result": "inverse.result",
     "TargetSettings": "inverse.settings",
@@ -32,7 +35,18 @@ _MODULES = {
     "read_problem": "inverse.problem",
 }
 
-__all__ = ["ObservationSettings", "Parameter", "Problem", "Result", "TargetSettings", "adapt", "invert", "read_problem"]
+__all__ = [
+    "Correlation",
+    "ObservationSettings",
+    "Parameter",
+    "Prior",
+    "Problem",
+    "Result",
+    "TargetSettings",
+    "adapt",
+    "invert",
+    "read_problem",
+]
 
 
 def __getattr__(name: str) -> Any:

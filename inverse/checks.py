@@ -23,12 +23,15 @@ FEWEST_RUNS = 5
 FILLING = 32
 """Points by which the box of the bounds is filled, and corners of it, that are tried."""
 OF_FIELDS = ("mean", "deviation", "length")
-"""Keys that an unknown has as a field alone; `initial` it has as a number."""
+"""Keys that an unknown has as a field alone."""
+OF_NUMBERS = ("initial", "prior")
+"""Keys that it has as a number alone."""
 
 
 def check(problem: "Problem") -> None:
     """Raise InputError, which names the key, for a problem that has no answer."""
     check_parameters(problem.scene, problem.parameters)
+    require(not (problem.prior and problem.target.minimise), "target.minimise", "no prior, a design has none", "one")
     check_observations(problem)
     check_target(problem)
     check_search(problem)
@@ -43,10 +46,11 @@ def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
     for index, each in enumerate(parameters):
         key = f"unknowns[{index}]"
         require(names.count(each.name) == 1, f"{key}.name", "each unknown once", f"{each.name!r} twice")
-        needed = OF_FIELDS if each.is_field else ("initial", "lower", "upper")
+        start = () if each.prior is not None else ("initial",)
+        needed = OF_FIELDS if each.is_field else (*start, "lower", "upper")
         for name in needed:
             require(getattr(each, name) is not None, f"{key}.{name}", "a value", "none, the key is missing")
-        for name in ("initial",) if each.is_field else OF_FIELDS:
+        for name in OF_NUMBERS if each.is_field else OF_FIELDS:
             kind = "number" if each.is_field else "field, which has a spacing"
             require(getattr(each, name) is None, f"{key}.{name}", f"it of a {kind}, alone", getattr(each, name))
         if not each.is_field:
@@ -67,6 +71,8 @@ def check_number(scene: Scene, parameter: Parameter, key: str) -> None:
         raise InputError(message, key=f"{key}.name") from None
     lower, upper = parameter.bounds
     require(lower < upper, f"{key}.upper", f"a value above {lower:g}", upper)
+    if parameter.prior is not None:
+        parameter.prior.check(lower, upper, f"{key}.prior")
     require(lower <= parameter.start <= upper, f"{key}.initial", f"a value in [{lower:g}, {upper:g}]", parameter.start)
 
 
@@ -120,6 +126,9 @@ def check_fields(problem: "Problem") -> None:
             expected = "a body without initial stress, whose yield depends on an unknown friction"
             for number, mass in enumerate(scene.masses):
                 require(mass.k0 is None, f"scene.masses[{number}].k0", expected, mass.k0)
+    for index, parameter in enumerate(problem.parameters):
+        require(parameter.prior is None, f"unknowns[{index}].prior", "none beside a field", "one")
+    require(not problem.correlations, "correlations", "none beside a field", "some")
     for index, kind in enumerate(each.kind for each in problem.observations):
         operator = KINDS[kind]
         jointly = operator.of_positions and not operator.every_particle

@@ -24,7 +24,9 @@ from inverse.target import Target
 MAX_NUMBERS = 100
 """Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""
 IDENTIFIABLE = 0.3
-"""Half-width over the range, up to which a combination of parameters is identifiable: a uniform prior has 0.475."""
+"""Half-width over the range, up to which a combination of parameters is identifiable."""
+UNIFORM = 0.475
+"""The same of a uniform prior."""
 IDENTIFIED = 0.5
 """Share of the prior's variance beyond whose removal the observation identifies a value of a field."""
 AT_BOUND = 0.02
@@ -243,11 +245,13 @@ class Combination:
     """Of each parameter, in fractions of its range; together of length 1."""
     half_width: float
     """At 95 %, as a fraction of the range."""
+    prior: float = UNIFORM
+    """The same of a stated prior."""
 
     @property
     def identifiable(self) -> bool:
-        """Whether the observation constrains it: to three tenths of the range at least."""
-        return self.half_width <= IDENTIFIABLE
+        """Whether the observation constrains it: to three tenths of the range at least, or that share of the prior."""
+        return self.half_width <= IDENTIFIABLE * min(1.0, self.prior / UNIFORM)
 
 
 def judge(problem: Problem, answers: Sequence[Answer], *, excluded: bool = False) -> Verdict:
@@ -266,9 +270,10 @@ def unidentified(problem: Problem, answer: Answer) -> list[str]:
     Of a positive one half as much will do where the half-width is above the value itself.
     """
     names = []
-    for each, value, width in zip(problem.numbers, answer.parameters, answer.half_widths, strict=True):
+    both = zip(answer.parameters, answer.half_widths, problem.prior_widths, strict=True)
+    for each, (value, width, prior) in zip(problem.numbers, both, strict=True):
         lower, upper = each.bounds
-        length = (min(value + width, upper) - max(value - width, lower)) / each.range
+        length = (min(value + width, upper) - max(value - width, lower)) / prior
         relative = each.kind.positive and width > abs(value) and length > 0.5 * CONSTANTS.most_of_the_prior
         if relative or length > CONSTANTS.most_of_the_prior:
             names.append(each.name)

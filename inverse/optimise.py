@@ -1,6 +1,6 @@
 """The inversion by one forward model: by its gradient from several starts in one batch, with its errors as noise.
 
-    L(v) = r^T C^-1 r,    r = y(v) - y*,    C = N + S + E
+    L(v) = r^T C^-1 r - 2 ln p(v),    r = y(v) - y*,    C = N + S + E
 
 | symbol | variable | meaning |
 |---|---|---|
@@ -9,11 +9,12 @@
 | N, S | `Target.covariance` | errors of the measurement, scatter of one flow of the MPM |
 | E | - | error of a surrogate by its band (`inverse.forward.gns`) |
 | J | - | dy/dv by an emulator of all predictions so far |
+| p, P | `Inversion.prior` | a stated prior over the uniform one, and the inverse of its covariance |
 
 Predictions that fill the box are the first emulator (`inverse.posterior`); the separate parts of its posterior are the
 starts. From all of them together steps are made in lockstep that minimise, within the box and a trust region,
 
-    g^T s + s^T J^T C^-1 J s
+    g^T s + s^T (J^T C^-1 J + P) s
 
 with g = dL/dv, exact, of all starts by one backward pass through one batch: Gauss-Newton steps whose metric alone is an
 estimate, so that they end where the model's own misfit is stationary. Where there is no derivative (the MPM without its
@@ -36,6 +37,7 @@ from scipy.stats import chi2
 
 from inverse.forward import Differentiable, Forward
 from inverse.observations import Values
+from inverse.parameters.prior import JointPrior
 from inverse.posterior import Matrix
 from inverse.posterior.answers import Part, half_widths, parts
 from inverse.posterior.emulator import fewest_runs, fitted
@@ -96,7 +98,14 @@ class Inversion:
         rng = np.random.default_rng([self.problem.optimiser.seed, len(self.points)])
         scatter = self.rough * self.target.deviation
         return posterior(
-            self.points, self.numbers, self.target, scatter=scatter, rng=rng, factor=self.factor, region=self.region
+            self.points,
+            self.numbers,
+            self.target,
+            scatter=scatter,
+            rng=rng,
+            factor=self.factor,
+            region=self.region,
+            prior=self.prior,
         )
 
     @cached_property
@@ -109,7 +118,7 @@ class Inversion:
             # No sample lies at a bound.
             slack = 0.05 * (high - low)
             own = self.minima[np.all((self.minima >= low - slack) & (self.minima <= high + slack), axis=1)]
-            point = own[int(np.argmin(self.losses(own)))] if len(own) else part.point
+            point = own[int(np.argmin(self.misfits(own) + self.penalty(own)))] if len(own) else part.point
             widths = half_widths(part.points, part.shares, point)
             answers.append(dataclasses.replace(part, point=point, half_widths=widths))
         return answers
@@ -123,10 +132,19 @@ class Inversion:
         every = np.concatenate([self.points, points])
         return dataclasses.replace(self, points=every, numbers=np.concatenate([self.numbers, numbers]))
 
-    def losses(self, points: Matrix) -> Values:
-        """L at some of `points` [k, U], shape [k]."""
+    def misfits(self, points: Matrix) -> Values:
+        """r^T C^-1 r at some of `points` [k, U], shape [k]."""
         index = [int(np.argmin(np.abs(self.points - each).sum(axis=1))) for each in points]
-        return losses(self.numbers[index] - self.target.values, self.precision)
+        return misfits(self.numbers[index] - self.target.values, self.precision)
+
+    @property
+    def prior(self) -> JointPrior | None:
+        """Where one is stated."""
+        return self.problem.prior
+
+    def penalty(self, points: Matrix) -> Values:
+        """-2 ln p at points [k, U], shape [k]."""
+        return np.zeros(len(points)) if self.prior is None else -2.0 * self.prior(points)
 
     @cached_property
     def precision(self) -> Matrix:
@@ -141,8 +159,9 @@ class Inversion:
 
     def beyond(self, points: Matrix) -> Values:
         """By how much the logarithm of the likelihood at points [S, U] falls below that at the region's edge, [S]."""
-        found = self.posterior
-        return np.asarray(found.samples.log_likelihood.max() - self.fall - found.likelihood(points))
+        found, log_prior = self.posterior, self.posterior.likelihood.log_prior
+        top = (found.samples.log_likelihood - log_prior(found.samples.points)).max()
+        return np.asarray(top - self.fall - (found.likelihood(points) - log_prior(points)))
 
     def around(self, count: int, rng: np.random.Generator) -> Matrix:
         """Points of its 95 % region that lie far from its answers and from each other, shape [count, U].
@@ -228,7 +247,7 @@ def with_minima(state: Inversion) -> Inversion:
     if starts:
         state = descended(state, np.stack(starts))
     free = len(state.target.values) - state.points.shape[1]
-    ratio = math.sqrt(float(state.losses(state.minima).min()) / free) if free > 0 else 0.0
+    ratio = math.sqrt(float(state.misfits(state.minima).min()) / free) if free > 0 else 0.0
     return dataclasses.replace(state, factor=max(1.0, ratio))
 
 
@@ -251,8 +270,8 @@ def as_predicted(forward: Forward, target: Target, scatter: Values, errors: Matr
     return dataclasses.replace(target, values=values, deviation=deviation, covariance=covariance)
 
 
-def losses(residual: Matrix, precision: Matrix) -> Values:
-    """L of residuals [k, m], shape [k]."""
+def misfits(residual: Matrix, precision: Matrix) -> Values:
+    """r^T C^-1 r of residuals [k, m], shape [k]."""
     return np.asarray(((residual @ precision) * residual).sum(axis=1))
 
 
@@ -262,7 +281,7 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
     if not isinstance(state.forward, Differentiable):
         state = state.asked(points)
         numbers = state.numbers[-len(points) :]
-        return state, numbers, sloped(state, points, numbers)
+        return state, numbers, sloped(state, points, numbers) + steepness(state, points)
     parameters = torch.tensor(box.at(points), dtype=torch.float64, requires_grad=True)
     predicted = state.forward.predict(parameters)
     numbers = predicted.detach().numpy()
@@ -275,7 +294,12 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
     without = ~slopes.any(axis=0)
     if without.any():
         slopes[:, without] = sloped(state, points, numbers)[:, without]
-    return state, numbers, slopes
+    return state, numbers, slopes + steepness(state, points)
+
+
+def steepness(state: Inversion, points: Matrix) -> Matrix:
+    """d(-2 ln p)/dv at points [k, U], shape [k, U]."""
+    return np.zeros_like(points) if state.prior is None else -2.0 * state.prior.slope(points)
 
 
 def descended(state: Inversion, starts: Matrix) -> Inversion:
@@ -285,7 +309,7 @@ def descended(state: Inversion, starts: Matrix) -> Inversion:
     radius, moving, trial = np.full(count, RADIUS), np.arange(count), starts
     for _ in range(STEPS):
         state, numbers, gradients = differentiated(state, trial)
-        found = losses(numbers - state.target.values, state.precision)
+        found = misfits(numbers - state.target.values, state.precision) + state.penalty(trial)
         better = found < lowest[moving]
         length = np.abs(trial - best[moving]).max(axis=1)
         radius[moving] = np.where(better, 2.0 * radius[moving], 0.25 * length)
@@ -313,14 +337,15 @@ def stepped(state: Inversion, points: Matrix, slopes: Matrix, radius: Values) ->
 
 
 def metrics(state: Inversion, points: Matrix) -> Matrix:
-    """J^T C^-1 J at points [k, U], shape [k, U, U]."""
+    """J^T C^-1 J + P at points [k, U], shape [k, U, U]."""
     rises, outward = emulated_slopes(state, points)
     inner = outward @ state.precision @ outward.T
-    return np.stack([rise @ inner @ rise.T for rise in rises])
+    prior = 0.0 if state.prior is None else state.prior.precision
+    return np.stack([rise @ inner @ rise.T + prior for rise in rises])
 
 
 def sloped(state: Inversion, points: Matrix, numbers: Matrix) -> Matrix:
-    """dL/dv at points [k, U] where the model predicts `numbers` [k, m], by the emulator's slopes, shape [k, U]."""
+    """d(r^T C^-1 r)/dv at points [k, U] where the model predicts `numbers` [k, m], by the emulator's slopes, [k, U]."""
     rises, outward = emulated_slopes(state, points)
     weights = 2.0 * (numbers - state.target.values) @ state.precision @ outward.T
     return np.stack([rise @ each for rise, each in zip(rises, weights, strict=True)])
@@ -337,7 +362,10 @@ def emulated_slopes(state: Inversion, points: Matrix) -> tuple[list[Matrix], Mat
 
 def around_minima(state: Inversion) -> Region:
     """Three standard deviations about each minimum of L that its region holds, by L as it curves there."""
-    found, fall = state.losses(state.minima), chi2.isf(EXCLUDED, state.points.shape[1]) * state.factor**2
+    found, fall = (
+        state.misfits(state.minima) + state.penalty(state.minima),
+        chi2.isf(EXCLUDED, state.points.shape[1]) * state.factor**2,
+    )
     minima = state.minima[found <= found.min() + fall]
     prior = 12.0 * np.eye(minima.shape[1])
     inverse = np.linalg.inv(metrics(state, minima) / state.factor**2 + prior)

@@ -220,7 +220,12 @@ def marginal(axis: Axes, found: "Result", index: int) -> None:
     each, truth, weights = found.problem.numbers[index], found.target.truth or {}, found.posterior.samples.weights
     style: dict[str, Any] = {"bins": BINS, "range": each.bounds, "density": True, "color": COLOURS["MPM"]}
     axis.hist(found.samples[:, index], weights=weights, label="posterior", **style)
-    axis.axhline(1.0 / each.range, color="#888888", linestyle=":", linewidth=1.0, label="prior")
+    line: dict[str, Any] = {"color": "#888888", "linestyle": ":", "linewidth": 1.0, "label": "prior"}
+    if each.prior is None:
+        axis.axhline(1.0 / each.range, **line)
+    else:
+        values = np.linspace(*each.bounds, 201)
+        axis.plot(values, np.exp(each.marginal.log_density(values)) / each.range, **line)
     for number, answer in enumerate(found.answers):
         axis.axvline(answer.parameters[index], color=ANSWER, linewidth=0.8, label="" if number else "answer")
     if each.name in truth:

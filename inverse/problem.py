@@ -18,6 +18,7 @@ from datasets.scene import Scene
 from inverse import checks
 from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_parameters
 from inverse.parameters.field import UnknownField
+from inverse.parameters.prior import Correlation, JointPrior
 from inverse.settings import LoopSettings, ObservationSettings, OptimiserSettings, Surrogate, TargetSettings
 
 PROBLEMS = Path(__file__).parent / "problems"
@@ -30,6 +31,7 @@ class _File(Record):
     scene: str
     unknowns: tuple[Parameter, ...]
     observations: tuple[ObservationSettings, ...]
+    correlations: tuple[Correlation, ...] = ()
     target: TargetSettings = field(default_factory=TargetSettings)
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)
@@ -85,6 +87,8 @@ class Problem:
     """What to find (`[[unknowns]]`): numbers, in the order of every vector of them, and fields."""
     observations: tuple[ObservationSettings, ...]
     """What was observed, compared together."""
+    correlations: tuple[Correlation, ...] = ()
+    """Of the priors of pairs of numbers."""
     target: TargetSettings = field(default_factory=TargetSettings)
     """Where the numbers come from."""
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
@@ -126,6 +130,17 @@ class Problem:
         """The prior bounds of the numbers."""
         lower, upper = np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T
         return Bounds(lower, upper)
+
+    @cached_property
+    def prior(self) -> JointPrior | None:
+        """The stated prior of the numbers; None where it is uniform between the bounds. Raises InputError."""
+        stated = [each for each in self.numbers if each.prior is not None and each.prior.kind != "uniform"]
+        return JointPrior(self.numbers, self.correlations) if stated or self.correlations else None
+
+    @property
+    def prior_widths(self) -> Vector:
+        """Of each number the width of a uniform prior that is known as well as its own, shape [U]."""
+        return self.box.range if self.prior is None else np.array([each.width for each in self.prior.marginals])
 
     @property
     def initial(self) -> Vector:

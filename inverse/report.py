@@ -211,7 +211,10 @@ def question(found: "Result") -> str:
     uncertainty = "may move by" if found.problem.target.minimise else "certain to (95 %)"
     for index, each in enumerate(found.problem.numbers):
         text, value, (low, high) = each.kind.text, float(found.answer[index]), each.bounds
-        row = {"unknown": f"`{each.name}`", "between": f"{low:g}, {high:g}", "start": text(each.start)}
+        row = {"unknown": f"`{each.name}`", "between": f"{low:g}, {high:g}"}
+        if found.problem.prior is not None:
+            row["prior"] = "uniform" if each.prior is None else each.prior.text
+        row["start"] = text(each.start)
         row["found"] = f"**{text(value)}**"
         row[uncertainty] = f"± {text(float(widths[index]))}"
         if truth:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from datasets.files import make_folder, replacing, write_json
 from datasets.library import write_scene
+from datasets.records import changed
 from datasets.scene import Scene
-from inverse.found import Answer, Combination, FoundField, MpmRun, Verdict, peak_memory_mib, plain
+from inverse.found import UNIFORM, Answer, Combination, FoundField, MpmRun, Verdict, peak_memory_mib, plain
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior.answers import half_widths
@@ -126,10 +127,14 @@ class Result:
         samples = self.posterior.samples
         _, vectors = np.linalg.eigh(samples.covariance)
         widths = half_widths(samples.points @ vectors, samples.weights, samples.mean @ vectors)
+        prior = np.full(len(vectors), UNIFORM)
+        if self.problem.prior is not None:
+            stated = self.problem.prior.filling @ vectors
+            prior = half_widths(stated, np.full(len(stated), 1.0 / len(stated)), stated.mean(axis=0))
         upright = (vector * np.sign(vector[np.argmax(np.abs(vector))]) for vector in vectors.T)
         return [
-            Combination(weights=self.problem.named(vector), half_width=float(width))
-            for width, vector in zip(widths, upright, strict=True)
+            Combination(weights=self.problem.named(vector), half_width=float(width), prior=float(before))
+            for width, before, vector in zip(widths, prior, upright, strict=True)
         ]
 
     def as_json(self) -> dict[str, Any]:
@@ -173,16 +178,22 @@ class Result:
             found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.factor}
         if self.posterior is not None:
             samples = self.posterior.samples
-            found["combinations"] = [asdict(each) | {"identifiable": each.identifiable} for each in self.combinations]
+            found["combinations"] = [
+                {"weights": each.weights, "half_width": each.half_width, "identifiable": each.identifiable}
+                for each in self.combinations
+            ]
             sampling = {"difference": samples.difference, "acceptance": samples.acceptance}
             found["sampling"] = sampling | {"log_evidence": samples.evidence}
+        if problem.prior is not None:
+            found["prior"] = {each.name: changed(each.prior) for each in problem.numbers if each.prior is not None}
+            found["correlations"] = [changed(each) for each in problem.correlations]
         if self.fields:
             found["fields"] = [each.as_json() for each in self.fields]
         return found | self.record
 
     def save(self, folder: Path | str) -> None:
-        """Write `result.json`, `posterior.npz`, `report.md`, pictures and, where they lack, the MPM runs."""
-        from inverse import report  # matplotlib takes a second to load
+        """Write `result.json`, `posterior.npz`, `posterior.nc`, `report.md`, pictures and missing MPM runs."""
+        from inverse import inference_data, report  # matplotlib takes a second to load
 
         folder = Path(folder)
         make_folder(folder)
@@ -193,6 +204,8 @@ class Result:
             names, weights = np.array(self.problem.names, dtype=np.str_), self.posterior.samples.weights
             with replacing(folder / "posterior.npz") as part:
                 np.savez_compressed(part, names=names, samples=self.samples, weights=weights)
+            if not self.problem.target.minimise:
+                inference_data.write(self, folder / "posterior.nc")
         if self.fields:
             arrays = {f"{k}_{key}": own for k, found in enumerate(self.fields) for key, own in found.saved.items()}
             with replacing(folder / "field.npz") as part:

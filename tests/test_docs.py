@@ -96,6 +96,14 @@ def test_the_problem_of_a_deposit_is_read(deposit: Path) -> None:
     assert np.trapezoid(rows[:, 1], rows[:, 0]) == pytest.approx(problem.released, rel=0.05)
 
 
+def test_a_prior_is_stated_alike_in_toml_and_in_python(tmp_path: Path) -> None:
+    page, found = DOCS / "how-to" / "prior.md", dict[str, Any]()
+    (tmp_path / "problem.toml").write_text(blocks(page, "toml")[0])
+    problem = read_problem(str(tmp_path / "problem.toml"))
+    exec(blocks(page, "python")[0], found)
+    assert (problem.parameters[0], problem.correlations) == (found["friction"], (found["pair"],))
+
+
 @pytest.mark.slow
 def test_the_deposit_is_explained(deposit: Path) -> None:
     """The page says that its survey is a twin's, of 27 degrees."""

@@ -15,11 +15,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
 
+import numpy as np
+
 from datasets.errors import InputError
 from datasets.records import Record
 from datasets.scene import Scene
 from inverse.parameters import inputs
 from inverse.parameters.kind import Centre, Cohesion, Constant, Draft, Extent, Height, Kind, Residual, Vector, Velocity
+from inverse.parameters.prior import Marginal, Prior
 
 __all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
 
@@ -104,7 +107,7 @@ def in_order(kinds: Sequence[Kind]) -> list[int]:
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter(Record):
-    """A number with a uniform prior between its bounds or, with a `spacing`, a field (`inverse.parameters.field`)."""
+    """A number with a prior between its bounds or, with a `spacing`, a field (`inverse.parameters.field`)."""
 
     name: str
     """See `inverse.parameters`; of a field `friction_deg`, `velocity_x`, ..., or one of these of `masses[I]`."""
@@ -113,7 +116,9 @@ class Parameter(Record):
     upper: float | None = None
     """Largest value allowed."""
     initial: float | None = None
-    """Of a number: where the search starts."""
+    """Of a number: where the search starts; with a prior its median where absent."""
+    prior: Prior | None = None
+    """Of a number, cut off at its bounds; uniform where absent."""
     spacing: tuple[float, ...] | None = None
     """Of a field: distance between nodes along each axis [m], at most; over a shorter body it is constant."""
     mean: float | None = None
@@ -141,7 +146,13 @@ class Parameter(Record):
     @property
     def start(self) -> float:
         """Where the search for a number starts."""
-        return cast("float", self.initial)
+        return float(self.marginal.at(np.array(0.5))) if self.initial is None else self.initial
+
+    @cached_property
+    def marginal(self) -> Marginal:
+        """The prior of a number."""
+        lower, upper = self.bounds
+        return Marginal(law=(self.prior or Prior(kind="uniform")).law(lower, upper), lower=lower, upper=upper)
 
     @property
     def range(self) -> float:

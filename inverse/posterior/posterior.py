@@ -1,6 +1,6 @@
 """The posterior of the parameters over the whole box, by an emulator of the MPM.
 
-    p(v | y*) ~ pi(v) t_nu(y* - m(v); C(v)),    C(v) = F^2 (S + N + D) + diag(k V + (k - 1) S)
+    p(v | y*) ~ p(v) pi(v) t_nu(y* - m(v); C(v)),    C(v) = F^2 (S + N + D) + diag(k V + (k - 1) S)
 
 | symbol | variable | meaning |
 |---|---|---|
@@ -12,8 +12,9 @@
 | F | `factor` | model discrepancy that the fit shows beyond all of these (`validation.loop.discrepancy`) |
 | nu | `freedom` | degrees of freedom of Student's t: those of S, more where N is known and larger |
 | pi | `Likelihood.in_regime` | probability that flows at v are such as the target's, where regimes are parted |
+| p(v) | `Likelihood.log_prior` | prior, uniform between the bounds unless one is stated |
 
-The prior is uniform between the bounds. What an emulator has excluded stays so, and runs around the rest alone make the
+Runs exclude, no prior does: what an emulator has excluded stays so, and runs around the rest alone make the
 next one, which is simpler there (history matching in waves: Vernon, Goldstein & Bower, Galaxy formation: a Bayesian
 uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
 
@@ -139,17 +140,24 @@ class Likelihood:
     regime: Regime | None = None
     """Where flows are such as the target's; everywhere where absent."""
     within: Callable[[Matrix], Row] | None = None
-    """Logarithm of the prior over the uniform one at points [S, U], shape [S]: what is excluded already."""
+    """Logarithm of the probability of what is not excluded already at points [S, U], shape [S]."""
+    prior: Callable[[Matrix], Row] | None = None
+    """Logarithm of a stated prior over the uniform one at points [S, U], shape [S]."""
 
     def __call__(self, points: Matrix) -> Row:
-        """Its logarithm at points [S, U], shape [S]."""
+        """The logarithm of it and the prior over the uniform one at points [S, U], shape [S]."""
         square, determinant = self.squares(points)
         half, more = 0.5 * self.freedom, 0.5 * len(self.target)
         constant = gammaln(half + more) - gammaln(half) - more * np.log(np.pi * self.freedom)
-        return np.asarray(constant - 0.5 * determinant + self.relative(square) + self.in_regime(points))
+        by_runs = constant - 0.5 * determinant + self.relative(square) + self.in_regime(points)
+        return np.asarray(by_runs + self.log_prior(points))
+
+    def log_prior(self, points: Matrix) -> Row:
+        """Logarithm of the prior over the uniform one at points [S, U], shape [S]."""
+        return np.zeros(len(points)) if self.prior is None else self.prior(points)
 
     def plausibility(self, points: Matrix) -> Row:
-        """The same over its largest value for the scales there, shape [S]: 0 where all residuals are."""
+        """Without the prior, over its largest value for the scales there, shape [S]: 0 where all residuals are."""
         return self.relative(self.squares(points)[0]) + self.in_regime(points)
 
     def relative(self, square: Row) -> Row:
@@ -236,6 +244,7 @@ def posterior(
     extrapolated: float = 1.0,
     trends: Sequence[Trend] = (linear,),
     within: Callable[[Matrix], Row] | None = None,
+    prior: Callable[[Matrix], Row] | None = None,
 ) -> Posterior:
     """The posterior given runs at points [n, U] that show `numbers` [n, M].
 
@@ -244,7 +253,7 @@ def posterior(
     [M]; extrapolated: share e of d that no run has shown, in components D = (1 - e / 2) d d^T + (e / 2) |d|^2 I / r:
     what the next finer cells change is as large, in a direction of which half is known; trends: the one is used that
     predicts the runs best which are left out one by one;
-    within: logarithm of what is excluded already (`Likelihood`).
+    within: logarithm of what is excluded already; prior: logarithm of a stated one (`Likelihood`).
     """
     unknowns = points.shape[1]
     region = region or Region.whole(unknowns)
@@ -272,6 +281,7 @@ def posterior(
         freedom=emulator.freedom * (1.0 + ratio) ** 2,
         regime=regime,
         within=within,
+        prior=prior,
     )
     while True:
         box = region.sampled

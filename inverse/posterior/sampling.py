@@ -35,7 +35,7 @@ class Samples:
     log_likelihood: Row
     """Shape [S]."""
     evidence: float
-    """Logarithm of the mean likelihood over the prior."""
+    """Logarithm of the mean likelihood over the prior that is not excluded."""
     difference: float
     """Largest difference between the means of two populations, in standard deviations of the posterior."""
     acceptance: float

@@ -93,5 +93,5 @@ def test_parameters_beyond_the_bounds_end_on_them(make_problem: Any) -> None:
     problem = make_problem(2, *NAMES)
     forward = Formula(problem, curvature=0.0)
     found = inversion(problem, forward, problem.box.upper + 0.2 * problem.box.range)
-    best = found.minima[int(np.argmin(found.losses(found.minima)))]
+    best = found.minima[int(np.argmin(found.misfits(found.minima)))]
     assert best.max() == pytest.approx(1.0, abs=0.01)

@@ -13,6 +13,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import chisquare, kstest
@@ -21,11 +22,13 @@ from tqdm import tqdm
 from datasets.errors import InputError
 from datasets.files import write_json
 from datasets.records import Record, from_mapping, read_json
+from inverse.parameters.prior import Correlation, Prior
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.settings import Surrogate, TargetSettings
 from mpm import simulate_many
 from mpm.cluster import connected
+from validation.bench import reference
 from validation.loop.solve import solve
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import GREY, figure
@@ -54,6 +57,10 @@ class Family:
     """Cells of the inversion [m]; unless given those of the problem."""
     finer: float | None = None
     """Cells of the target's flow, as a share of the inversion's: what the inversion's own cells get wrong."""
+    priors: tuple[Prior, ...] = ()
+    """Of the numbers, in their order; uniform unless given."""
+    correlation: float | None = None
+    """Of the priors of the first two."""
     surrogate: Surrogate = Surrogate.NONE
     """Whether one leads."""
     adapted: bool = False
@@ -88,6 +95,26 @@ FAMILIES = {
     "layers": Family(title="Friction of four layers, deposit", problem="slope-layers"),
     "velocities": Family(title="Velocities of ten layers, deposit", problem="velocity-layers-10"),
     "baffles": Family(title="Two baffles, toe", problem="baffles-2"),
+    **{
+        f"prior-{prior.kind}": Family(
+            title=f"Friction, {prior.kind} prior, front with 10 % noise",
+            problem="friction-tall-42",
+            noise="10%",
+            priors=(prior,),
+        )
+        for prior in (
+            Prior(kind="normal", mean=30.0, deviation=5.0),
+            Prior(kind="lognormal", mean=28.0, deviation=8.0),
+            Prior(kind="triangular", mode=25.0),
+        )
+    },
+    "prior-correlated": Family(
+        title="Friction, normal, and cohesion, lognormal, correlated by -0.5, profile to 2 cm",
+        problem="cohesion-friction",
+        noise=0.02,
+        priors=(Prior(kind="normal", mean=30.0, deviation=5.0), Prior(kind="lognormal", mean=600.0, deviation=400.0)),
+        correlation=-0.5,
+    ),
     "front-gns": Family(
         title="Friction, front, the surrogate leads", problem="friction-tall-42", surrogate=Surrogate.GNS
     ),
@@ -107,6 +134,8 @@ FAMILIES = {
         adapted=True,
     ),
 }
+REFERENCE, ROWS = "reference", "rows.json"
+"""Name of the posterior without an emulator (`validation.bench.reference`), and the file of its table."""
 DEFAULT = ("front", "profile")
 """Families that are solved where none is named."""
 
@@ -152,20 +181,22 @@ def bench(
         Of each family, in place of 40, or 20 of velocities-gns and baffles-gns.
     only
         Families to solve (front, profile, front-noise, front-fine, profile-fine, cohesion, cohesion-fine, floor,
-        floor-fine, terrain, layers, velocities, baffles; where the surrogate leads: front-gns, velocities-gns,
-        baffles-gns, front-adapted); the page has all that there are in `keep`.
+        floor-fine, terrain, layers, velocities, baffles; with stated priors: prior-normal, prior-lognormal,
+        prior-triangular, prior-correlated; where the surrogate leads: front-gns, velocities-gns, baffles-gns,
+        front-adapted), and reference, a posterior without an emulator; the page has all that there are in `keep`.
     model
         Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
     scheduler
         Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
     """
-    if unknown := [name for name in only if name not in FAMILIES]:
-        raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
+    if unknown := [name for name in only if name not in (*FAMILIES, REFERENCE)]:
+        raise InputError(f"expected {', '.join((*FAMILIES, REFERENCE))}, got {unknown[0]}", where="--only")
     if twins is not None and twins < 1:
         raise InputError(f"expected at least one twin, got {twins}", where="--twins")
     asked = [
         (name, number)
         for name in (only[:1] if quick else only)
+        if name != REFERENCE
         for number in range(2 if quick else twins or FAMILIES[name].twins)
     ]
     missing = [(name, number) for name, number in asked if read_twin(path_of(number, keep / name)) is None]
@@ -186,11 +217,16 @@ def bench(
         for name in FAMILIES
     }
     found = {family: some for family, some in stored.items() if some}
+    if REFERENCE in only:
+        few: dict[str, int] = {"cells": 2, "second": 8} if quick else {}
+        compared = reference.compare(drawn(FAMILIES["prior-correlated"], 0), keep / REFERENCE, **few)
+        write_json(keep / REFERENCE / ROWS, {"rows": compared})
+    rows = (read_json(keep / REFERENCE / ROWS) or {}).get("rows", [])
     draw(out / "coverage.png", found)
     flags = "" if twins is None else f" --twins {twins}"
     flags += "" if only == DEFAULT else "".join(f" --only {name}" for name in only)
     flags += "" if model is None else " --model RUN"
-    return page(found, flags=flags, quick=quick).write(out / "coverage.md")
+    return page(found, rows, flags=flags, quick=quick).write(out / "coverage.md")
 
 
 def path_of(number: int, folder: Path) -> Path:
@@ -212,8 +248,9 @@ def solve_twin(family: Family, number: int, model: Path | None = None, threads: 
 
 def drawn(family: Family, number: int) -> Problem:
     """The twin experiment of this number, with its truth and its jitter seeds."""
-    asked, rng = read_problem(family.problem), np.random.default_rng([FIRST_SEED, number])
-    truth = asked.named(asked.box.at(rng.random(len(asked.names))))
+    asked, rng = stated(family), np.random.default_rng([FIRST_SEED, number])
+    shares = rng.random(len(asked.names))
+    truth = asked.named(asked.box.at(shares if asked.prior is None else asked.prior.at(shares)))
     scene = dataclasses.replace(asked.scene, seed=int(rng.integers(2**31)))
     if family.cell is not None:
         scene = scene.with_cell(family.cell)
@@ -227,6 +264,20 @@ def drawn(family: Family, number: int) -> Problem:
         ),
         target=TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=finer),
         surrogate=family.surrogate,
+    )
+
+
+def stated(family: Family) -> Problem:
+    """The problem of a family, with its priors."""
+    problem = read_problem(family.problem)
+    if not family.priors:
+        return problem
+    both = zip(problem.parameters, family.priors, strict=True)
+    pair = (problem.names[0], problem.names[-1])
+    return dataclasses.replace(
+        problem,
+        parameters=tuple(dataclasses.replace(each, prior=prior) for each, prior in both),
+        correlations=() if family.correlation is None else (Correlation(between=pair, coefficient=family.correlation),),
     )
 
 
@@ -252,7 +303,9 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     )
 
 
-def page(found: Mapping[Family, Sequence[Twin]], *, flags: str = "", quick: bool) -> Page:
+def page(
+    found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]] = (), *, flags: str = "", quick: bool
+) -> Page:
     """The table and its conclusion."""
     tested = {
         level: [family.title for family, each in found.items() if not low <= held(each, level) <= high]
@@ -260,6 +313,7 @@ def page(found: Mapping[Family, Sequence[Twin]], *, flags: str = "", quick: bool
     }
     uneven = [family.title for family, each in found.items() if uniformity(each) < SIGNIFICANT]
     every = [each for twins_of_one in found.values() for each in twins_of_one]
+    compared = [reference.conclusion(rows)] if rows else []
     result = Page(
         "Coverage of the posterior",
         command=f"python -m validation.bench coverage{flags} --out docs",
@@ -271,6 +325,7 @@ def page(found: Mapping[Family, Sequence[Twin]], *, flags: str = "", quick: bool
                 for level, names in tested.items()
             ),
             f"Ranks are not uniform (p below {SIGNIFICANT:g}) for {', '.join(uneven) or 'none'}.",
+            *compared,
         ],
         packages=MPM | GNS,
         quick=quick,
@@ -283,6 +338,8 @@ def page(found: Mapping[Family, Sequence[Twin]], *, flags: str = "", quick: bool
         Half-widths are those of the answer nearest to the truth.
     """)
     result.table([row(family, each) for family, each in found.items()])
+    if rows:
+        reference.section(result, rows)
     return result
 
 

@@ -99,6 +99,7 @@ class Search:
             extrapolated=state.extrapolated,
             trends=(linear,) if guide is None else (guide.trend, linear),
             within=None if guide is None or (many and state.waves) else guide.within,
+            prior=state.task.problem.prior,
         )
         box, problem = state.task.bounds, state.task.problem
         wave = {

@@ -159,10 +159,19 @@ def statement(state: Search) -> str:
     before = f" ({len(state.known)} of them made before)" if state.known else ""
     return (
         f"An emulator of {int(found.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
-        "seed, gives the posterior over the whole box (uniform prior between the bounds). What the emulator does not "
+        f"seed, gives the posterior over the whole box ({prior_of(state.task.problem)}). What the emulator does not "
         f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the half-widths, at 95 %. "
         f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     )
+
+
+def prior_of(problem: Problem) -> str:
+    """The prior in words."""
+    if problem.prior is None:
+        return "uniform prior between the bounds"
+    stated = [f"`{each.name}` {each.prior.text}" for each in problem.numbers if each.prior is not None]
+    pairs = [f"{' with '.join(each.between)} correlated by {each.coefficient:g}" for each in problem.correlations]
+    return f"prior, cut off at the bounds: {', '.join([*stated, *pairs])}"
 
 
 def further(outcome: Outcome) -> dict[str, float]:

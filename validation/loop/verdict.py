@@ -181,9 +181,10 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
 
 
 def is_excluded(state: Search) -> bool:
-    """Whether the likeliest parameters of all leave more than scatter and noise explain."""
+    """Whether the likeliest parameters of all, whatever a stated prior, leave more than scatter and noise explain."""
     found = state.posterior
-    best = found.samples.points[[int(np.argmax(found.samples.log_likelihood))]]
+    samples = found.samples if found.likelihood.prior is None else found.plausible
+    best = samples.points[[int(np.argmax(samples.log_likelihood))]]
     (residual,), fixed, (variance,) = found.likelihood.residual(best)
     square = float(residual @ np.linalg.solve(fixed + np.diag(variance), residual))
     return float(chi2.sf(square, len(residual))) < EXCLUDED

@@ -1,0 +1,83 @@
+"""`posterior.nc`: posterior, prior, posterior predictive and observed data as ArviZ's InferenceData has them.
+
+    import arviz
+    arviz.plot_pair(arviz.from_netcdf("out/posterior.nc"))
+
+A netCDF-4 file is an HDF5 file whose axes are dimension scales (NetCDF file format specifications, Unidata), so h5py
+writes it.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import h5py
+import numpy as np
+
+from datasets.files import replacing
+from inverse.found import MAX_NUMBERS
+from inverse.posterior import Matrix
+from inverse.posterior.posterior import Posterior
+from inverse.posterior.sampling import systematic
+from inverse.posterior.settings import CONSTANTS
+
+if TYPE_CHECKING:
+    from inverse.result import Result
+
+CHAINS = ("chain", "draw")
+Variables = Mapping[str, tuple[Matrix, str]]
+"""By name the values and their unit."""
+
+
+def write(result: "Result", path: Path) -> None:
+    """Write `posterior.nc`: S equally weighted samples, by systematic resampling, in order of their populations."""
+    found, problem = result.posterior, result.problem
+    assert found is not None, "an optimiser has no samples"
+    rng = np.random.default_rng(problem.optimiser.seed)
+    points = found.samples.points[systematic(found.samples.weights, len(found.samples.points), rng)]
+    shares = rng.random(points.shape)
+    prior = shares if problem.prior is None else problem.prior.at(shares)
+    units = [kind.unit for kind in problem.kinds]
+    numbers = {
+        name: dict(zip(problem.names, zip(np.moveaxis(problem.box.at(own), -1, 0), units, strict=True), strict=True))
+        for name, own in (("posterior", chains(points)), ("prior", prior[None]))
+    }
+    with replacing(path) as part, h5py.File(part, "w", track_order=True) as file:
+        for name, variables in numbers.items():
+            fill(file.create_group(name, track_order=True), variables, CHAINS)
+        raw, values = result.target.observation.raw, result.target.values
+        if len(values) > MAX_NUMBERS or len(found.reduction.mean) != len(values):
+            return
+        shown = {"posterior_predictive": chains(raw(predictive(found, points, rng))), "observed_data": raw(values)}
+        for name, own in shown.items():
+            parts = {
+                each.name: (own[..., each.numbers], each.observation.unit) for each in result.target.observation.parts
+            }
+            fill(file.create_group(name, track_order=True), parts, CHAINS if own.ndim > 1 else ())
+
+
+def chains(samples: Matrix) -> Matrix:
+    """Samples [S, ...] by population, shape [chains, draws, ...]."""
+    return samples.reshape(CONSTANTS.populations, -1, *samples.shape[1:])
+
+
+def predictive(found: Posterior, points: Matrix, rng: np.random.Generator) -> Matrix:
+    """What further flows at points [S, U] would show when measured, by the emulator's mean and all errors, [S, M]."""
+    residual, fixed, variance = found.likelihood.residual(points)
+    lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(len(fixed)))
+    freedom = found.likelihood.freedom
+    scale = np.sqrt(freedom / rng.chisquare(freedom, len(points)))
+    errors = scale[:, None] * np.einsum("sij,sj->si", lower, rng.standard_normal(residual.shape))
+    return found.reduction.numbers(found.likelihood.target - residual + errors)
+
+
+def fill(group: h5py.Group, variables: Variables, first: tuple[str, ...]) -> None:
+    """Write variables, their first axes those named, a further one their own."""
+    for name, (values, unit) in variables.items():
+        dataset = group.create_dataset(name, data=values, track_order=True)
+        dataset.attrs["units"] = unit if unit not in ("", "-") else "1"
+        for axis, length in enumerate(values.shape):
+            dimension = first[axis] if axis < len(first) else f"{name}_dim_0"
+            if dimension not in group:
+                group.create_dataset(dimension, data=np.arange(length), track_order=True).make_scale(dimension)
+            dataset.dims[axis].attach_scale(group[dimension])

@@ -1,0 +1,197 @@
+"""Priors of numbers as people state them: a distribution each, cut off at the bounds, and correlations of pairs.
+
+A distribution function F between bounds a and b becomes F*(x) = (F(x) - F(a)) / (F(b) - F(a)), of density f*. Pairs
+are correlated by their normal scores z = Phi^-1(F*(x)), a Gaussian copula,
+
+    p(x) = phi(z; R) prod_i f*_i(x_i) / phi(z_i)
+
+with R of the stated coefficients: correlations of z, of x they are a little smaller (Liu & Der Kiureghian, Multivariate
+distribution models with prescribed marginals and covariances, Probab. Eng. Mech. 1 (1986) 105-112; after Nataf).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.special import ndtr, ndtri
+
+from datasets.errors import require
+from datasets.records import Record
+
+if TYPE_CHECKING:
+    from inverse.parameters import Parameter
+
+Matrix = NDArray[np.float64]
+KINDS = {"uniform": (), "normal": ("mean", "deviation"), "lognormal": ("mean", "deviation"), "triangular": ("mode",)}
+"""Kinds of priors, and the keys that each has."""
+LEAST_MASS = 1e-6
+"""Probability between the bounds, at least: below it the stated prior contradicts them."""
+LOWEST = -1e6
+"""Logarithm of a density of 0."""
+LEAST_SHARE = 1e-15
+"""Distance of a share from 0 and 1, at least: normal scores up to 8."""
+CREDIBLE = 0.95
+"""Of the interval that says how wide a prior is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior(Record):
+    """The prior of a number before it is cut off at the bounds.
+
+    >>> Parameter(name="friction_deg", lower=16.0, upper=45.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
+    """
+
+    kind: str
+    """A key of `KINDS`."""
+    mean: float | None = None
+    """Of a normal and a lognormal number itself."""
+    deviation: float | None = None
+    """Standard deviation of the same."""
+    mode: float | None = None
+    """Of a triangular one, whose density falls to 0 at both bounds."""
+
+    def check(self, lower: float, upper: float, key: str) -> None:
+        """Raise InputError, which names what stands under `key`, for a prior that is none between the bounds."""
+        require(self.kind in KINDS, f"{key}.kind", f"one of {', '.join(KINDS)}", repr(self.kind))
+        for name in ("mean", "deviation", "mode"):
+            value, needed = getattr(self, name), name in KINDS[self.kind]
+            require(not needed or value is not None, f"{key}.{name}", f"a value of a {self.kind} prior", "none")
+            require(needed or value is None, f"{key}.{name}", f"none of a {self.kind} prior", value)
+        if self.deviation is not None:
+            require(self.deviation > 0.0, f"{key}.deviation", "a value above 0", self.deviation)
+        if self.mode is not None:
+            require(lower <= self.mode <= upper, f"{key}.mode", f"a value in [{lower:g}, {upper:g}]", self.mode)
+        if self.kind == "lognormal":
+            require(lower >= 0.0, f"{key}.kind", "a lower bound of at least 0 with lognormal", lower)
+            require((self.mean or 0.0) > 0.0, f"{key}.mean", "a value above 0", self.mean)
+        mass = Marginal(law=self.law(lower, upper), lower=lower, upper=upper).mass
+        message = f"a prior with a probability of at least {LEAST_MASS:g} between the bounds {lower:g} and {upper:g}"
+        require(mass >= LEAST_MASS, f"{key}.mean", message, f"{mass:.1g}")
+
+    def law(self, lower: float, upper: float) -> Any:
+        """The distribution of SciPy; of two kinds it depends on the bounds."""
+        mean, deviation = self.mean or 0.0, self.deviation or 0.0
+        if self.kind == "normal":
+            return stats.norm(mean, deviation)
+        if self.kind == "lognormal":
+            variance = math.log1p((deviation / mean) ** 2)
+            return stats.lognorm(math.sqrt(variance), scale=mean * math.exp(-0.5 * variance))
+        if self.mode is not None:
+            return stats.triang((self.mode - lower) / (upper - lower), loc=lower, scale=upper - lower)
+        return stats.uniform(lower, upper - lower)
+
+    @property
+    def text(self) -> str:
+        """In reports."""
+        numbers = {"normal": f" {self.mean} ± {self.deviation}", "triangular": f" about {self.mode}"}
+        return self.kind + (numbers | {"lognormal": numbers["normal"]}).get(self.kind, "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correlation(Record):
+    """Of the priors of two numbers (`[[correlations]]`)."""
+
+    between: tuple[str, str]
+    """Their names."""
+    coefficient: float
+    """Of their normal scores."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Marginal:
+    """The prior of one number between its bounds."""
+
+    law: Any
+    """A distribution of SciPy."""
+    lower: float
+    upper: float
+
+    @cached_property
+    def below(self) -> float:
+        """F(a)."""
+        return float(self.law.cdf(self.lower))
+
+    @cached_property
+    def mass(self) -> float:
+        """F(b) - F(a)."""
+        return float(self.law.cdf(self.upper)) - self.below
+
+    def log_density(self, values: Matrix) -> Matrix:
+        """ln f* + ln(b - a), the density over the uniform one; any shape."""
+        return np.asarray(self.law.logpdf(values) - math.log(self.mass) + math.log(self.upper - self.lower))
+
+    def share(self, values: Matrix) -> Matrix:
+        """F*; any shape."""
+        return np.asarray((self.law.cdf(values) - self.below) / self.mass)
+
+    def at(self, shares: Matrix) -> Matrix:
+        """The inverse of F*; any shape."""
+        return np.asarray(np.clip(self.law.ppf(self.below + self.mass * shares), self.lower, self.upper))
+
+    @property
+    def width(self) -> float:
+        """Of a uniform prior whose interval of 95 % is as long as this one's."""
+        low, high = self.at(np.array([0.5 - 0.5 * CREDIBLE, 0.5 + 0.5 * CREDIBLE]))
+        return float(high - low) / CREDIBLE
+
+
+class JointPrior:
+    """The prior of U numbers. Points are in fractions of their ranges, densities over the uniform one."""
+
+    def __init__(self, numbers: Sequence["Parameter"], correlations: Sequence[Correlation] = ()) -> None:
+        """Raises InputError, which names the key, for correlations that are none."""
+        self.marginals = [each.marginal for each in numbers]
+        self.lower = np.array([each.lower for each in self.marginals])
+        self.range = np.array([each.upper - each.lower for each in self.marginals])
+        names, self.correlation = [each.name for each in numbers], np.eye(len(numbers))
+        for index, each in enumerate(correlations):
+            key, (first, second) = f"correlations[{index}]", each.between
+            for name in each.between:
+                require(name in names, f"{key}.between", f"two of the numbers {', '.join(names)}", repr(name))
+            require(first != second, f"{key}.between", "two different numbers", f"{first!r} twice")
+            row, column = names.index(first), names.index(second)
+            require(self.correlation[row, column] == 0.0, f"{key}.between", "each pair once", f"{first}, {second}")
+            require(-1.0 < each.coefficient < 1.0, f"{key}.coefficient", "a value in (-1, 1)", each.coefficient)
+            self.correlation[row, column] = self.correlation[column, row] = each.coefficient
+        smallest = float(np.linalg.eigvalsh(self.correlation).min())
+        require(smallest > 1e-9, "correlations", "coefficients that go together (a positive definite matrix)", "others")
+
+    def __call__(self, points: Matrix) -> Matrix:
+        """Logarithm of its density over the uniform one at points [S, U], shape [S]."""
+        values = self.lower + self.range * points
+        found = sum(each.log_density(own) for each, own in zip(self.marginals, values.T, strict=True))
+        if not np.array_equal(self.correlation, np.eye(len(self.range))):
+            shares = np.stack([each.share(own) for each, own in zip(self.marginals, values.T, strict=True)], axis=1)
+            scores = ndtri(np.clip(shares, LEAST_SHARE, 1.0 - LEAST_SHARE))
+            more = np.linalg.inv(self.correlation) - np.eye(len(self.range))
+            found = found - 0.5 * (np.linalg.slogdet(self.correlation)[1] + ((scores @ more) * scores).sum(axis=1))
+        return np.maximum(found, LOWEST)
+
+    def at(self, shares: Matrix) -> Matrix:
+        """Points of it for independent uniform numbers, both [..., U]."""
+        scores = ndtri(np.clip(shares, LEAST_SHARE, 1.0 - LEAST_SHARE)) @ np.linalg.cholesky(self.correlation).T
+        values = [each.at(ndtr(own)) for each, own in zip(self.marginals, np.moveaxis(scores, -1, 0), strict=True)]
+        return np.asarray((np.stack(values, axis=-1) - self.lower) / self.range)
+
+    @cached_property
+    def filling(self) -> Matrix:
+        """Points that stand for it, shape [1024, U]."""
+        return self.at(stats.qmc.Sobol(len(self.range), seed=0).random(1024))
+
+    @cached_property
+    def precision(self) -> Matrix:
+        """Inverse of its covariance, shape [U, U]: half the curvature of -2 ln p, where it is normal."""
+        return np.linalg.inv(np.atleast_2d(np.cov(self.filling.T)))
+
+    def slope(self, points: Matrix) -> Matrix:
+        """Derivatives of its logarithm at points [S, U], by differences that stay between the bounds, shape [S, U]."""
+        found = np.zeros_like(points)
+        for index, step in enumerate(1e-5 * np.eye(points.shape[1])):
+            ends = np.clip(points - step, 0.0, 1.0), np.clip(points + step, 0.0, 1.0)
+            found[:, index] = (self(ends[1]) - self(ends[0])) / (ends[1] - ends[0])[:, index]
+        return found
