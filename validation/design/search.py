@@ -1,0 +1,323 @@
+"""The cheapest design that keeps the limit as often as asked, by an emulator of the MPM, and its check by the MPM.
+
+The emulator (`inverse.posterior.emulator`) is of the response y over all numbers at once, chosen d and uncertain u:
+
+    P(d) = mean over u of T_nu((L - m(d, u)) / s(d, u)),    s^2 = k (V + S)
+
+| symbol | variable | meaning |
+|---|---|---|
+| m, V, S | `Emulator.predict`, `scatter` | mean over jitter seeds, how little of it is known, scatter of one flow |
+| k, nu | `variance_ratio`, `freedom` | how much more than stated the emulator errs there, its degrees of freedom |
+| T | - | Student's distribution function |
+
+Runs fill the box; then waves of them go where they shrink V most near the limit state m = L, at the best design so far
+and at cheaper ones that may yet keep the limit (the targeted mean squared error of Picheny, Ginsbourger, Roustant,
+Haftka & Kim, Adaptive designs of experiments for accurate approximation of a target region, J. Mech. Des. 132 (2010)
+071008: the criterion U of Echard, Gayton & Lemaire, AK-MCS, Struct. Saf. 33 (2011) 145-154, is for responses without
+scatter, one run at a time).
+
+The check is flows of the MPM at the design, each of a fresh draw of u and of the jitter. The probability has the
+interval of Clopper & Pearson (The use of confidence or fiducial limits illustrated in the case of the binomial,
+Biometrika 26 (1934) 404-413), rather too wide than too narrow for draws that fill their distribution evenly
+(Hoeffding, On the distribution of the number of successes in independent trials, Ann. Math. Stat. 27 (1956) 713-721).
+"""
+
+import dataclasses
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import NonlinearConstraint, differential_evolution
+from scipy.stats import binomtest, qmc, t
+
+from datasets.lock import locked
+from datasets.trajectory import Trajectory
+from inverse.forward import Simulate
+from inverse.posterior import Matrix, Row
+from inverse.posterior.emulator import Emulator, fitted, most_informative
+from inverse.posterior.posterior import Region, repeated_scatter
+from inverse.posterior.settings import CONSTANTS
+from mpm import simulate_many
+from validation.design.problem import DesignProblem, read_design
+from validation.runs import RunStore
+
+Respond = Callable[[Matrix, int], Row]
+"""All numbers [n, K + Q] in fractions of their ranges, and the number of the first flow -> responses [n]."""
+RESPONSE = "response"
+"""In the summary of a stored flow: the response that it had before its frames went."""
+FIRST = 8
+"""First runs, for each number: of ten that are usual (Loeppky, Sacks & Welch, Technometrics 51 (2009) 366-376) two are
+left to the waves."""
+DRAWS = 64
+"""Draws of what is uncertain, over which a probability is the mean in a search."""
+RIVALS = 7
+"""Cheaper designs that may keep the limit, at which a wave looks besides the best one."""
+SURE = 0.25
+"""Of 1 - p: standard deviation of P by the emulator, below which further runs decide little."""
+ROUNDS = 2
+"""Checks, at most: flows of the first inform the emulator where too many exceed."""
+GENERATIONS, POPULATION = 40, 8
+"""Of the search for the best design; members for each variable."""
+
+
+class Verdict(StrEnum):
+    """What the MPM says of a design."""
+
+    CONFIRMED = "confirmed"
+    """Of the flows of its check no larger share exceeds the limit than 1 - p."""
+    UNCONFIRMED = "unconfirmed"
+    """A larger one does."""
+    UNREACHABLE = "unreachable"
+    """A larger one does, and no design between the bounds is expected to do better than p."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """All runs so far, and what they say."""
+
+    problem: DesignProblem
+    respond: Respond
+    points: Matrix
+    """Of the runs, in fractions of the ranges, shape [n, K + Q]."""
+    responses: Row
+    """Shape [n]."""
+    spent: int = 0
+    """Runs that were no check."""
+    waves: list[dict[str, Any]] = field(default_factory=list)
+    """What was known after some of the runs, of all searches that go on from one another."""
+
+    def generator(self, number: int) -> np.random.Generator:
+        """Random numbers of a step."""
+        return np.random.default_rng([self.problem.budget.seed, number])
+
+    @cached_property
+    def emulator(self) -> Emulator:
+        """Of the response."""
+        numbers = self.responses[:, None]
+        expected = np.array([self.problem.limit.scatter(self.problem.scene, self.responses)])
+        deviation, repeats = repeated_scatter(self.points, numbers, expected)
+        return fitted(self.points, numbers, deviation, repeats=repeats)
+
+    @cached_property
+    def draws(self) -> Matrix:
+        """Of what is uncertain, the same for every design, shape [DRAWS, Q]."""
+        return self.problem.draws(DRAWS, self.generator(1))
+
+    def joined(self, designs: Matrix) -> Matrix:
+        """Each of designs [S, K] with each of the draws, shape [S DRAWS, K + Q]."""
+        return np.hstack([np.repeat(designs, DRAWS, axis=0), np.tile(self.draws, (len(designs), 1))])
+
+    def probability(self, designs: Matrix, *, hopeful: bool = False) -> Row:
+        """P of designs [S, K], shape [S]; hopeful: were the mean a standard deviation of V below what is expected."""
+        points = self.joined(designs)
+        mean, variance = (each[:, 0] for each in self.emulator.predict(points))
+        total = self.emulator.variance_ratio(points)[:, 0] * (variance + self.emulator.scatter[0, 0])
+        if hopeful:
+            mean, total = mean - np.sqrt(variance), np.maximum(total - variance, self.emulator.scatter[0, 0])
+        below = t.cdf((self.problem.limit.below - mean) / np.sqrt(total), self.emulator.freedom)
+        return np.asarray(below.reshape(len(designs), DRAWS).mean(axis=1))
+
+    @cached_property
+    def best(self) -> Row:
+        """The cheapest design with the required P, the most reliable one where there is none or no cost, shape [K].
+
+        By differential evolution with Lampinen's rule for constraints, as SciPy has it.
+        """
+        problem, rng = self.problem, self.generator(2)
+        demanded = NonlinearConstraint(lambda x: self.probability(np.atleast_2d(x.T))[None], problem.required, np.inf)
+        count = len(problem.variables)
+        start = qmc.Sobol(count, seed=rng).random_base2(max(4, (POPULATION * count - 1).bit_length()))
+        found = differential_evolution(
+            (lambda x: problem.price(x.T)) if problem.cost else (lambda x: -self.probability(x.T)),
+            [(0.0, 1.0)] * count,
+            constraints=demanded if problem.cost else (),
+            init=start,
+            maxiter=GENERATIONS,
+            polish=False,
+            updating="deferred",
+            vectorized=True,
+            rng=rng,
+        )
+        return np.asarray(found.x)
+
+    @cached_property
+    def expected(self) -> float:
+        """P of the best design."""
+        return float(self.probability(self.best[None])[0])
+
+    @cached_property
+    def deviation(self) -> float:
+        """Standard deviation of that by the emulator, to first order in its mean."""
+        points = self.joined(self.best[None])
+        scatter = self.emulator.scatter[0, 0]
+        scaled = (self.problem.limit.below - self.emulator.mean(points)[:, 0]) / np.sqrt(scatter)
+        slope = t.pdf(scaled, self.emulator.freedom) / np.sqrt(scatter) / DRAWS
+        return float(np.sqrt(max(0.0, slope @ self.emulator.covariance(points, 0)[0] @ slope)))
+
+    def next_points(self, count: int) -> Matrix:
+        """Where a wave runs, shape [count, K + Q]."""
+        problem, rng = self.problem, self.generator(10 + len(self.points))
+        designs = rng.random((DRAWS * RIVALS, len(problem.variables)))
+        hopes = self.probability(designs, hopeful=True)
+        may = hopes >= (problem.required if problem.cost else self.expected)
+        if self.expected >= problem.required:
+            may &= problem.price(designs) <= problem.price(self.best[None])
+        hopes[~may] = 0.0
+        rivals = designs[np.argsort(-hopes)[: min(RIVALS, int(may.sum()))]]
+        points = self.joined(np.vstack([self.best[None], rivals]))
+        mean, variance = (each[:, 0] for each in self.emulator.predict(points))
+        relevance = np.exp(-0.5 * (mean - problem.limit.below) ** 2 / (variance + self.emulator.scatter[0, 0]))
+        # The best design counts as much as its rivals together.
+        relevance[:DRAWS] *= max(1, len(rivals))
+        return points[most_informative(self.emulator, points, count, np.ones(1), relevance)]
+
+    def having(self, points: Matrix, responses: Row, *, spent: int = 0) -> "Search":
+        """With runs at points [n, K + Q] that responded so; spent: how many are part of the budget."""
+        joined = np.vstack([self.points, points]), np.concatenate([self.responses, responses])
+        return dataclasses.replace(self, points=joined[0], responses=joined[1], spent=self.spent + spent)
+
+    def ran(self, points: Matrix) -> "Search":
+        """With runs at points [n, K + Q]."""
+        return self.having(points, self.respond(points, len(self.points)), spent=len(points))
+
+    def searched(self) -> "Search":
+        """With waves of runs until two in a row decide little, or the budget is spent."""
+        state, sure = self, 0
+        size = CONSTANTS.wave + len(self.problem.numbers)
+        while True:
+            self.waves.append(
+                {
+                    "runs": len(state.points),
+                    "design": self.problem.named(state.best),
+                    "probability": state.expected,
+                    "deviation": state.deviation,
+                }
+            )
+            sure = sure + 1 if state.deviation < SURE * (1.0 - self.problem.limit.probability) else 0
+            left = self.problem.runs - state.spent
+            if sure > 1 or left <= 0:
+                return state
+            state = state.ran(state.next_points(min(size, left)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """A design, with what the MPM says of it."""
+
+    problem: DesignProblem
+    verdict: Verdict
+    search: Search
+    points: Matrix
+    """Of the flows of the check, in fractions of the ranges, shape [N, K + Q]."""
+    responses: Row
+    """Their responses, shape [N]."""
+    seconds: float
+    remark: str = ""
+    """What must be known of these flows besides."""
+
+    @property
+    def design(self) -> dict[str, float]:
+        """Each variable by name."""
+        return self.problem.named(self.search.best)
+
+    @property
+    def exceeding(self) -> int:
+        """Flows of the check at the limit or beyond."""
+        return int(np.sum(self.responses >= self.problem.limit.below))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of the probability that the limit is kept, by the check (Clopper & Pearson, 95 %)."""
+        found = binomtest(len(self.responses) - self.exceeding, len(self.responses)).proportion_ci(0.95)
+        return float(found.low), float(found.high)
+
+
+def designed(problem: DesignProblem, respond: Respond) -> Design:
+    """The design, checked by flows that `respond` makes."""
+    began = time.perf_counter()
+    count, rng = len(problem.numbers), np.random.default_rng([problem.budget.seed, 0])
+    filling = Region.whole(count).filled(min(FIRST * count, problem.runs - CONSTANTS.repeats), rng)
+    points = np.vstack([filling, np.full((CONSTANTS.repeats, count), 0.5)])
+    state = Search(
+        problem=problem, respond=respond, points=points, responses=respond(points, 0), spent=len(points)
+    ).searched()
+    for turn in range(ROUNDS):
+        draws = problem.draws(problem.budget.checks, state.generator(3 + turn))
+        points = np.hstack([np.tile(state.best, (len(draws), 1)), draws])
+        responses = respond(points, len(state.points))
+        verdict = Verdict.CONFIRMED
+        if np.sum(responses >= problem.limit.below) <= problem.allowed:
+            break
+        reachable = state.expected >= problem.limit.probability
+        verdict = Verdict.UNCONFIRMED if reachable else Verdict.UNREACHABLE
+        if not reachable or turn == ROUNDS - 1:
+            break
+        state = state.having(points, responses).searched()
+    seconds = time.perf_counter() - began
+    return Design(problem=problem, verdict=verdict, search=state, points=points, responses=responses, seconds=seconds)
+
+
+class Mpm:
+    """Responses by the MPM, each flow with a jitter seed of its own, kept in `folder`."""
+
+    def __init__(self, problem: DesignProblem, folder: Path, simulate: Simulate) -> None:
+        # Of a force the frames are gone from disk, and with them how another one would be read.
+        self.problem, limit = problem, problem.limit
+        kept = f"{limit.quantity}-{limit.solid or 'any'}-{limit.window:g}" if limit.force else "flows"
+        self.store = RunStore(folder / kept, simulate, label="design-", reduce=self.last)
+        self.remarks: list[list[str]] = []
+        """Of every flow so far."""
+
+    def last(self, flow: Trajectory) -> Trajectory:
+        """The deposit alone, with the force that the flow had."""
+        if not self.problem.limit.force:
+            return flow
+        kept = {name: getattr(flow, name)[-1:] for name in ("positions", "time", "solid_impulse")}
+        response = {RESPONSE: self.problem.limit.response(flow)}
+        return dataclasses.replace(flow, **kept, summary=flow.summary | response)
+
+    def __call__(self, points: Matrix, first: int) -> Row:
+        """Responses at points [n, K + Q] in fractions of the ranges, shape [n]; first: number of the first flow."""
+        problem = self.problem
+        seeds = [np.random.SeedSequence([problem.scene.seed, first + index]) for index in range(len(points))]
+        values = problem.box.at(np.round(points, 6))
+        scenes = [
+            problem.scene_at(row, int(seed.generate_state(1)[0])) for row, seed in zip(values, seeds, strict=True)
+        ]
+        flows = self.store(scenes, record=problem.limit.record)
+        self.remarks += [list(each.summary.get("remarks", [])) for each in flows]
+        force = problem.limit.force
+        return np.array([each.summary[RESPONSE] if force else problem.limit.response(each) for each in flows])
+
+
+def find_design(
+    problem: DesignProblem | str | Path, out: Path | str | None = None, *, simulate: Simulate = simulate_many
+) -> Design:
+    """The cheapest design that keeps the limit as often as asked, checked by the MPM.
+
+    >>> from validation import find_design
+    >>> found = find_design("two-barriers", "out/design")
+    >>> print(found.verdict, found.design, found.exceeding, found.interval)
+
+    problem: one built in Python, the path of a TOML file or the name of a shipped one. out: folder for `design.json`,
+    `report.md`, a picture and every flow, where an interrupted command goes on; without it nothing is written.
+    simulate: in place of the MPM. Raises InputError, and WorkFailed where a run of the MPM blows up or another process
+    writes into `out`.
+    """
+    from validation.design.report import save
+
+    asked = problem if isinstance(problem, DesignProblem) else read_design(problem)
+    with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
+        mpm = Mpm(asked, folder / "mpm", simulate)
+        found = designed(asked, mpm)
+        if remarks := [lines[0] for lines in mpm.remarks[-asked.budget.checks :] if lines]:
+            found = dataclasses.replace(found, remark=f"of {len(remarks)} flows of the check, such as: {remarks[0]}")
+        if out is not None:
+            save(found, folder)
+    return found
