@@ -62,7 +62,7 @@ class Prior(Record):
     def frozen(self) -> Any:
         """The distribution of SciPy, before it is cut off."""
         mean, deviation = self.mean or 0.0, self.deviation or 1.0
-        if self.kind is Distribution.NORMAL:
+        if self.kind == Distribution.NORMAL:
             return stats.norm(mean, deviation)
         # Of the logarithm: variance log(1 + (deviation / mean)^2), mean log(mean) less half of that.
         width = np.sqrt(np.log1p((deviation / mean) ** 2))
@@ -71,10 +71,10 @@ class Prior(Record):
     def check(self, key: str) -> None:
         """Raise InputError for a distribution that is none."""
         for name in ("mean", "deviation"):
-            value, uniform = getattr(self, name), self.kind is Distribution.UNIFORM
+            value, uniform = getattr(self, name), self.kind == Distribution.UNIFORM
             expected = "none of a uniform prior" if uniform else f"a {name} of a {self.kind} prior"
             require((value is None) == uniform, f"{key}.{name}", expected, value)
-            positive = name == "deviation" or self.kind is Distribution.LOGNORMAL
+            positive = name == "deviation" or self.kind == Distribution.LOGNORMAL
             require(value is None or value > 0.0 or not positive, f"{key}.{name}", "a positive number", value)
 
 
@@ -100,7 +100,7 @@ class Uncertain(Variable):
 
     def at(self, levels: Row) -> Row:
         """Its quantiles at `levels` in [0, 1], shape as `levels`."""
-        if self.prior.kind is Distribution.UNIFORM:
+        if self.prior.kind == Distribution.UNIFORM:
             return self.lower + (self.upper - self.lower) * levels
         frozen = self.prior.frozen
         low, high = frozen.cdf([self.lower, self.upper])

@@ -54,12 +54,16 @@ RESPONSE = "response"
 FIRST = 8
 """First runs, for each number: of ten that are usual (Loeppky, Sacks & Welch, Technometrics 51 (2009) 366-376) two are
 left to the waves."""
-DRAWS = 64
-"""Draws of what is uncertain, over which a probability is the mean in a search."""
-RIVALS = 7
-"""Cheaper designs that may keep the limit, at which a wave looks besides the best one."""
+DRAWS = 256
+"""Draws of what is uncertain, over which a probability is the mean: of few, a quantile is too near the middle."""
+RIVALS, CANDIDATES = 7, 64
+"""Cheaper designs that may keep the limit, at which a wave looks besides the best one; draws at each of them."""
+NEAR = 0.1
+"""Of the ranges: deviation from the best design of half of those among which rivals are looked for."""
 SURE = 0.25
 """Of 1 - p: standard deviation of P by the emulator, below which further runs decide little."""
+SETTLED = 0.02
+"""Of the range of the cost: change from wave to wave, below which it is the cheapest design's."""
 ROUNDS = 2
 """Checks, at most: flows of the first inform the emulator where too many exceed."""
 GENERATIONS, POPULATION = 40, 8
@@ -109,32 +113,42 @@ class Search:
         """Of what is uncertain, the same for every design, shape [DRAWS, Q]."""
         return self.problem.draws(DRAWS, self.generator(1))
 
-    def joined(self, designs: Matrix) -> Matrix:
-        """Each of designs [S, K] with each of the draws, shape [S DRAWS, K + Q]."""
-        return np.hstack([np.repeat(designs, DRAWS, axis=0), np.tile(self.draws, (len(designs), 1))])
+    def joined(self, designs: Matrix, count: int = DRAWS) -> Matrix:
+        """Each of designs [S, K] with each of the first draws, shape [S count, K + Q]."""
+        return np.hstack([np.repeat(designs, count, axis=0), np.tile(self.draws[:count], (len(designs), 1))])
 
-    def probability(self, designs: Matrix, *, hopeful: bool = False) -> Row:
-        """P of designs [S, K], shape [S]; hopeful: were the mean a standard deviation of V below what is expected."""
+    def probability(self, designs: Matrix, *, error: float = 0.0) -> Row:
+        """P of designs [S, K], shape [S]; error: by so many standard deviations of V the mean is larger."""
         points = self.joined(designs)
-        mean, variance = (each[:, 0] for each in self.emulator.predict(points))
-        total = self.emulator.variance_ratio(points)[:, 0] * (variance + self.emulator.scatter[0, 0])
-        if hopeful:
-            mean, total = mean - np.sqrt(variance), np.maximum(total - variance, self.emulator.scatter[0, 0])
+        mean, variance, total = self.moments(points)
+        if error:
+            mean, total = mean + error * np.sqrt(variance), np.maximum(total - variance, self.emulator.scatter[0, 0])
         below = t.cdf((self.problem.limit.below - mean) / np.sqrt(total), self.emulator.freedom)
         return np.asarray(below.reshape(len(designs), DRAWS).mean(axis=1))
+
+    def moments(self, points: Matrix) -> tuple[Row, Row, Row]:
+        """m, V and s^2 at points [S, K + Q], each of shape [S]."""
+        mean, variance = (each[:, 0] for each in self.emulator.predict(points))
+        ratio = self.emulator.variance_ratio(points)[:, 0]
+        return mean, variance, ratio * (variance + self.emulator.scatter[0, 0])
 
     @cached_property
     def best(self) -> Row:
         """The cheapest design with the required P, the most reliable one where there is none or no cost, shape [K].
 
-        By differential evolution with Lampinen's rule for constraints, as SciPy has it.
+        P is that of a mean a standard deviation larger than expected: an optimum is where an emulator errs to its
+        favour. By differential evolution with Lampinen's rule for constraints, as SciPy has it.
         """
         problem, rng = self.problem, self.generator(2)
-        demanded = NonlinearConstraint(lambda x: self.probability(np.atleast_2d(x.T))[None], problem.required, np.inf)
+
+        def cautious(x: Matrix) -> Row:
+            return self.probability(np.atleast_2d(x.T), error=1.0)
+
+        demanded = NonlinearConstraint(lambda x: cautious(x)[None], problem.required, np.inf)
         count = len(problem.variables)
         start = qmc.Sobol(count, seed=rng).random_base2(max(4, (POPULATION * count - 1).bit_length()))
         found = differential_evolution(
-            (lambda x: problem.price(x.T)) if problem.cost else (lambda x: -self.probability(x.T)),
+            (lambda x: problem.price(x.T)) if problem.cost else (lambda x: -cautious(x)),
             [(0.0, 1.0)] * count,
             constraints=demanded if problem.cost else (),
             init=start,
@@ -154,27 +168,28 @@ class Search:
     @cached_property
     def deviation(self) -> float:
         """Standard deviation of that by the emulator, to first order in its mean."""
-        points = self.joined(self.best[None])
-        scatter = self.emulator.scatter[0, 0]
-        scaled = (self.problem.limit.below - self.emulator.mean(points)[:, 0]) / np.sqrt(scatter)
-        slope = t.pdf(scaled, self.emulator.freedom) / np.sqrt(scatter) / DRAWS
+        points = self.joined(self.best[None], CANDIDATES)
+        mean, _, total = self.moments(points)
+        scaled = (self.problem.limit.below - mean) / np.sqrt(total)
+        slope = t.pdf(scaled, self.emulator.freedom) / np.sqrt(total) / CANDIDATES
         return float(np.sqrt(max(0.0, slope @ self.emulator.covariance(points, 0)[0] @ slope)))
 
     def next_points(self, count: int) -> Matrix:
         """Where a wave runs, shape [count, K + Q]."""
         problem, rng = self.problem, self.generator(10 + len(self.points))
-        designs = rng.random((DRAWS * RIVALS, len(problem.variables)))
-        hopes = self.probability(designs, hopeful=True)
+        anywhere = rng.random((CANDIDATES, len(problem.variables)))
+        designs = np.vstack([anywhere, np.clip(self.best + NEAR * rng.standard_normal(anywhere.shape), 0.0, 1.0)])
+        hopes = self.probability(designs, error=-1.0)
         may = hopes >= (problem.required if problem.cost else self.expected)
         if self.expected >= problem.required:
             may &= problem.price(designs) <= problem.price(self.best[None])
         hopes[~may] = 0.0
         rivals = designs[np.argsort(-hopes)[: min(RIVALS, int(may.sum()))]]
-        points = self.joined(np.vstack([self.best[None], rivals]))
-        mean, variance = (each[:, 0] for each in self.emulator.predict(points))
-        relevance = np.exp(-0.5 * (mean - problem.limit.below) ** 2 / (variance + self.emulator.scatter[0, 0]))
+        points = self.joined(np.vstack([self.best[None], rivals]), CANDIDATES)
+        mean, _, total = self.moments(points)
+        relevance = np.exp(-0.5 * (mean - problem.limit.below) ** 2 / total)
         # The best design counts as much as its rivals together.
-        relevance[:DRAWS] *= max(1, len(rivals))
+        relevance[:CANDIDATES] *= max(1, len(rivals))
         return points[most_informative(self.emulator, points, count, np.ones(1), relevance)]
 
     def having(self, points: Matrix, responses: Row, *, spent: int = 0) -> "Search":
@@ -187,23 +202,28 @@ class Search:
         return self.having(points, self.respond(points, len(self.points)), spent=len(points))
 
     def searched(self) -> "Search":
-        """With waves of runs until two in a row decide little, or the budget is spent."""
-        state, sure = self, 0
-        size = CONSTANTS.wave + len(self.problem.numbers)
+        """With waves of runs until two in a row decide little and change little, or the budget is spent."""
+        problem, state, sure, before = self.problem, self, 0, np.inf
+        prices = problem.price(np.vstack([np.zeros(len(problem.variables)), np.eye(len(problem.variables))]))
+        change = SETTLED * float(np.abs(prices[1:] - prices[0]).sum())
         while True:
             self.waves.append(
                 {
                     "runs": len(state.points),
-                    "design": self.problem.named(state.best),
+                    "design": problem.named(state.best),
                     "probability": state.expected,
                     "deviation": state.deviation,
                 }
             )
-            sure = sure + 1 if state.deviation < SURE * (1.0 - self.problem.limit.probability) else 0
-            left = self.problem.runs - state.spent
+            price = float(problem.price(state.best[None])[0])
+            # Far from the probability that is asked for, less has to be known of it.
+            far = (problem.limit.probability - state.expected) / 3.0
+            known = state.deviation < max(SURE * (1.0 - problem.limit.probability), far)
+            sure, before = sure + 1 if known and abs(price - before) <= change else 0, price
+            left = problem.runs - state.spent
             if sure > 1 or left <= 0:
                 return state
-            state = state.ran(state.next_points(min(size, left)))
+            state = state.ran(state.next_points(min(CONSTANTS.wave + len(problem.numbers), left)))
 
 
 @dataclass(frozen=True, kw_only=True)
