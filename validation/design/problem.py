@@ -4,18 +4,18 @@ minimise c . d    subject to    P(y(d, u, e) < L) >= p,    u ~ prior or posterio
 """
 
 import dataclasses
+import zlib
 from dataclasses import dataclass, field
-from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
 from scipy.stats import qmc
 
 from datasets.arrays import read_arrays
-from datasets.errors import InputError, naming, require
+from datasets.errors import naming, require
 from datasets.files import reading
 from datasets.forces import forces_of
 from datasets.library import SCENES, find, read_scene, scene_from
@@ -23,59 +23,36 @@ from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
 from inverse.checks import check_bounds, check_number
-from inverse.observations import KINDS, build
+from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, with_kinds
 from inverse.posterior import Matrix, Row
 from inverse.posterior.sampling import systematic
 from inverse.problem import Bounds
-from inverse.settings import ObservationSettings
-from mpm import ALL, LAST, Recording
 
 DESIGNS = Path(__file__).parent / "problems"
-FORCE = "impact_force"
-QUANTITIES = (*(name for name, each in KINDS.items() if each.scalar), FORCE)
 FORCE_SCATTER = 0.1
-"""Standard deviation of a peak force from flow to flow over its mean, before runs have measured it."""
+"""Standard deviation of a peak force from flow to flow over the limit, before runs have measured it."""
 ASSURANCE = 0.9
-"""Probability with which a design passes its check for which the emulator is right."""
-
-
-class Distribution(StrEnum):
-    """Of an uncertain number, between its bounds."""
-
-    UNIFORM = "uniform"
-    NORMAL = "normal"
-    LOGNORMAL = "lognormal"
+"""Probability with which a design passes its check where the emulator is right."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prior(Record):
-    """How an uncertain number is distributed."""
+    """How an uncertain number is distributed before it is cut off at its bounds."""
 
-    kind: Distribution = Distribution.UNIFORM
+    kind: Literal["uniform", "normal", "lognormal"] = "uniform"
     mean: float | None = None
-    """Of the number itself, before it is cut off at the bounds; of a uniform one there is none."""
+    """Of the number itself; a uniform one is between its bounds."""
     deviation: float | None = None
-    """Its standard deviation, likewise."""
-
-    @property
-    def frozen(self) -> Any:
-        """The distribution of SciPy, before it is cut off."""
-        mean, deviation = self.mean or 0.0, self.deviation or 1.0
-        if self.kind == Distribution.NORMAL:
-            return stats.norm(mean, deviation)
-        # Of the logarithm: variance log(1 + (deviation / mean)^2), mean log(mean) less half of that.
-        width = np.sqrt(np.log1p((deviation / mean) ** 2))
-        return stats.lognorm(width, scale=mean * np.exp(-0.5 * width**2))
 
     def check(self, key: str) -> None:
         """Raise InputError for a distribution that is none."""
         for name in ("mean", "deviation"):
-            value, uniform = getattr(self, name), self.kind == Distribution.UNIFORM
-            expected = "none of a uniform prior" if uniform else f"a {name} of a {self.kind} prior"
-            require((value is None) == uniform, f"{key}.{name}", expected, value)
-            positive = name == "deviation" or self.kind == Distribution.LOGNORMAL
-            require(value is None or value > 0.0 or not positive, f"{key}.{name}", "a positive number", value)
+            value = getattr(self, name)
+            expected = f"none of a uniform prior, a number of another, here {self.kind}"
+            require((value is None) == (self.kind == "uniform"), f"{key}.{name}", expected, value)
+            may = value is None or value > 0.0 or (name == "mean" and self.kind == "normal")
+            require(may, f"{key}.{name}", "a positive number", value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,83 +77,67 @@ class Uncertain(Variable):
 
     def at(self, levels: Row) -> Row:
         """Its quantiles at `levels` in [0, 1], shape as `levels`."""
-        if self.prior.kind == Distribution.UNIFORM:
+        mean, deviation = self.prior.mean, self.prior.deviation
+        if mean is None or deviation is None:
             return self.lower + (self.upper - self.lower) * levels
-        frozen = self.prior.frozen
+        frozen = stats.norm(mean, deviation)
+        if self.prior.kind == "lognormal":
+            width = np.sqrt(np.log1p((deviation / mean) ** 2))
+            frozen = stats.lognorm(width, scale=mean * np.exp(-0.5 * width**2))
         low, high = frozen.cdf([self.lower, self.upper])
-        return np.clip(frozen.ppf(low + (high - low) * levels), self.lower, self.upper)
+        return np.asarray(np.clip(frozen.ppf(low + (high - low) * levels), self.lower, self.upper))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limit(Record):
     """What has to stay below which value, and how often."""
 
-    quantity: str
-    """`front`, `runout`, `passed` (the share beyond `line`) or `impact_force`."""
+    quantity: Literal["front", "runout", "impact_force"]
+    """Of the deposit [m]; the largest mean force between two frames [N, in 2D N per metre of width]."""
     below: float
-    """[m], [-], of a force [N, in 2D N per metre of width]."""
     probability: float = 0.95
-    line: float | None = None
-    """x [m], of `passed`."""
     solid: str | None = None
     """Of a force: on which baffle or solid, by its name; the largest on any where absent."""
     window: float = 0.0
-    """Time [s] over which a force is averaged besides a frame."""
+    """Time [s] over which a force is averaged besides."""
 
     @property
     def force(self) -> bool:
-        """Whether it is a force, which is the peak of its magnitude."""
-        return self.quantity == FORCE
+        """Whether it is one."""
+        return self.quantity == "impact_force"
 
     @property
-    def record(self) -> Recording:
-        """What it requires of a run."""
-        return ALL if self.force else LAST
+    def folder(self) -> str:
+        """Where runs are kept: those of other forces have other ones in their summaries."""
+        return f"{self.quantity}-{zlib.crc32(repr((self.solid, self.window)).encode()):08x}"
 
-    @property
-    def unit(self) -> str:
-        """Of the quantity; in 2D that of a force is meant per metre of width."""
-        return "N" if self.force else KINDS[self.quantity].unit
-
-    @property
-    def settings(self) -> ObservationSettings:
-        """Of what is no force, as an observation."""
-        return ObservationSettings(kind=self.quantity, line=self.line)
-
-    def response(self, flow: Trajectory) -> float:
-        """Of a run."""
+    def kept(self, flow: Trajectory) -> Trajectory:
+        """The deposit of a run, with the force in its summary where that is limited."""
         if not self.force:
-            return float(build(self.settings, flow.scene).observe(flow)[0])
+            return flow
         forces = forces_of(flow, window=self.window)
-        names = [self.solid] if self.solid is not None else solid_names(flow.scene)
-        return max(forces.peaks[forces.names.index(each)][0] for each in names)
+        peaks = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
+        largest = max(peaks[name] for name in ([self.solid] if self.solid else solid_names(flow.scene)))
+        last: dict[str, Any] = {name: getattr(flow, name)[-1:] for name in ("positions", "time", "solid_impulse")}
+        return dataclasses.replace(flow, **last, summary=flow.summary | {self.quantity: largest})
 
-    def scatter(self, scene: Scene, responses: Row) -> float:
+    def scatter(self, scene: Scene) -> float:
         """Expected standard deviation from flow to flow before repeated runs show it."""
-        if self.force:
-            return FORCE_SCATTER * max(float(np.mean(responses)), self.below)
-        return float(build(self.settings, scene).prior_scatter(responses[:1])[0])
+        return FORCE_SCATTER * self.below if self.force else SCATTER_CELLS * scene.domain.cell
 
     def check(self, scene: Scene) -> None:
         """Raise InputError for a limit that flows of `scene` cannot have."""
-        require(self.quantity in QUANTITIES, "limit.quantity", f"one of {', '.join(QUANTITIES)}", repr(self.quantity))
-        top = {"front": scene.domain.size[0], "runout": scene.domain.size[0], "passed": 1.0}.get(self.quantity, np.inf)
+        top = np.inf if self.force else scene.domain.size[0]
         require(0.0 < self.below < top, "limit.below", f"a number in (0, {top:g})", self.below)
         require(0.5 <= self.probability < 1.0, "limit.probability", "a probability in [0.5, 1)", self.probability)
-        for key in ("line", "solid", "window"):
-            owner = "passed" if key == "line" else FORCE
-            default = getattr(Limit, key) == getattr(self, key)
-            require(default or self.quantity == owner, f"limit.{key}", f"it with {owner} alone", self.quantity)
+        plain = self.solid is None and self.window == 0.0
+        require(plain or self.force, "limit.quantity", "impact_force beside solid or window", self.quantity)
         require(0.0 <= self.window <= scene.duration, "limit.window", f"up to {scene.duration:g} s", self.window)
-        names = solid_names(scene)
-        named = self.solid is None or self.solid in names
-        require(named, "limit.solid", f"one of {', '.join(names) or 'none, the scene has no solids'}", self.solid)
-        require(not self.force or len(names) > 0, "limit.quantity", "a scene with solids", "none")
-        if not self.force:
-            try:
-                build(self.settings, scene)
-            except InputError as error:
-                raise InputError(error.message, key=f"limit.{error.key}") from None
+        if self.force:
+            names = solid_names(scene)
+            known = len(names) > 0 and self.solid in (None, *names)
+            expected = f"one of {', '.join(names)}" if names else "a scene with solids"
+            require(known, "limit.solid", expected, repr(self.solid))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,44 +149,46 @@ class Budget(Record):
     checks: int = 100
     """Runs at the design, each of a fresh draw."""
     seed: int = 0
+    """Of random numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(Record):
-    """A design problem as it stands in its file."""
+class _Keys(Record):
+    """What a design problem and its file have in common."""
 
-    scene: str | dict[str, Any]
-    variables: tuple[Variable, ...]
-    uncertain: tuple[Uncertain, ...] = ()
-    posterior: str | None = None
-    limit: Limit
-    cost: dict[str, float] = field(default_factory=dict)
-    budget: Budget = field(default_factory=Budget)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DesignProblem:
-    """A design problem, checked. Raises InputError, which names the key."""
-
-    name: str
-    scene: Scene
     variables: tuple[Variable, ...]
     """What is chosen: d, K numbers."""
-    uncertain: tuple[Uncertain, ...]
+    uncertain: tuple[Uncertain, ...] = ()
     """What is not known: u, Q numbers."""
-    samples: Matrix | None = None
-    """Of the posterior of the last of these, of equal weight, shape [S, Q']."""
     limit: Limit
     cost: dict[str, float] = field(default_factory=dict)
     """Variable -> the price of a unit of it; without any the most reliable design is looked for."""
     budget: Budget = field(default_factory=Budget)
 
+
+@dataclass(frozen=True, kw_only=True)
+class _File(_Keys):
+    """A design problem as it stands in its file."""
+
+    scene: str | dict[str, Any]
+    posterior: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignProblem(_Keys):
+    """A design problem, checked. Raises InputError, which names the key."""
+
+    name: str
+    scene: Scene
+    samples: Matrix | None = None
+    """Of the posterior of the last of the uncertain numbers, of equal weight, shape [S, Q']."""
+
     def __post_init__(self) -> None:
-        keyed: dict[str, Variable] = {f"variables[{index}]": each for index, each in enumerate(self.variables)}
-        keyed |= {f"uncertain[{index}]": each for index, each in enumerate(self.uncertain)}
-        require(len(self.variables) > 0, "variables", "at least one variable", "none")
-        require(len(self.uncertain) > 0, "uncertain", "at least one uncertain number, or a posterior", "none")
+        groups = {"variables": self.variables, "uncertain": self.uncertain}
+        keyed = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
         names = [each.name for each in self.numbers]
+        for group, own in groups.items():
+            require(len(own) > 0, group, "at least one number", "none")
         for key, each in keyed.items():
             require(names.count(each.name) == 1, f"{key}.name", "each number once", f"{each.name!r} twice")
             check_number(self.scene, each.parameter, key)
@@ -233,15 +196,13 @@ class DesignProblem:
                 each.prior.check(f"{key}.prior")
         check_bounds(self.scene, {key: each.parameter for key, each in keyed.items()}, "variables")
         self.limit.check(self.scene)
+        known = names[: len(self.variables)]
         for name in self.cost:
-            known = names[: len(self.variables)]
             require(name in known, f"cost.{name}", f"one of the variables {', '.join(known)}", name)
-        for key, number, least in (
-            ("runs", self.runs, 4 * len(names)),
-            ("checks", self.budget.checks, 20),
-            ("seed", self.budget.seed, 0),
-        ):
-            require(number >= least, f"budget.{key}", f"an integer of at least {least}", number)
+        budget, fewest = self.budget, 4 * len(names)
+        require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
+        require(budget.checks >= 20, "budget.checks", "an integer of at least 20", budget.checks)
+        require(budget.seed >= 0, "budget.seed", "an integer of at least 0", budget.seed)
 
     @property
     def numbers(self) -> tuple[Variable, ...]:
@@ -257,6 +218,12 @@ class DesignProblem:
     def box(self) -> Bounds:
         """Of all of them."""
         return Bounds(*np.array([(each.lower, each.upper) for each in self.numbers]).T)
+
+    @property
+    def unit(self) -> str:
+        """Of what is limited."""
+        force = "N/m" if self.scene.dimension == 2 else "N"
+        return force if self.limit.force else "m"
 
     @property
     def runs(self) -> int:
@@ -314,14 +281,11 @@ def read_design(name: str | Path) -> DesignProblem:
         if (posterior := own.pop("posterior")) is not None:
             own["samples"], learned = read_posterior(path.parent / posterior)
             own["uncertain"] += learned
-        if isinstance(file.scene, dict):
-            with naming(path, "scene"):
-                own["scene"] = scene_from(file.scene, path.parent)
+        if isinstance(file.scene, str):
+            beside = path.parent / file.scene
+            own["scene"] = read_scene(beside if file.scene.endswith(".toml") else find(file.scene, SCENES, "scene"))
         else:
-            beside = str(path.parent / file.scene)
-            own["scene"] = read_scene(
-                beside if file.scene.endswith(".toml") else str(find(file.scene, SCENES, "scene"))
-            )
+            own["scene"] = scene_from(file.scene, path.parent)
         return DesignProblem(name=path.stem, **own)
 
 

@@ -37,20 +37,17 @@ from scipy.optimize import NonlinearConstraint, differential_evolution
 from scipy.stats import binomtest, qmc, t
 
 from datasets.lock import locked
-from datasets.trajectory import Trajectory
 from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, fitted, most_informative
 from inverse.posterior.posterior import Region, repeated_scatter
 from inverse.posterior.settings import CONSTANTS
-from mpm import simulate_many
+from mpm import ALL, LAST, simulate_many
 from validation.design.problem import DesignProblem, read_design
 from validation.runs import RunStore
 
 Respond = Callable[[Matrix, int], Row]
 """All numbers [n, K + Q] in fractions of their ranges, and the number of the first flow -> responses [n]."""
-RESPONSE = "response"
-"""In the summary of a stored flow: the response that it had before its frames went."""
 FIRST = 8
 """First runs, for each number: of ten that are usual (Loeppky, Sacks & Welch, Technometrics 51 (2009) 366-376) two are
 left to the waves."""
@@ -104,7 +101,7 @@ class Search:
     def emulator(self) -> Emulator:
         """Of the response."""
         numbers = self.responses[:, None]
-        expected = np.array([self.problem.limit.scatter(self.problem.scene, self.responses)])
+        expected = np.array([self.problem.limit.scatter(self.problem.scene)])
         deviation, repeats = repeated_scatter(self.points, numbers, expected)
         return fitted(self.points, numbers, deviation, repeats=repeats)
 
@@ -192,14 +189,10 @@ class Search:
         relevance[:CANDIDATES] *= max(1, len(rivals))
         return points[most_informative(self.emulator, points, count, np.ones(1), relevance)]
 
-    def having(self, points: Matrix, responses: Row, *, spent: int = 0) -> "Search":
+    def with_runs(self, points: Matrix, responses: Row, *, spent: int = 0) -> "Search":
         """With runs at points [n, K + Q] that responded so; spent: how many are part of the budget."""
-        joined = np.vstack([self.points, points]), np.concatenate([self.responses, responses])
-        return dataclasses.replace(self, points=joined[0], responses=joined[1], spent=self.spent + spent)
-
-    def ran(self, points: Matrix) -> "Search":
-        """With runs at points [n, K + Q]."""
-        return self.having(points, self.respond(points, len(self.points)), spent=len(points))
+        points, responses = np.vstack([self.points, points]), np.concatenate([self.responses, responses])
+        return dataclasses.replace(self, points=points, responses=responses, spent=self.spent + spent)
 
     def searched(self) -> "Search":
         """With waves of runs until two in a row decide little and change little, or the budget is spent."""
@@ -223,7 +216,8 @@ class Search:
             left = problem.runs - state.spent
             if sure > 1 or left <= 0:
                 return state
-            state = state.ran(state.next_points(min(CONSTANTS.wave + len(problem.numbers), left)))
+            points = state.next_points(min(CONSTANTS.wave + len(problem.numbers), left))
+            state = state.with_runs(points, self.respond(points, len(state.points)), spent=len(points))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,7 +272,7 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
         verdict = Verdict.UNCONFIRMED if reachable else Verdict.UNREACHABLE
         if not reachable or turn == ROUNDS - 1:
             break
-        state = state.having(points, responses).searched()
+        state = state.with_runs(points, responses).searched()
     seconds = time.perf_counter() - began
     return Design(problem=problem, verdict=verdict, search=state, points=points, responses=responses, seconds=seconds)
 
@@ -287,33 +281,21 @@ class Mpm:
     """Responses by the MPM, each flow with a jitter seed of its own, kept in `folder`."""
 
     def __init__(self, problem: DesignProblem, folder: Path, simulate: Simulate) -> None:
-        # Of a force the frames are gone from disk, and with them how another one would be read.
-        self.problem, limit = problem, problem.limit
-        kept = f"{limit.quantity}-{limit.solid or 'any'}-{limit.window:g}" if limit.force else "flows"
-        self.store = RunStore(folder / kept, simulate, label="design-", reduce=self.last)
+        limit = problem.limit
+        self.problem, self.record = problem, ALL if limit.force else LAST
+        self.store = RunStore(folder / limit.folder, simulate, label="design-", reduce=limit.kept)
         self.remarks: list[list[str]] = []
         """Of every flow so far."""
 
-    def last(self, flow: Trajectory) -> Trajectory:
-        """The deposit alone, with the force that the flow had."""
-        if not self.problem.limit.force:
-            return flow
-        kept = {name: getattr(flow, name)[-1:] for name in ("positions", "time", "solid_impulse")}
-        response = {RESPONSE: self.problem.limit.response(flow)}
-        return dataclasses.replace(flow, **kept, summary=flow.summary | response)
-
     def __call__(self, points: Matrix, first: int) -> Row:
         """Responses at points [n, K + Q] in fractions of the ranges, shape [n]; first: number of the first flow."""
-        problem = self.problem
+        problem, values = self.problem, self.problem.box.at(np.round(points, 6))
         seeds = [np.random.SeedSequence([problem.scene.seed, first + index]) for index in range(len(points))]
-        values = problem.box.at(np.round(points, 6))
-        scenes = [
-            problem.scene_at(row, int(seed.generate_state(1)[0])) for row, seed in zip(values, seeds, strict=True)
-        ]
-        flows = self.store(scenes, record=problem.limit.record)
+        jitters = [int(seed.generate_state(1)[0]) for seed in seeds]
+        scenes = [problem.scene_at(row, jitter) for row, jitter in zip(values, jitters, strict=True)]
+        flows = self.store(scenes, record=self.record)
         self.remarks += [list(each.summary.get("remarks", [])) for each in flows]
-        force = problem.limit.force
-        return np.array([each.summary[RESPONSE] if force else problem.limit.response(each) for each in flows])
+        return np.array([each.summary[problem.limit.quantity] for each in flows])
 
 
 def find_design(
@@ -336,7 +318,9 @@ def find_design(
     with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
         mpm = Mpm(asked, folder / "mpm", simulate)
         found = designed(asked, mpm)
-        if remarks := [lines[0] for lines in mpm.remarks[-asked.budget.checks :] if lines]:
+        remarks = [lines[0] for lines in mpm.remarks[-asked.budget.checks :] if lines]
+        # On deposits, which a force does not depend on.
+        if remarks and not asked.limit.force:
             found = dataclasses.replace(found, remark=f"of {len(remarks)} flows of the check, such as: {remarks[0]}")
         if out is not None:
             save(found, folder)

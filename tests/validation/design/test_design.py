@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import norm
 
 from datasets.errors import InputError
+from datasets.forces import forces_of
 from datasets.scene import Baffle, Mass
 from inverse.posterior import Matrix, Row
 from mpm import simulate
@@ -19,10 +20,10 @@ from validation.design.problem import Budget, DesignProblem, Limit, Prior, Uncer
 from validation.design.search import Verdict, designed
 
 SCENE = scene_of(
-    Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
-    baffles=(Baffle(lower=(0.5, 0.0), size=(0.06, 0.1)), Baffle(lower=(0.7, 0.0), size=(0.06, 0.1))),
+    Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(2.5, 0.0)),
+    baffles=(Baffle(lower=(0.5, 0.0), size=(0.06, 0.1)), Baffle(lower=(0.8, 0.0), size=(0.06, 0.1))),
     floor_friction=0.4,
-    duration=0.3,
+    duration=0.4,
     frame_dt=0.005,
     step_fraction=0.9,
 )
@@ -172,11 +173,10 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
         ("upper = 0.5", "upper = 0.5\nprior = { kind = 'normal', mean = 0.4 }", "uncertain[0].prior.deviation"),
         ("upper = 0.5", "upper = 0.5\nprior = { mean = 0.4 }", "uncertain[0].prior.mean: expected none of a uniform"),
         ("upper = 0.5", "upper = 0.5\nprior = { kind = 'beta' }", "uncertain[0].prior.kind: expected"),
-        ('quantity = "front"', 'quantity = "force"', "limit.quantity: expected one of front, runout, passed"),
-        ('quantity = "front"', 'quantity = "passed"', "limit.line: expected a length"),
+        ('quantity = "front"', 'quantity = "force"', "limit.quantity: expected 'front', 'runout' or 'impact_force'"),
         ("below = 0.7", "below = 1.7", "limit.below: expected a number in (0, 1)"),
         ("below = 0.7", "below = 0.7\nprobability = 95.0", "limit.probability: expected a probability"),
-        ("below = 0.7", "below = 0.7\nwindow = 0.1", "limit.window: expected it with impact_force alone, got front"),
+        ("below = 0.7", "below = 0.7\nwindow = 0.1", "limit.quantity: expected impact_force beside solid"),
         ('"front"', '"impact_force"\nsolid = "wall"', "limit.solid: expected one of baffles[0], baffles[1]"),
         ('"baffles[0].height" = 1.0', 'height = 1.0', "cost.height: expected one of the variables baffles[0].height"),
         ("[cost]", "[budget]\nchecks = 5\n[cost]", "budget.checks: expected an integer of at least 20, got 5"),
@@ -201,26 +201,31 @@ def test_the_shipped_problem_is_read() -> None:
     assert 0.96 < problem.required < 0.98
 
 
-def test_a_force_is_that_of_the_solid(tmp_path: Path) -> None:
+def test_a_force_is_that_of_the_solid() -> None:
     flow = simulate(SCENE)
-    first, any_solid = (
-        Limit(quantity="impact_force", below=1.0, solid=name).response(flow) for name in ("baffles[0]", None)
-    )
-    assert 0.0 < first <= any_solid
-    assert Limit(quantity="impact_force", below=1.0, window=0.05).response(flow) < any_solid
+    limits = (("baffles[0]", 0.0), ("baffles[1]", 0.0), (None, 0.0), (None, 0.05))
+    kept = [Limit(quantity="impact_force", below=1.0, solid=name, window=time).kept(flow) for name, time in limits]
+    first, second, largest, smoothed = (each.summary["impact_force"] for each in kept)
+    assert 0.0 <= second < first == largest
+    assert largest == forces_of(flow).peaks[0][0]
+    assert 0.0 < smoothed < largest
+    assert len(kept[0].positions) == len(kept[0].time) == 1
 
 
 @pytest.mark.slow
 def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    text = PROBLEM.replace(
-        'quantity = "front"\nbelow = 0.7', 'quantity = "impact_force"\nsolid = "baffles[1]"\nbelow = 400.0'
-    )
-    file.write_text(text)
-    main(str(file), out=file.parent / "out")
-    said = capsys.readouterr().out
-    assert "confirmed" in said
-    found = json.loads((file.parent / "out" / "design.json").read_text())
-    assert 0.04 < found["design"]["baffles[0].height"] < 0.24
+    force = 'quantity = "impact_force"\nsolid = "baffles[1]"\nwindow = 0.04\nbelow = 700.0'
+    file.write_text(PROBLEM.replace('quantity = "front"\nbelow = 0.7', force))
+    out = file.parent / "out"
+    main(str(file), out=out)
+    assert "problem: confirmed" in capsys.readouterr().out
+    found = json.loads((out / "design.json").read_text())
+    # A low barrier lets through what strikes the second one, a higher one than needed costs more.
+    assert 0.06 < found["design"]["baffles[0].height"] < 0.2
     assert found["probability"]["mpm"] >= 0.95
-    again = find_design(file, file.parent / "out", simulate=lambda scenes, record: pytest.fail("no flow is run again"))
+    assert {"report.md", "design.png", "mpm"} <= {path.name for path in out.iterdir()}
+    again = find_design(file, out, simulate=lambda scenes, record: pytest.fail("no flow is run again"))
     assert again.design == pytest.approx(found["design"])
+    assert [len(np.load(path)["positions"]) for path in (out / "mpm").rglob("*.npz")] == [1] * (
+        len(again.search.points) + 100
+    )
