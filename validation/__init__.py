@@ -14,13 +14,13 @@ import mpm  # noqa: F401  (which knows whether the package datasets is Talus's)
 
 if TYPE_CHECKING:
     from inverse.result import Result
-    from validation.design.search import find_design
+    from validation.design.solve import find_design
     from validation.loop.series import solve_series
     from validation.loop.solve import solve
 
 _MODULES = {
     "Result": "inverse.result",
-    "find_design": "validation.design.search",
+    "find_design": "validation.design.solve",
     "solve": "validation.loop.solve",
     "solve_series": "validation.loop.series",
 }

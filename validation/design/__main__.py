@@ -28,7 +28,8 @@ def main(problem: str, /, *, out: Path, scheduler: str | None = None) -> None:
     from mpm.cluster import connected
     from validation.design.problem import read_design
     from validation.design.report import summary
-    from validation.design.search import Verdict, find_design
+    from validation.design.search import Verdict
+    from validation.design.solve import find_design
 
     asked = read_design(problem)
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:

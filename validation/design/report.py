@@ -37,7 +37,7 @@ def record(found: Design) -> dict[str, Any]:
             "asked": problem.limit.probability,
             "required": problem.required,
             "emulator": search.expected,
-            "deviation": search.deviation,
+            "cautious": search.cautious,
             "mpm": 1.0 - found.exceeding / len(found.responses),
             "interval": found.interval,
         },
@@ -65,7 +65,8 @@ def summary(found: Design) -> list[str]:
         f"{problem.name}: {found.verdict}",
         f"design: {design}{cost}",
         f"{limit.quantity} below {limit.below:g} {problem.unit}: asked of {100.0 * limit.probability:g} % of the flows",
-        f"by the emulator of {100.0 * search.expected:.1f} ± {100.0 * search.deviation:.1f} % (one standard deviation)",
+        f"by the emulator of {100.0 * search.expected:.1f} %, of {100.0 * search.cautious:.1f} % were all "
+        f"{limit.quantity}s a standard deviation of what is unknown of them larger",
         f"by the MPM of {checks - found.exceeding} of {checks} fresh flows, so of {100.0 * low:.1f} to "
         f"{100.0 * high:.1f} % (95 %): {found.exceeding} exceed it where {problem.allowed} may, the largest is "
         f"{found.responses.max():.4g} {problem.unit}",
@@ -78,7 +79,7 @@ def summary(found: Design) -> list[str]:
 def report(found: Design) -> str:
     """`report.md`."""
     problem, (title, *lines) = found.problem, summary(found)
-    keys = ("runs", "probability", "deviation")
+    keys = ("runs", "probability", "cautious")
     waves = [each["design"] | {key: each[key] for key in keys} for each in found.search.waves]
     ranges = [{"number": each.name, "lower": each.lower, "upper": each.upper} for each in problem.numbers]
     parts = [

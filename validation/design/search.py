@@ -23,28 +23,22 @@ Biometrika 26 (1934) 404-413), rather too wide than too narrow for draws that fi
 """
 
 import dataclasses
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.optimize import NonlinearConstraint, differential_evolution
 from scipy.stats import binomtest, qmc, t
 
-from datasets.lock import locked
-from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, fitted, most_informative
 from inverse.posterior.posterior import Region, repeated_scatter
 from inverse.posterior.settings import CONSTANTS
-from mpm import ALL, LAST, simulate_many
-from validation.design.problem import DesignProblem, read_design
-from validation.runs import RunStore
+from validation.design.problem import DesignProblem
 
 Respond = Callable[[Matrix, int], Row]
 """All numbers [n, K + Q] in fractions of their ranges, and the number of the first flow -> responses [n]."""
@@ -58,7 +52,7 @@ RIVALS, CANDIDATES = 7, 64
 NEAR = 0.1
 """Of the ranges: deviation from the best design of half of those among which rivals are looked for."""
 SURE = 0.25
-"""Of 1 - p: standard deviation of P by the emulator, below which further runs decide little."""
+"""Of 1 - p: decrease of P were the emulator's mean a standard deviation larger, below which further runs decide little."""
 SETTLED = 0.02
 """Of the range of the cost: change from wave to wave, below which it is the cheapest design's."""
 ROUNDS = 2
@@ -163,13 +157,9 @@ class Search:
         return float(self.probability(self.best[None])[0])
 
     @cached_property
-    def deviation(self) -> float:
-        """Standard deviation of that by the emulator, to first order in its mean."""
-        points = self.joined(self.best[None], CANDIDATES)
-        mean, _, total = self.moments(points)
-        scaled = (self.problem.limit.below - mean) / np.sqrt(total)
-        slope = t.pdf(scaled, self.emulator.freedom) / np.sqrt(total) / CANDIDATES
-        return float(np.sqrt(max(0.0, slope @ self.emulator.covariance(points, 0)[0] @ slope)))
+    def cautious(self) -> float:
+        """The same were the mean a standard deviation larger."""
+        return float(self.probability(self.best[None], error=1.0)[0])
 
     def next_points(self, count: int) -> Matrix:
         """Where a wave runs, shape [count, K + Q]."""
@@ -205,13 +195,13 @@ class Search:
                     "runs": len(state.points),
                     "design": problem.named(state.best),
                     "probability": state.expected,
-                    "deviation": state.deviation,
+                    "cautious": state.cautious,
                 }
             )
             price = float(problem.price(state.best[None])[0])
             # Far from the probability that is asked for, less has to be known of it.
             far = (problem.limit.probability - state.expected) / 3.0
-            known = state.deviation < max(SURE * (1.0 - problem.limit.probability), far)
+            known = state.expected - state.cautious < max(SURE * (1.0 - problem.limit.probability), far)
             sure, before = sure + 1 if known and abs(price - before) <= change else 0, price
             left = problem.runs - state.spent
             if sure > 1 or left <= 0:
@@ -275,53 +265,3 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
         state = state.with_runs(points, responses).searched()
     seconds = time.perf_counter() - began
     return Design(problem=problem, verdict=verdict, search=state, points=points, responses=responses, seconds=seconds)
-
-
-class Mpm:
-    """Responses by the MPM, each flow with a jitter seed of its own, kept in `folder`."""
-
-    def __init__(self, problem: DesignProblem, folder: Path, simulate: Simulate) -> None:
-        limit = problem.limit
-        self.problem, self.record = problem, ALL if limit.force else LAST
-        self.store = RunStore(folder / limit.folder, simulate, label="design-", reduce=limit.kept)
-        self.remarks: list[list[str]] = []
-        """Of every flow so far."""
-
-    def __call__(self, points: Matrix, first: int) -> Row:
-        """Responses at points [n, K + Q] in fractions of the ranges, shape [n]; first: number of the first flow."""
-        problem, values = self.problem, self.problem.box.at(np.round(points, 6))
-        seeds = [np.random.SeedSequence([problem.scene.seed, first + index]) for index in range(len(points))]
-        jitters = [int(seed.generate_state(1)[0]) for seed in seeds]
-        scenes = [problem.scene_at(row, jitter) for row, jitter in zip(values, jitters, strict=True)]
-        flows = self.store(scenes, record=self.record)
-        self.remarks += [list(each.summary.get("remarks", [])) for each in flows]
-        return np.array([each.summary[problem.limit.quantity] for each in flows])
-
-
-def find_design(
-    problem: DesignProblem | str | Path, out: Path | str | None = None, *, simulate: Simulate = simulate_many
-) -> Design:
-    """The cheapest design that keeps the limit as often as asked, checked by the MPM.
-
-    >>> from validation import find_design
-    >>> found = find_design("two-barriers", "out/design")
-    >>> print(found.verdict, found.design, found.exceeding, found.interval)
-
-    problem: one built in Python, the path of a TOML file or the name of a shipped one. out: folder for `design.json`,
-    `report.md`, a picture and every flow, where an interrupted command goes on; without it nothing is written.
-    simulate: in place of the MPM. Raises InputError, and WorkFailed where a run of the MPM blows up or another process
-    writes into `out`.
-    """
-    from validation.design.report import save
-
-    asked = problem if isinstance(problem, DesignProblem) else read_design(problem)
-    with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
-        mpm = Mpm(asked, folder / "mpm", simulate)
-        found = designed(asked, mpm)
-        remarks = [lines[0] for lines in mpm.remarks[-asked.budget.checks :] if lines]
-        # On deposits, which a force does not depend on.
-        if remarks and not asked.limit.force:
-            found = dataclasses.replace(found, remark=f"of {len(remarks)} flows of the check, such as: {remarks[0]}")
-        if out is not None:
-            save(found, folder)
-    return found
