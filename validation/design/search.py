@@ -52,7 +52,7 @@ RIVALS, CANDIDATES = 7, 64
 NEAR = 0.1
 """Of the ranges: deviation from the best design of half of those among which rivals are looked for."""
 SURE = 0.25
-"""Of 1 - p: decrease of P were the emulator's mean a standard deviation larger, below which further runs decide little."""
+"""Of 1 - p: decrease of P by a mean that is a standard deviation larger, below which further runs decide little."""
 SETTLED = 0.02
 """Of the range of the cost: change from wave to wave, below which it is the cheapest design's."""
 ROUNDS = 2
