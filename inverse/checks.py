@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,9 +55,9 @@ def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
             require(getattr(each, name) is None, f"{key}.{name}", f"it of a {kind}, alone", getattr(each, name))
         if not each.is_field:
             check_number(scene, each, key)
-    numbers = [(index, each) for index, each in enumerate(parameters) if not each.is_field]
+    numbers = {f"unknowns[{index}]": each for index, each in enumerate(parameters) if not each.is_field}
     if numbers:
-        check_bounds(scene, numbers)
+        check_bounds(scene, numbers, "unknowns")
 
 
 def check_number(scene: Scene, parameter: Parameter, key: str) -> None:
@@ -76,25 +76,28 @@ def check_number(scene: Scene, parameter: Parameter, key: str) -> None:
     require(lower <= parameter.start <= upper, f"{key}.initial", f"a value in [{lower:g}, {upper:g}]", parameter.start)
 
 
-def check_bounds(scene: Scene, numbers: Sequence[tuple[int, Parameter]]) -> None:
-    """Raise InputError for numbers, with indices, between whose bounds not every scene can be simulated."""
-    parameters = [each for _, each in numbers]
+def check_bounds(scene: Scene, numbers: Mapping[str, Parameter], key: str) -> None:
+    """Raise InputError for numbers by their keys, between whose bounds not every scene can be simulated.
+
+    key: of all together.
+    """
+    parameters = [*numbers.values()]
     initial, bounds = [each.start for each in parameters], [each.bounds for each in parameters]
-    _check_scene(scene, parameters, initial, "unknowns")
+    _check_scene(scene, parameters, initial, key)
     lower, upper = np.array(bounds).T
     corners = [*itertools.islice(itertools.product(*bounds), FILLING), upper.tolist()]
     inside = lower + (upper - lower) * qmc.Sobol(len(bounds), seed=0).random(FILLING)
     for values in (*corners, *inside.tolist()):
         try:
-            _check_scene(scene, parameters, values, "unknowns")
+            _check_scene(scene, parameters, values, key)
         except InputError as error:
             # One bound by itself, if there is such a one, says more.
-            for row, (index, each) in enumerate(numbers):
+            for row, (own, each) in enumerate(numbers.items()):
                 for name, bound in zip(("lower", "upper"), each.bounds, strict=True):
                     alone = [*initial[:row], bound, *initial[row + 1 :]]
-                    _check_scene(scene, parameters, alone, f"unknowns[{index}].{name}")
+                    _check_scene(scene, parameters, alone, f"{own}.{name}")
             where = ", ".join(f"{each.name} = {value:.4g}" for each, value in zip(parameters, values, strict=True))
-            raise InputError(f"{error.message} with {where}, all within their bounds", key="unknowns") from None
+            raise InputError(f"{error.message} with {where}, all within their bounds", key=key) from None
 
 
 def _check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence[float], key: str) -> None:

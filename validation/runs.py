@@ -65,10 +65,15 @@ class RunStore:
     """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulate_many`."""
 
     def __init__(
-        self, folder: Path, simulate: Callable[..., list[Trajectory]] = simulate_many, *, label: str = ""
+        self,
+        folder: Path,
+        simulate: Callable[..., list[Trajectory]] = simulate_many,
+        *,
+        label: str = "",
+        reduce: Callable[[Trajectory], Trajectory] = lambda flow: flow,
     ) -> None:
-        """label: what the names of new files begin with, before their number."""
-        self.folder, self.simulate, self.label = folder, simulate, label
+        """label: what the names of new files begin with, before their number; reduce: to what of a flow is kept."""
+        self.folder, self.simulate, self.label, self.reduce = folder, simulate, label, reduce
         self.width: Callable[[], int] = getattr(simulate, "width", lambda: 2 * processors())
         """How many runs are handed out at a time."""
 
@@ -128,7 +133,7 @@ class RunStore:
         stored = []
         for run, outcome in zip(batch, outcomes, strict=True):
             if isinstance(outcome, Trajectory):
-                stored.append(dataclasses.replace(outcome, summary=outcome.summary | {SHARE: share}))
+                stored.append(self.reduce(dataclasses.replace(outcome, summary=outcome.summary | {SHARE: share})))
                 number = 1 + len(list(self.folder.glob(f"{self.label}[0-9]*.npz")))
                 stored[-1].save(self._path(run) or self.folder / f"{self.label}{number:02d}-{run.digest}.npz")
         if failed is not None:

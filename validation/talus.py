@@ -19,13 +19,19 @@ MODULES = {
     "adapt": ("inverse.adapt", "train the surrogate on the box of a problem"),
     "invert": ("inverse", "find the unknowns of a problem by one forward model"),
     "solve": ("validation.loop", "find them with uncertainty, confirmed by the MPM"),
+    "design": ("validation.design", "where barriers stand so that a limit is kept as often as asked"),
     "view": ("validation.view", "look at a flow, or at two, in a browser"),
     "compare": ("datasets.compare", "two flows side by side: fronts, profiles, energies"),
     "bench": ("validation.bench", "measure again what a page of the documentation shows"),
 }
 """Of each command its module and what it does."""
 PROBLEMS = Path(__file__).parents[1] / "inverse" / "problems"
-LISTS = {"scenes": (SCENES, "the scenes that ship"), "problems": (PROBLEMS, "the inverse problems that ship")}
+DESIGNS = Path(__file__).parent / "design" / "problems"
+LISTS = {
+    "scenes": (SCENES, "the scenes that ship"),
+    "problems": (PROBLEMS, "the inverse problems that ship"),
+    "designs": (DESIGNS, "the design problems that ship"),
+}
 """Of each list its folder and what is in it."""
 
 SENTENCE = re.compile(r"(?<=[.?]) (?=[^a-z])")
@@ -35,7 +41,9 @@ SENTENCE = re.compile(r"(?<=[.?]) (?=[^a-z])")
 def described(path: Path) -> str:
     """A line on a scene or a problem in TOML: name, dimension, the first sentence of its comment."""
     table = read_toml(path)
-    scene = read_toml(find(table["scene"], SCENES, "scene")) if "scene" in table else table
+    scene = table.get("scene", table)
+    if isinstance(scene, str):
+        scene = read_toml(find(scene, SCENES, "scene"))
     comment: list[str] = []
     for line in path.read_text(encoding="utf-8").splitlines():
         if not line.startswith("#"):

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, polygamma
 
-from inverse.posterior import Matrix
+from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 
 Trend = Callable[[Matrix], Matrix]
@@ -285,3 +285,29 @@ def likeliest(log_likelihood: Callable[[NDArray[np.int64]], float], start: NDArr
                 if other > value + SAME:
                     found, value, improved = tried, other, True
     return found
+
+
+def most_informative(
+    emulator: Emulator, candidates: Matrix, count: int, scales: Row, relevance: Row | float = 1.0
+) -> list[int]:
+    """Which of the candidates [S, U] are to be run: those that shrink the emulator's variance over all of them most.
+
+    One after the other where the decrease is largest, given those before (MacKay, Information-based objective functions
+    for active data selection, Neural Comput. 4 (1992) 590-604). scales: of the squares of each component [r];
+    relevance: weights of the candidates [S] in the mean of the variance.
+    """
+    parts = [emulator.covariance(candidates, each) for each in range(len(scales))]
+    weights = np.broadcast_to(relevance, len(candidates))
+    chosen: list[int] = []
+    for _ in range(min(count, len(candidates))):
+        gain = sum(
+            (weights[:, None] * whole**2).mean(axis=0) / (np.diag(whole) + nugget) / scale
+            for (whole, nugget), scale in zip(parts, scales, strict=True)
+        )
+        index = int(np.argmax(gain))
+        chosen.append(index)
+        parts = [
+            (whole - np.outer(whole[:, index], whole[index]) / (whole[index, index] + nugget), nugget)
+            for whole, nugget in parts
+        ]
+    return chosen

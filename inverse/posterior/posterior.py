@@ -33,7 +33,7 @@ from scipy.special import gammaln
 from scipy.stats import f, qmc
 
 from inverse.posterior import Matrix, Row
-from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, squared_distance
+from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, most_informative, squared_distance
 from inverse.posterior.reduction import Reduction, reduction
 from inverse.posterior.sampling import Samples, sample, systematic
 from inverse.posterior.settings import CONSTANTS
@@ -348,25 +348,10 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple
 def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matrix:
     """Where further runs shrink the emulator's variance most, among plausible parameters, shape [count, U].
 
-    One after the other where it is largest, given those before (MacKay, Information-based objective functions for
-    active data selection, Neural Comput. 4 (1992) 590-604); over all components, each by its scatter and noise. Of more
-    than `few_parameters` evenly over the region: what lies between few samples of many dimensions is unknown otherwise.
+    Over all components, each by its scatter and noise. Of more than `few_parameters` evenly over the region: what lies
+    between few samples of many dimensions is unknown otherwise.
     """
     if found.samples.points.shape[1] > CONSTANTS.few_parameters:
         return found.next_region.filled(count, rng)
     candidates = np.unique(found.plausible.points[systematic(found.plausible.weights, 300, rng)], axis=0)
-    parts = [found.emulator.covariance(candidates, each) for each in range(len(found.likelihood.target))]
-    scales = np.diag(found.likelihood.fixed)
-    chosen: list[int] = []
-    for _ in range(min(count, len(candidates))):
-        gain = sum(
-            (whole**2).mean(axis=0) / (np.diag(whole) + nugget) / scale
-            for (whole, nugget), scale in zip(parts, scales, strict=True)
-        )
-        index = int(np.argmax(gain))
-        chosen.append(index)
-        parts = [
-            (whole - np.outer(whole[:, index], whole[index]) / (whole[index, index] + nugget), nugget)
-            for whole, nugget in parts
-        ]
-    return candidates[chosen]
+    return candidates[most_informative(found.emulator, candidates, count, np.diag(found.likelihood.fixed))]

@@ -55,7 +55,7 @@ def test_the_exit_status_is_that_of_the_module() -> None:
     assert "none: expected" in said
 
 
-@pytest.mark.parametrize(("name", "folder"), [("scenes", SCENES), ("problems", PROBLEMS)])
+@pytest.mark.parametrize(("name", "folder"), [("scenes", SCENES), ("problems", PROBLEMS), ("designs", talus.DESIGNS)])
 def test_what_ships_has_a_line_each(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, folder: Path
 ) -> None:

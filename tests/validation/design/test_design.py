@@ -1,0 +1,243 @@
+"""Robust designs: exact ones of a response that is known, what the MPM says, mistakes in a line."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from datasets.errors import InputError
+from datasets.forces import forces_of
+from datasets.scene import Baffle, Mass
+from inverse.posterior import Matrix, Row
+from mpm import simulate
+from tests.scenes import scene_of
+from validation import find_design
+from validation.design.__main__ import main
+from validation.design.problem import Budget, DesignProblem, Limit, Prior, Uncertain, Variable, read_design
+from validation.design.problem import _File as problem_file
+from validation.design.report import record
+from validation.design.search import Verdict, designed
+
+SCENE = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(2.5, 0.0)),
+    baffles=(Baffle(lower=(0.5, 0.0), size=(0.06, 0.1)), Baffle(lower=(0.8, 0.0), size=(0.06, 0.1))),
+    floor_friction=0.4,
+    duration=0.4,
+    frame_dt=0.005,
+    step_fraction=0.9,
+)
+HEIGHTS = tuple(Variable(name=f"baffles[{index}].height", lower=0.04, upper=0.24) for index in (0, 1))
+FRICTION = Uncertain(name="friction_deg", lower=18.0, upper=42.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
+FLOOR = Uncertain(name="floor_friction", lower=0.3, upper=0.5)
+SCATTER, PRICES = 0.005, {"baffles[0].height": 1.0, "baffles[1].height": 2.0}
+SEEDS = range(3)
+
+
+def problem_of(**changes: object) -> DesignProblem:
+    """Two heights under an uncertain angle; the front is to stay below 0.7 m in 95 % of the flows."""
+    own = {"variables": HEIGHTS, "uncertain": (FRICTION,), "limit": Limit(quantity="front", below=0.7), "cost": PRICES}
+    return DesignProblem(**{"name": "known", "scene": SCENE, **own, **changes})  # type: ignore[arg-type]
+
+
+class Known:
+    """y = 0.9 - h_0 - 1.5 h_1 - 0.01 (phi - 30) + e: the first barrier is the cheaper one, and enough."""
+
+    def __init__(self, problem: DesignProblem) -> None:
+        self.problem, self.rng = problem, np.random.default_rng(problem.budget.seed + 100)
+
+    def __call__(self, points: Matrix, first: int) -> Row:
+        one, other, angle = self.problem.box.at(points).T
+        scatter = self.rng.normal(scale=SCATTER, size=len(points))
+        return np.asarray(0.9 - one - 1.5 * other - 0.01 * (angle - 30.0) + scatter)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_cheapest_design_of_a_known_response_is_found(seed: int) -> None:
+    problem = problem_of(budget=Budget(runs=50, seed=seed))
+    found = designed(problem, Known(problem))
+    # Exactly: 0.9 - h_0 - 1.5 * 0.04 + z s = 0.7 with s^2 = (0.01 * 3)^2 + SCATTER^2, but for the cut at the bounds.
+    exact = 0.14 + norm.ppf(problem.required) * np.hypot(0.03, SCATTER)
+    assert found.design["baffles[0].height"] == pytest.approx(exact, abs=0.008)
+    assert found.design["baffles[1].height"] == pytest.approx(0.04, abs=0.004)
+    assert found.verdict is Verdict.CONFIRMED
+    assert found.search.spent <= problem.runs
+    true = norm.cdf((found.design["baffles[0].height"] + 1.5 * found.design["baffles[1].height"] - 0.2) / 0.0304)
+    assert true == pytest.approx(problem.required, abs=0.015)
+
+
+def test_the_most_reliable_design_is_found_where_nothing_has_a_cost() -> None:
+    problem = problem_of(cost={}, variables=(Variable(name="baffles[0].height", lower=0.04, upper=0.24),))
+
+    def respond(points: Matrix, first: int) -> Row:
+        height, angle = problem.box.at(points).T
+        return np.asarray(0.65 + 5.0 * (height - 0.1) ** 2 - 0.01 * (angle - 30.0))
+
+    found = designed(problem, respond)
+    assert found.design["baffles[0].height"] == pytest.approx(0.1, abs=0.03)
+    assert found.search.expected == pytest.approx(norm.cdf(0.05 / 0.03), abs=0.02)
+
+
+def test_a_limit_that_no_design_keeps_is_unreachable(tmp_path: Path) -> None:
+    problem = problem_of(limit=Limit(quantity="front", below=0.3), budget=Budget(runs=40, checks=40))
+    found = designed(problem, Known(problem))
+    assert found.verdict is Verdict.UNREACHABLE
+    # What the best design gives: 0.9 - 0.24 - 1.5 * 0.24 = 0.3 at the mean angle.
+    assert min(found.design.values()) > 0.22
+    assert found.exceeding == pytest.approx(20, abs=12)
+    low, high = found.interval
+    assert low < 1.0 - found.exceeding / 40 < high
+
+
+def test_flows_of_a_failed_check_inform_a_second_design() -> None:
+    """The first check's flows go further than those before: only then is the response known."""
+    problem = problem_of(budget=Budget(runs=40, checks=60))
+    known, checks = Known(problem), list[int]()
+
+    def respond(points: Matrix, first: int) -> Row:
+        checks.extend([first] if len(points) == 60 else [])
+        return known(points, first) + (0.05 if len(points) == 60 else 0.0)
+
+    found = designed(problem, respond)
+    assert len(checks) == 2
+    assert found.search.spent <= problem.runs
+    assert len(found.search.points) == found.search.spent + 60
+
+
+def test_draws_are_those_of_the_prior() -> None:
+    lognormal = Prior(kind="lognormal", mean=0.4, deviation=0.05)
+    floor = dataclasses.replace(FLOOR, lower=0.05, upper=2.0, prior=lognormal)
+    problem = problem_of(uncertain=(FRICTION, floor, Uncertain(name="wall_friction", lower=0.1, upper=0.3)))
+    drawn = problem.box.lower[2:] + problem.box.range[2:] * problem.draws(4000, np.random.default_rng(0))
+    np.testing.assert_allclose(drawn.mean(axis=0), [30.0, 0.4, 0.2], rtol=2e-3)
+    np.testing.assert_allclose(drawn.std(axis=0), [3.0, 0.05, 0.2 / np.sqrt(12.0)], rtol=1e-2)
+    narrow = dataclasses.replace(FRICTION, lower=29.0, upper=33.0)
+    cut = narrow.at(np.linspace(0.0, 1.0, 5))
+    assert (cut[0], cut[-1]) == (29.0, 33.0)
+
+
+PROBLEM = """
+scene = "scene.toml"
+
+[[variables]]
+name = "baffles[0].height"
+lower = 0.04
+upper = 0.24
+
+[[uncertain]]
+name = "floor_friction"
+lower = 0.3
+upper = 0.5
+
+[limit]
+quantity = "front"
+below = 0.7
+
+[cost]
+"baffles[0].height" = 1.0
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A problem as a file."""
+    from datasets.library import write_scene
+
+    write_scene(SCENE, tmp_path / "scene.toml")
+    path = tmp_path / "problem.toml"
+    path.write_text(PROBLEM)
+    return path
+
+
+def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
+    angle = np.random.default_rng(0).normal(30.0, 2.0, 500)
+    samples = np.stack([angle, 100.0 + 10.0 * (30.0 - angle)], axis=1)
+    weights = np.where(angle > 30.0, 1.0, 0.0)
+    np.savez(file.parent / "posterior.npz", names=["friction_deg", "cohesion"], samples=samples, weights=weights)
+    file.write_text('posterior = "posterior.npz"\n' + PROBLEM)
+    problem = read_design(file)
+    assert [each.name for each in problem.uncertain] == ["floor_friction", "friction_deg", "cohesion"]
+    drawn = problem.box.lower[1:] + problem.box.range[1:] * problem.draws(200, np.random.default_rng(0))
+    assert drawn[:, 1].min() >= 30.0
+    assert np.corrcoef(drawn[:, 1], drawn[:, 2])[0, 1] == pytest.approx(-1.0)
+    assert abs(np.corrcoef(drawn[:, 0], drawn[:, 1])[0, 1]) < 0.3
+    assert drawn[:, 1].mean() == pytest.approx(angle[angle > 30.0].mean(), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ('"baffles[0].height"\nl', '"baffles[5].height"\nl', "variables[0].name: expected an index below 2"),
+        ("lower = 0.04", "lower = 0.4", "variables[0].upper: expected a value above 0.4"),
+        ('name = "floor_friction"', 'name = "baffles[0].height"', "variables[0].name: expected each number once"),
+        ("upper = 0.5", "upper = 0.5\nprior = { kind = 'normal', mean = 0.4 }", "uncertain[0].prior.deviation"),
+        ("upper = 0.5", "upper = 0.5\nprior = { mean = 0.4 }", "uncertain[0].prior.mean: expected none of a uniform"),
+        ("upper = 0.5", "upper = 0.5\nprior = { kind = 'beta' }", "uncertain[0].prior.kind: expected"),
+        ('quantity = "front"', 'quantity = "force"', "limit.quantity: expected 'front', 'runout' or 'impact_force'"),
+        ("below = 0.7", "below = 1.7", "limit.below: expected a number in (0, 1)"),
+        ("below = 0.7", "below = 0.7\nprobability = 95.0", "limit.probability: expected a probability"),
+        ("below = 0.7", "below = 0.7\nwindow = 0.1", "limit.quantity: expected impact_force beside solid"),
+        ('"front"', '"impact_force"\nsolid = "wall"', "limit.solid: expected one of baffles[0], baffles[1]"),
+        ('"baffles[0].height" = 1.0', 'height = 1.0', "cost.height: expected one of the variables baffles[0].height"),
+        ("[cost]", "[budget]\nchecks = 5\n[cost]", "budget.checks: expected an integer of at least 20, got 5"),
+        ("[cost]", "[price]", "price: expected a known key"),
+        ("scene =", 'posterior = "none.npz"\nscene =', "none.npz: expected"),
+        ("upper = 0.24", "upper = 1.4", "variables[0].upper: expected a scene that can be simulated"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_one_line(file: Path, old: str, new: str, line: str) -> None:
+    assert old in PROBLEM
+    file.write_text(PROBLEM.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        read_design(file)
+    assert line in str(caught.value)
+    assert str(file.parent) in str(caught.value)
+
+
+def test_every_key_is_on_the_page_of_formats() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = page.split("\n## A design problem\n")[1].split("\n## ")[0]
+    problem = problem_of(budget=Budget(runs=30, checks=20))
+    written = record(designed(problem, Known(problem)))
+    read = [each.name for kind in (Uncertain, Prior, Limit, Budget, problem_file) for each in dataclasses.fields(kind)]
+    for name in (*read, *written, *written["probability"], *written["waves"][0], *written["checks"][0]):
+        assert f"`{name}`" in section or f"[{name}]" in section, name
+
+
+def test_the_shipped_problem_is_read() -> None:
+    problem = read_design("two-barriers")
+    assert len(problem.variables) == 4
+    assert problem.allowed == 5
+    assert 0.96 < problem.required < 0.98
+
+
+def test_a_force_is_that_of_the_solid() -> None:
+    flow = simulate(SCENE)
+    limits = (("baffles[0]", 0.0), ("baffles[1]", 0.0), (None, 0.0), (None, 0.05))
+    kept = [Limit(quantity="impact_force", below=1.0, solid=name, window=time).kept(flow) for name, time in limits]
+    first, second, largest, smoothed = (each.summary["impact_force"] for each in kept)
+    assert 0.0 <= second < first == largest
+    assert largest == forces_of(flow).peaks[0][0]
+    assert 0.0 < smoothed < largest
+    assert len(kept[0].positions) == len(kept[0].time) == 1
+
+
+@pytest.mark.slow
+def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    force = 'quantity = "impact_force"\nsolid = "baffles[1]"\nwindow = 0.04\nbelow = 700.0'
+    file.write_text(PROBLEM.replace('quantity = "front"\nbelow = 0.7', force))
+    out = file.parent / "out"
+    main(str(file), out=out)
+    assert "problem: confirmed" in capsys.readouterr().out
+    found = json.loads((out / "design.json").read_text())
+    # A low barrier lets through what strikes the second one, a higher one than needed costs more.
+    assert 0.06 < found["design"]["baffles[0].height"] < 0.2
+    assert found["probability"]["mpm"] >= 0.95
+    assert {"report.md", "design.png", "mpm"} <= {path.name for path in out.iterdir()}
+    again = find_design(file, out, simulate=lambda scenes, record: pytest.fail("no flow is run again"))
+    assert again.design == pytest.approx(found["design"])
+    assert [len(np.load(path)["positions"]) for path in (out / "mpm").rglob("*.npz")] == [1] * (
+        len(again.search.points) + 100
+    )

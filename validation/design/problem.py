@@ -1,0 +1,299 @@
+"""A design problem: what may be chosen, what is uncertain, and below which limit a flow has to stay, how often.
+
+minimise c . d    subject to    P(y(d, u, e) < L) >= p,    u ~ prior or posterior, e the jitter of the particles
+"""
+
+import dataclasses
+import zlib
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy import stats
+from scipy.stats import qmc
+
+from datasets.arrays import read_arrays
+from datasets.errors import naming, require
+from datasets.files import reading
+from datasets.forces import forces_of
+from datasets.library import SCENES, find, read_scene, scene_from
+from datasets.records import Record, from_mapping, read_toml
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory, solid_names
+from inverse.checks import check_bounds, check_number
+from inverse.observations.observation import SCATTER_CELLS
+from inverse.parameters import Kind, Parameter, with_kinds
+from inverse.posterior import Matrix, Row
+from inverse.posterior.sampling import systematic
+from inverse.problem import Bounds
+
+DESIGNS = Path(__file__).parent / "problems"
+FORCE_SCATTER = 0.1
+"""Standard deviation of a peak force from flow to flow over the limit, before runs have measured it."""
+ASSURANCE = 0.9
+"""Probability with which a design passes its check where the emulator is right."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior(Record):
+    """How an uncertain number is distributed before it is cut off at its bounds."""
+
+    kind: Literal["uniform", "normal", "lognormal"] = "uniform"
+    mean: float | None = None
+    """Of the number itself; a uniform one is between its bounds."""
+    deviation: float | None = None
+
+    def check(self, key: str) -> None:
+        """Raise InputError for a distribution that is none."""
+        for name in ("mean", "deviation"):
+            value = getattr(self, name)
+            expected = f"none of a uniform prior, a number of another, here {self.kind}"
+            require((value is None) == (self.kind == "uniform"), f"{key}.{name}", expected, value)
+            may = value is None or value > 0.0 or (name == "mean" and self.kind == "normal")
+            require(may, f"{key}.{name}", "a positive number", value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable(Record):
+    """A number that is chosen, one of `inverse.parameters`."""
+
+    name: str
+    lower: float
+    upper: float
+
+    @property
+    def parameter(self) -> Parameter:
+        """The same of an inversion."""
+        return Parameter(name=self.name, lower=self.lower, upper=self.upper, initial=0.5 * (self.lower + self.upper))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Uncertain(Variable):
+    """A number that is not known when the barriers are built."""
+
+    prior: Prior = field(default_factory=Prior)
+
+    def at(self, levels: Row) -> Row:
+        """Its quantiles at `levels` in [0, 1], shape as `levels`."""
+        mean, deviation = self.prior.mean, self.prior.deviation
+        if mean is None or deviation is None:
+            return self.lower + (self.upper - self.lower) * levels
+        frozen = stats.norm(mean, deviation)
+        if self.prior.kind == "lognormal":
+            width = np.sqrt(np.log1p((deviation / mean) ** 2))
+            frozen = stats.lognorm(width, scale=mean * np.exp(-0.5 * width**2))
+        low, high = frozen.cdf([self.lower, self.upper])
+        return np.asarray(np.clip(frozen.ppf(low + (high - low) * levels), self.lower, self.upper))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit(Record):
+    """What has to stay below which value, and how often."""
+
+    quantity: Literal["front", "runout", "impact_force"]
+    """Of the deposit [m]; the largest mean force between two frames [N, in 2D N per metre of width]."""
+    below: float
+    probability: float = 0.95
+    solid: str | None = None
+    """Of a force: on which baffle or solid, by its name; the largest on any where absent."""
+    window: float = 0.0
+    """Time [s] over which a force is averaged besides."""
+
+    @property
+    def force(self) -> bool:
+        """Whether it is one."""
+        return self.quantity == "impact_force"
+
+    @property
+    def folder(self) -> str:
+        """Where runs are kept: those of other forces have other ones in their summaries."""
+        return f"{self.quantity}-{zlib.crc32(repr((self.solid, self.window)).encode()):08x}"
+
+    def kept(self, flow: Trajectory) -> Trajectory:
+        """The deposit of a run, with the force in its summary where that is limited."""
+        if not self.force:
+            return flow
+        forces = forces_of(flow, window=self.window)
+        peaks = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
+        largest = max(peaks[name] for name in ([self.solid] if self.solid else solid_names(flow.scene)))
+        last: dict[str, Any] = {name: getattr(flow, name)[-1:] for name in ("positions", "time", "solid_impulse")}
+        return dataclasses.replace(flow, **last, summary=flow.summary | {self.quantity: largest})
+
+    def scatter(self, scene: Scene) -> float:
+        """Expected standard deviation from flow to flow before repeated runs show it."""
+        return FORCE_SCATTER * self.below if self.force else SCATTER_CELLS * scene.domain.cell
+
+    def check(self, scene: Scene) -> None:
+        """Raise InputError for a limit that flows of `scene` cannot have."""
+        top = np.inf if self.force else scene.domain.size[0]
+        require(0.0 < self.below < top, "limit.below", f"a number in (0, {top:g})", self.below)
+        require(0.5 <= self.probability < 1.0, "limit.probability", "a probability in [0.5, 1)", self.probability)
+        plain = self.solid is None and self.window == 0.0
+        require(plain or self.force, "limit.quantity", "impact_force beside solid or window", self.quantity)
+        require(0.0 <= self.window <= scene.duration, "limit.window", f"up to {scene.duration:g} s", self.window)
+        if self.force:
+            names = solid_names(scene)
+            known = len(names) > 0 and self.solid in (None, *names)
+            expected = f"one of {', '.join(names)}" if names else "a scene with solids"
+            require(known, "limit.solid", expected, repr(self.solid))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget(Record):
+    """What the MPM may spend."""
+
+    runs: int | None = None
+    """Runs for the emulator, at most; 20 and 20 for each number, chosen or uncertain, where absent."""
+    checks: int = 100
+    """Runs at the design, each of a fresh draw."""
+    seed: int = 0
+    """Of random numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Keys(Record):
+    """What a design problem and its file have in common."""
+
+    variables: tuple[Variable, ...]
+    """What is chosen: d, K numbers."""
+    uncertain: tuple[Uncertain, ...] = ()
+    """What is not known: u, Q numbers."""
+    limit: Limit
+    cost: dict[str, float] = field(default_factory=dict)
+    """Variable -> the price of a unit of it; without any the most reliable design is looked for."""
+    budget: Budget = field(default_factory=Budget)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File(_Keys):
+    """A design problem as it stands in its file."""
+
+    scene: str | dict[str, Any]
+    posterior: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignProblem(_Keys):
+    """A design problem, checked. Raises InputError, which names the key."""
+
+    name: str
+    scene: Scene
+    samples: Matrix | None = None
+    """Of the posterior of the last of the uncertain numbers, of equal weight, shape [S, Q']."""
+
+    def __post_init__(self) -> None:
+        groups = {"variables": self.variables, "uncertain": self.uncertain}
+        keyed = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
+        names = [each.name for each in self.numbers]
+        for group, own in groups.items():
+            require(len(own) > 0, group, "at least one number", "none")
+        for key, each in keyed.items():
+            require(names.count(each.name) == 1, f"{key}.name", "each number once", f"{each.name!r} twice")
+            check_number(self.scene, each.parameter, key)
+            if isinstance(each, Uncertain):
+                each.prior.check(f"{key}.prior")
+        check_bounds(self.scene, {key: each.parameter for key, each in keyed.items()}, "variables")
+        self.limit.check(self.scene)
+        known = names[: len(self.variables)]
+        for name in self.cost:
+            require(name in known, f"cost.{name}", f"one of the variables {', '.join(known)}", name)
+        budget, fewest = self.budget, 4 * len(names)
+        require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
+        require(budget.checks >= 20, "budget.checks", "an integer of at least 20", budget.checks)
+        require(budget.seed >= 0, "budget.seed", "an integer of at least 0", budget.seed)
+
+    @property
+    def numbers(self) -> tuple[Variable, ...]:
+        """Chosen, then uncertain: K + Q."""
+        return (*self.variables, *self.uncertain)
+
+    @cached_property
+    def kinds(self) -> list[Kind]:
+        """What they are."""
+        return [each.parameter.kind for each in self.numbers]
+
+    @cached_property
+    def box(self) -> Bounds:
+        """Of all of them."""
+        return Bounds(*np.array([(each.lower, each.upper) for each in self.numbers]).T)
+
+    @property
+    def unit(self) -> str:
+        """Of what is limited."""
+        force = "N/m" if self.scene.dimension == 2 else "N"
+        return force if self.limit.force else "m"
+
+    @property
+    def runs(self) -> int:
+        """Runs for the emulator, at most."""
+        return 20 + 20 * len(self.numbers) if self.budget.runs is None else self.budget.runs
+
+    @property
+    def allowed(self) -> int:
+        """Flows of the check that may exceed the limit: a share of 1 - p."""
+        return int((1.0 - self.limit.probability) * self.budget.checks + 1e-9)
+
+    @property
+    def required(self) -> float:
+        """The probability that a design is to have: so far above p that it passes the check by `ASSURANCE`."""
+        return 1.0 - float(stats.beta.ppf(1.0 - ASSURANCE, self.allowed + 1, self.budget.checks - self.allowed))
+
+    def named(self, design: Row) -> dict[str, float]:
+        """The variables by name of a design [K] in fractions of the ranges."""
+        values = self.box.lower[: len(design)] + self.box.range[: len(design)] * design
+        return {each.name: float(value) for each, value in zip(self.variables, values, strict=True)}
+
+    def price(self, designs: Matrix) -> Row:
+        """c . d of designs [S, K] in fractions of their ranges, shape [S]; 0 without a cost."""
+        known = len(self.variables)
+        values = self.box.lower[:known] + self.box.range[:known] * designs
+        return np.asarray(values @ np.array([self.cost.get(each.name, 0.0) for each in self.variables]))
+
+    def draws(self, count: int, rng: np.random.Generator) -> Matrix:
+        """Draws of what is uncertain, in fractions of the ranges: one in each of `count` parts, shape [count, Q].
+
+        The parts are as likely, of every number (McKay, Beckman & Conover, A comparison of three methods for selecting
+        values of input variables, Technometrics 21 (1979) 239-245); those of a posterior, of the first of its numbers.
+        """
+        joint = 0 if self.samples is None else self.samples.shape[1]
+        alone = self.uncertain[: len(self.uncertain) - joint]
+        levels = qmc.LatinHypercube(len(alone) + (joint > 0), rng=rng).random(count)
+        values = [each.at(level) for each, level in zip(alone, levels.T, strict=False)]
+        if self.samples is not None:
+            ordered = self.samples[np.argsort(self.samples[:, 0])]
+            values += [*ordered[(levels[:, -1] * len(ordered)).astype(int)].T]
+        known = len(self.variables)
+        return np.asarray((np.stack(values, axis=1) - self.box.lower[known:]) / self.box.range[known:])
+
+    def scene_at(self, values: Row, seed: int) -> Scene:
+        """The scene with all numbers [K + Q] and a jitter seed."""
+        return dataclasses.replace(with_kinds(self.scene, self.kinds, values), seed=seed)
+
+
+def read_design(name: str | Path) -> DesignProblem:
+    """Read the design problem at a path or of a shipped name. Raises InputError, which names the file and the key."""
+    path = find(str(name), DESIGNS, "design problem")
+    with naming(path):
+        file = from_mapping(_File, read_toml(path))
+        own = {each.name: getattr(file, each.name) for each in dataclasses.fields(file)}
+        if (posterior := own.pop("posterior")) is not None:
+            own["samples"], learned = read_posterior(path.parent / posterior)
+            own["uncertain"] += learned
+        if isinstance(file.scene, str):
+            beside = path.parent / file.scene
+            own["scene"] = read_scene(beside if file.scene.endswith(".toml") else find(file.scene, SCENES, "scene"))
+        else:
+            own["scene"] = scene_from(file.scene, path.parent)
+        return DesignProblem(name=path.stem, **own)
+
+
+def read_posterior(path: Path) -> tuple[Matrix, tuple[Uncertain, ...]]:
+    """Samples [S, Q'] of a posterior of `validation.loop`, drawn again to equal weights, and their numbers."""
+    found = read_arrays(path, "names", "samples", "weights", what="the posterior of validation.loop")
+    with reading(path, "the posterior of validation.loop"):
+        samples, weights = found["samples"].astype(float), found["weights"].astype(float)
+        samples = samples[systematic(weights / weights.sum(), len(weights), np.random.default_rng(0))]
+        ranges = zip(map(str, found["names"]), samples.min(axis=0), samples.max(axis=0), strict=True)
+        return samples, tuple(Uncertain(name=name, lower=float(low), upper=float(high)) for name, low, high in ranges)
