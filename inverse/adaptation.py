@@ -40,6 +40,7 @@ from inverse.forward.gns import require_predicted
 from inverse.parameters import Vector
 from inverse.posterior.emulator import fewest_runs, fitted
 from inverse.problem import Problem, read_problem
+from mpm.expected import INVERSION
 from mpm.generate import generate, missing_entries
 
 COMMAND = "python -m inverse.adapt"
@@ -102,7 +103,7 @@ def adapt(
     make_folder(out)
     write_json(out / PROBLEM, identity(asked))
     began = time.perf_counter()
-    generate(flows, out / DATA, seed=seed, count=None, jobs=jobs)
+    generate(flows, out / DATA, seed=seed, count=None, jobs=jobs, after=60.0 * minutes, beside=INVERSION)
     simulated = f"{missing} runs of the MPM in {time.perf_counter() - began:.0f} s"
     print(f"{simulated}; {minutes:g} minutes of training begin")
     held_out = flows_of(out / DATA, Split.VALID, settings)

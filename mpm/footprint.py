@@ -1,7 +1,7 @@
 """What a run will take, before any of it is allocated: particles, nodes, frames, steps and memory.
 
     >>> print(footprint(read_scene("column-tall-42")))
-    3200 particles, 106 x 56 nodes, 401 frames, 27200 steps or more, about 460 MiB of memory
+    3200 particles, 107 x 107 nodes, 401 frames, 4400 steps or more
 
 The arrays of a run are those of `mpm.arrays.batch`, counted here from the scene alone; what else a process holds is
 measured: Taichi with a compiled kernel (`PROCESS`), and what stands beside the state while it is filled (`BESIDE`).
@@ -19,7 +19,7 @@ from mpm.arrays.layout import Energy, Precision, node_shape
 from mpm.arrays.properties import substeps_per_frame
 from mpm.output.request import ALL, Recording
 
-PROCESS = 400 * 2**20
+PROCESS = 240 * 2**20
 """Bytes of a process with Taichi and a kernel."""
 BESIDE = 2.5
 """Peak over the bytes of the particles and their state."""
@@ -43,12 +43,14 @@ class Footprint:
     bytes: int
     """Of memory, at the peak, of the whole process."""
 
+    @property
+    def work(self) -> float:
+        """Particle-steps."""
+        return float(self.particles) * self.steps
+
     def __str__(self) -> str:
         nodes = " x ".join(map(str, self.nodes))
-        return (
-            f"{self.particles} particles, {nodes} nodes, {self.frames} frames, {self.steps} steps or more, "
-            f"about {memory.spoken(self.bytes)} of memory"
-        )
+        return f"{self.particles} particles, {nodes} nodes, {self.frames} frames, {self.steps} steps or more"
 
 
 def footprint(

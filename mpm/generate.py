@@ -1,6 +1,7 @@
 """python -m mpm.generate DEFINITION --out DIR: simulate a dataset, one process per scene at a time."""
 
 import sys
+import time
 from collections.abc import Iterable
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -21,7 +22,9 @@ from datasets.processes import processors
 from datasets.scene import Scene
 from datasets.training import MotionStatistics, metadata, motion_statistics, thin
 from datasets.trajectory import Trajectory, stored_scene, trajectory_files
-from mpm.cluster import Workers, connected, pool
+from mpm.cluster import QUEUED, Workers, connected, pool
+from mpm.expected import expected, kind_of, learn, planned
+from mpm.footprint import PROCESS
 
 TIMINGS = ("wall_s", "compile_s")
 """Keys of a summary that differ from run to run; the files of a dataset must not."""
@@ -71,12 +74,21 @@ def command(
 
 
 def generate(
-    definition: Definition, out: Path, *, seed: int, count: int | None, jobs: int, scheduler: str | None = None
+    definition: Definition,
+    out: Path,
+    *,
+    seed: int,
+    count: int | None,
+    jobs: int,
+    scheduler: str | None = None,
+    after: float = 0.0,
+    beside: float = 0.0,
 ) -> None:
     """Simulate what is missing of a dataset in `out`, then describe it in `metadata.json`.
 
-    In `jobs` processes, or by the workers of the Dask scheduler at an address. Raises InputError where `out` holds
-    other trajectories than these, WorkFailed where a simulation fails.
+    In `jobs` processes, or by the workers of the Dask scheduler at an address. Prints what that will take, with `after`
+    [s] of what its caller does next and `beside` [bytes] of what that holds. Raises InputError where `out` holds other
+    trajectories than these, WorkFailed where a simulation fails.
     """
     if jobs < 1:
         raise InputError(f"expected at least 1 job, got {jobs}", key="jobs")
@@ -86,7 +98,18 @@ def generate(
     if alike and len({entry.scene.frame_dt for entry in entries}) > 1:
         raise InputError(f"expected the same time between frames in all scenes of {definition.name}", key="frame_dt")
     with locked(out), pool(jobs) if scheduler is None else connected(scheduler) as workers:
-        simulate_all(workers, missing_entries(entries, out), out, total=len(entries), storage=definition.storage)
+        missing, begun = missing_entries(entries, out), time.perf_counter()
+        if missing:
+            until_rest = definition.storage is not None and not definition.storage.deposit
+            kind = kind_of(missing[0].scene, until_rest=until_rest, many=True)
+            processes = jobs if scheduler is None else max(1, workers.width() // QUEUED)
+            work, size = planned([entry.scene for entry in missing])
+            # The process that directs the others has no Taichi.
+            size = PROCESS / 2 + beside + min(processes, len(missing)) * size
+            print(expected(kind, work, memory=size, processors=processes, after=after), flush=True)
+        seconds = simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
+        if scheduler is None and missing:
+            learn(kind, work, seconds, start=time.perf_counter() - begun - seconds / jobs)
         statistics = statistics_of(
             workers, [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
         )
@@ -113,12 +136,14 @@ def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
 
 def simulate_all(
     workers: Workers, entries: list[Entry], out: Path, *, total: int, storage: Storage | None = None
-) -> None:
-    """Simulate `entries`, of `total` in the dataset. A failed one does not stop the others; WorkFailed names it.
+) -> float:
+    """Simulate `entries`, of `total` in the dataset; the seconds of all of them, of one after the other.
+
+    A failed one does not stop the others; WorkFailed names it.
 
     Raises OSError where the disk is full or read-only: the others would fail too.
     """
-    failures = []
+    failures, seconds = [], 0.0
     tasks = [(entry.scene, trajectory_path(entry, out), storage) for entry in entries]
     with tqdm(total=total, initial=total - len(entries), unit="trajectory", dynamic_ncols=True) as bar:
         for number, future in workers.completed(simulate_one, tasks):
@@ -127,27 +152,36 @@ def simulate_all(
                 raise error
             if error is not None:
                 failures.append(f"{entries[number].name} ({type(error).__name__}: {error})")
+            else:
+                seconds += future.result()
             bar.update()
     if failures:
         raise WorkFailed(f"{len(failures)} of {len(entries)} trajectories failed, first {min(failures)}")
+    return seconds
 
 
-def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> None:
-    """Simulate `scene` and save its trajectory, or what `storage` says of it, to `path`; in a process of the pool."""
+def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> float:
+    """Simulate `scene` and save its trajectory, or what `storage` says of it, to `path`; in a process of the pool.
+
+    Returns the seconds that it took, compilation apart.
+    """
     # Taichi belongs to the processes that simulate: the one that directs them does not import it.
     from mpm import Recording, simulate
 
+    begun: float = time.perf_counter()
     until_rest = storage is not None and not storage.deposit
     trajectory = simulate(scene, precision="f32", threads=1, record=Recording(until_rest=until_rest))
+    begun += trajectory.summary["compile_s"]
     summary = {key: value for key, value in trajectory.summary.items() if key not in TIMINGS}
     trajectory = replace(trajectory, summary=summary)
     if storage is not None:
         if storage.deposit:
-            end, time = trajectory.positions[-1:], trajectory.time[-1:]
-            deposit = replace(trajectory, positions=end, time=time, solid_impulse=None)
+            end, end_time = trajectory.positions[-1:], trajectory.time[-1:]
+            deposit = replace(trajectory, positions=end, time=end_time, solid_impulse=None)
             deposit.save(path.parents[1] / DEPOSITS / path.name)
         trajectory = thinned(trajectory, storage)
     trajectory.save(path)
+    return time.perf_counter() - begun
 
 
 def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from datasets.processes import stopping
 from datasets.scene import Scene
 from datasets.trajectory import open_trajectory
 from mpm.arrays.layout import Precision
+from mpm.expected import expected, kind_of, learn
 from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.request import Recording
@@ -106,7 +108,7 @@ def command(
     workers = workers_for(particle_count(given)) if arch == "cpu" else 1
     appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
     plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)
-    print(plan, flush=True)
+    kind = kind_of(given, precision=precise, arch=arch, until_rest=until_rest)
     file, frames = out / "checkpoint.npz", out / f"trajectory{HDF5}"
     start = Checkpoint.load(file) if file.exists() else None
     if start is not None and start.run != described(given, record, precise):
@@ -114,6 +116,9 @@ def command(
         start = None
     if start is not None and frames.exists():
         start.arrays["positions"] = open_trajectory(frames).positions
+    left = 1.0 if start is None else 1.0 - start.frame / max(1, given.frames - 1)
+    print(f"{plan}; {expected(kind, left * plan.work, memory=plan.bytes, processors=workers)}", flush=True)
+    began = time.perf_counter()
     with ExitStack() as stack:
         options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
         if appended:
@@ -130,7 +135,11 @@ def command(
             return stop.status
         except InputError as error:
             raise error.at(str(file)) if start is not None and not error.where else error from None
-        write_json(out / "summary.json", trajectory.summary)
+        summary, seconds = trajectory.summary, time.perf_counter() - began
+        if start is None:
+            computed = summary["wall_s"]
+            learn(kind, plan.work, computed, processors=workers, start=seconds - computed)
+        write_json(out / "summary.json", summary)
         file.unlink(missing_ok=True)
         # The folder holds one trajectory: that of this run.
         (out / "trajectory.npz" if hdf5 else frames).unlink(missing_ok=True)
@@ -142,7 +151,6 @@ def command(
             write_vtk(trajectory, out / "vtk", progress=True)
         if forces:
             print("\n".join(spoken(write_forces(trajectory, out))))
-    summary = trajectory.summary
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
     rest = f"at rest after {summary['rest_time']:g} s, " if summary["rest_time"] is not None else ""
     print(

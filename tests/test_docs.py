@@ -5,6 +5,7 @@ import importlib.util
 import json
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -14,11 +15,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from datasets.library import read_scene
+from inverse.forward.adjoint import Run
 from inverse.problem import read_problem
 from tests.commands import DOCS, ROOT, blocks, commands, measured_pages, status, written_pages
 from validation.bench.__main__ import BENCHES
+from validation.experiments.experiment import FOLDER, read_experiment
 
 PAGES = written_pages()
 NAME = re.compile(r"`((?:datasets|mpm|gns|inverse|validation|tests)(?:/[\w./-]+|(?:\.\w+)+))`")
@@ -124,8 +128,8 @@ def test_two_angles_are_compared_as_on_the_page(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.slow
 def test_the_gradients_of_the_page_agree() -> None:
-    """With respect to the floor's friction, by the page's second script, and by the first with that as a parameter."""
-    sides, layer, plain = blocks(DOCS / "how-to" / "gradient.md", "python")
+    """With respect to the floor's friction, by the layer of PyTorch and by the page's second script."""
+    sides, plain = blocks(DOCS / "how-to" / "gradient.md", "python")
     slopes: dict[str, float] = {}
     sides = sides.replace(
         "print(type(forward).__name__, ", "slopes.setdefault(type(forward).__name__, angle.grad.item()); ("
@@ -134,18 +138,30 @@ def test_the_gradients_of_the_page_agree() -> None:
     # Millimetres per degree: the surrogate's is near the adjoint's.
     assert slopes["AdjointForward"] == pytest.approx(-0.011, rel=0.2)
     assert slopes["GnsForward"] == pytest.approx(slopes["AdjointForward"], rel=0.3)
-    text = layer.replace('"masses[0].velocity_x"', '"floor_friction"').replace("[30.0, 0.5]", "[42.0, FLOOR]")
-    text = text.replace("(positions[-1, :, 0].mean() - 0.3) ** 2", "positions[-1, :, 0].mean()")
-    # Both in one precision: slopes of one flow, not of two that part in their last bits.
-    text = text.replace('"floor_friction"))', '"floor_friction"), precision="f64")')
-    assert "f64" in text
-    names: dict[str, Any] = {"FLOOR": read_scene("column-tall-42").floor_friction}
-    exec(text, names)  # the page's own script
+    names: dict[str, Any] = {}
     exec(plain, names)
-    assert names["loss"].item() == pytest.approx(names["value"], rel=1e-12)
-    expected = names["slope"].setting("floor_friction")
-    assert float(names["parameters"].grad[1]) == pytest.approx(expected, rel=1e-9)
-    assert np.isfinite(names["parameters"].grad.numpy()).all()
+    scene = read_scene("column-tall-42")
+    parameters = torch.tensor([42.0, float(scene.floor_friction)], dtype=torch.float64, requires_grad=True)
+    # Both in one precision: slopes of one flow, not of two that part in their last bits.
+    positions, _ = Run(scene, ("friction_deg", "floor_friction"), precision="f64")(parameters)
+    positions[-1, :, 0].mean().backward()
+    assert positions[-1, :, 0].mean().item() == pytest.approx(names["value"], rel=1e-12)
+    assert parameters.grad is not None
+    assert parameters.grad[1].item() == pytest.approx(names["slope"].setting("floor_friction"), rel=1e-9)
+    assert parameters.grad.isfinite().all()
+
+
+# The site's build, below, runs the others too.
+@pytest.mark.parametrize("name", ["flume", "gradient", "slope"])
+def test_an_example_runs(name: str) -> None:
+    runpy.run_path(str(DOCS / "how-to" / "examples" / f"{name}.py"), run_name="__main__")
+
+
+def test_the_flume_is_that_of_the_measured_experiments() -> None:
+    measured = read_experiment(FOLDER / "lajeunesse-channel").experiment
+    fronts = [each.value for case in measured.cases for each in case.measured if each.quantity == "front"]
+    rows = np.loadtxt(DOCS / "how-to" / "examples" / "flume.csv", delimiter=",", skiprows=2)
+    assert rows[:, 2].tolist() == fronts
 
 
 def test_the_scene_on_terrain_is_read(tmp_path: Path) -> None:
@@ -177,5 +193,14 @@ def test_the_site_builds(tmp_path: Path) -> None:
         assert "arithmatex" not in text
         assert not re.search(r"<mi>&(amp;)?</mi>", text), page
     assert "<h2" in (tmp_path / "api" / "datasets.html").read_text()
+    for page, said in (
+        ("slope", "until 1"),
+        ("deposit", "rms error"),
+        ("terrain", "far enough"),
+        ("dataset", "off by"),
+        ("gradient", "loss "),
+        ("cluster", "degrees: front"),
+    ):
+        assert said in (tmp_path / "how-to" / f"{page}.html").read_text(), page
     # The search reads its index from a script, as a page that is opened from disk may not fetch one.
     assert (tmp_path / "search" / "search_index.js").exists()

@@ -108,9 +108,12 @@ def at_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             yield Workers(executor=executor, width=lambda: jobs)
 
     monkeypatch.setattr("mpm.generate.pool", thread)
-    monkeypatch.setattr(
-        "mpm.generate.simulate_one", lambda scene, path, storage: Trajectory.load(files[scene]).save(path)
-    )
+
+    def copied(scene: Scene, path: Path, storage: Storage | None) -> float:
+        Trajectory.load(files[scene]).save(path)
+        return 0.0
+
+    monkeypatch.setattr("mpm.generate.simulate_one", copied)
 
 
 @pytest.mark.usefixtures("at_once")

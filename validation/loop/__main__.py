@@ -8,6 +8,7 @@ from datasets.command_line import WorkFailed, run
 from inverse.settings import Surrogate
 
 if TYPE_CHECKING:
+    from inverse.problem import Problem
     from inverse.result import Result
 
 
@@ -50,22 +51,50 @@ def main(
     import dataclasses
     from contextlib import nullcontext
 
+    from datasets.processes import processors
     from inverse.problem import read_problem
     from mpm import simulate_many
     from mpm.cluster import connected
+    from mpm.expected import kind_of, learn, planned
     from validation.loop.series import require_confirmed, solve_series, summary
     from validation.loop.solve import solve
 
     asked = read_problem(problem)
     if surrogate is not None:
         asked = dataclasses.replace(asked, surrogate=surrogate)
+    if not asked.fields:
+        print(estimate(asked, model, out), flush=True)
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
         if targets is None:
-            print_outcome(solve(asked, out, model=model, simulate=simulate), out)
+            result = solve(asked, out, model=model, simulate=simulate)
+            if scheduler is None and result.mpm_runs:
+                work, _ = planned([each.trajectory.scene for each in result.mpm_runs])
+                learn(kind_of(asked.scene, many=True), work, result.seconds["mpm"], processors=processors())
+            print_outcome(result, out)
             return
         rows = solve_series(asked, targets, out, model=model, simulate=simulate)
     print(summary(rows, len(rows)))
     require_confirmed(rows, out)
+
+
+def estimate(problem: "Problem", model: Path | None, out: Path) -> str:
+    """What the runs take at least that a loop makes first, and those that check its answer."""
+    from datasets.processes import processors
+    from inverse.posterior.settings import CONSTANTS
+    from mpm.expected import INVERSION, expected, kind_of, planned
+    from mpm.footprint import PROCESS
+    from validation.loop.surrogate import quick, seconds_of_run
+
+    unknowns = len(problem.parameters)
+    alone = problem.surrogate is Surrogate.NONE or (model is None and quick(seconds_of_run(problem)))
+    fill = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns + CONSTANTS.repeats
+    few = fill + CONSTANTS.checks if alone else CONSTANTS.first_checks + CONSTANTS.wave + unknowns
+    runs = min(few, problem.loop.budget(unknowns)) - len(list((out / "mpm").glob("*.npz")))
+    work, size = planned([problem.scene])
+    size = PROCESS + INVERSION + 2 * processors() * (size - PROCESS)
+    runs = max(runs, 0)
+    time = expected(kind_of(problem.scene, many=True), runs * work, memory=size, processors=processors(), least=True)
+    return f"{runs} runs of the MPM or more; {time}"
 
 
 def print_outcome(result: "Result", out: Path) -> None:

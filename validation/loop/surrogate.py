@@ -33,6 +33,7 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.settings import Surrogate
 from inverse.target import Target
+from mpm.expected import SPEED
 from mpm.resolution import particle_steps
 from validation.loop.search import Search
 from validation.loop.task import Task
@@ -50,8 +51,6 @@ WIDEST = 0.2
 """Share of a flow's extent, up to which its 95 % band may be: a wider one excludes little of a box."""
 QUICKEST = 0.1
 """Seconds of a prediction at least: where even that costs too much, no weights are read."""
-SPEED = {2: 35e6, 3: 15e6}
-"""Particle-steps a second of the MPM on one processor, in 2D and in 3D (`python -m validation.bench speed`)."""
 
 
 def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | None, str]:
@@ -71,9 +70,9 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | Non
         # Off by about a cell of the scene, four times the scatter of its flows.
         coarse = MpmForward(problem, task.target.observation, store, band=4.0 * task.scatter)
         return coarse, "it is the MPM on cells twice as large"
-    run = particle_steps(problem.scene) / (SPEED[problem.scene.dimension] * processors())
+    run = seconds_of_run(problem)
     by_price = requested is Surrogate.AUTO and model is None
-    if by_price and run < PREDICTIONS * QUICKEST:
+    if by_price and quick(run):
         return None, f"a run of the MPM takes {run:.2g} s, which is less than {PREDICTIONS:g} predictions"
     forward, reason = load(problem, task.target, model)
     if forward is None:
@@ -87,6 +86,16 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | Non
     if by_price and run < PREDICTIONS * prediction:
         return None, f"{price}, a {PREDICTIONS:g}th of it or more"
     return forward, price if by_price else f"it is asked for; {price}"
+
+
+def seconds_of_run(problem: Problem) -> float:
+    """What a run of the MPM takes [s]; by no measurement of this machine's, so that it decides the same way again."""
+    return particle_steps(problem.scene) / (SPEED[problem.scene.dimension] * processors())
+
+
+def quick(run: float) -> bool:
+    """Whether a run of the MPM takes so few seconds that no prediction is cheap beside it."""
+    return run < PREDICTIONS * QUICKEST
 
 
 def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forward | None, str]:
