@@ -25,6 +25,7 @@ from datasets.trajectory import Trajectory, solid_names
 from inverse.checks import check_bounds, check_number
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, with_kinds
+from inverse.parameters.prior import Correlation, JointPrior, Prior
 from inverse.posterior import Matrix, Row
 from inverse.posterior.sampling import systematic
 from inverse.problem import Bounds
@@ -34,25 +35,6 @@ FORCE_SCATTER = 0.1
 """Standard deviation of a peak force from flow to flow over the limit, before runs have measured it."""
 ASSURANCE = 0.9
 """Probability with which a design passes its check where the emulator is right."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Prior(Record):
-    """How an uncertain number is distributed before it is cut off at its bounds."""
-
-    kind: Literal["uniform", "normal", "lognormal"] = "uniform"
-    mean: float | None = None
-    """Of the number itself; a uniform one is between its bounds."""
-    deviation: float | None = None
-
-    def check(self, key: str) -> None:
-        """Raise InputError for a distribution that is none."""
-        for name in ("mean", "deviation"):
-            value = getattr(self, name)
-            expected = f"none of a uniform prior, a number of another, here {self.kind}"
-            require((value is None) == (self.kind == "uniform"), f"{key}.{name}", expected, value)
-            may = value is None or value > 0.0 or (name == "mean" and self.kind == "normal")
-            require(may, f"{key}.{name}", "a positive number", value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,19 +55,13 @@ class Variable(Record):
 class Uncertain(Variable):
     """A number that is not known when the barriers are built."""
 
-    prior: Prior = field(default_factory=Prior)
+    prior: Prior | None = None
+    """Cut off at its bounds; uniform where absent."""
 
-    def at(self, levels: Row) -> Row:
-        """Its quantiles at `levels` in [0, 1], shape as `levels`."""
-        mean, deviation = self.prior.mean, self.prior.deviation
-        if mean is None or deviation is None:
-            return self.lower + (self.upper - self.lower) * levels
-        frozen = stats.norm(mean, deviation)
-        if self.prior.kind == "lognormal":
-            width = np.sqrt(np.log1p((deviation / mean) ** 2))
-            frozen = stats.lognorm(width, scale=mean * np.exp(-0.5 * width**2))
-        low, high = frozen.cdf([self.lower, self.upper])
-        return np.asarray(np.clip(frozen.ppf(low + (high - low) * levels), self.lower, self.upper))
+    @property
+    def parameter(self) -> Parameter:
+        """The same of an inversion."""
+        return dataclasses.replace(super().parameter, prior=self.prior)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +136,8 @@ class _Keys(Record):
     """What is chosen: d, K numbers."""
     uncertain: tuple[Uncertain, ...] = ()
     """What is not known: u, Q numbers."""
+    correlations: tuple[Correlation, ...] = ()
+    """Of the priors of pairs of them."""
     limit: Limit
     cost: dict[str, float] = field(default_factory=dict)
     """Variable -> the price of a unit of it; without any the most reliable design is looked for."""
@@ -192,9 +170,8 @@ class DesignProblem(_Keys):
         for key, each in keyed.items():
             require(names.count(each.name) == 1, f"{key}.name", "each number once", f"{each.name!r} twice")
             check_number(self.scene, each.parameter, key)
-            if isinstance(each, Uncertain):
-                each.prior.check(f"{key}.prior")
         check_bounds(self.scene, {key: each.parameter for key, each in keyed.items()}, "variables")
+        _ = self.prior
         self.limit.check(self.scene)
         known = names[: len(self.variables)]
         for name in self.cost:
@@ -218,6 +195,17 @@ class DesignProblem(_Keys):
     def box(self) -> Bounds:
         """Of all of them."""
         return Bounds(*np.array([(each.lower, each.upper) for each in self.numbers]).T)
+
+    @property
+    def joint(self) -> int:
+        """Q', how many of the numbers are of a posterior."""
+        return 0 if self.samples is None else self.samples.shape[1]
+
+    @cached_property
+    def prior(self) -> JointPrior | None:
+        """Of the uncertain numbers but those of a posterior. Raises InputError, which names the key."""
+        alone = [each.parameter for each in self.uncertain[: len(self.uncertain) - self.joint]]
+        return JointPrior(alone, self.correlations) if alone else None
 
     @property
     def unit(self) -> str:
@@ -257,15 +245,13 @@ class DesignProblem(_Keys):
         The parts are as likely, of every number (McKay, Beckman & Conover, A comparison of three methods for selecting
         values of input variables, Technometrics 21 (1979) 239-245); those of a posterior, of the first of its numbers.
         """
-        joint = 0 if self.samples is None else self.samples.shape[1]
-        alone = self.uncertain[: len(self.uncertain) - joint]
-        levels = qmc.LatinHypercube(len(alone) + (joint > 0), rng=rng).random(count)
-        values = [each.at(level) for each, level in zip(alone, levels.T, strict=False)]
+        alone, known = len(self.uncertain) - self.joint, len(self.variables)
+        levels = qmc.LatinHypercube(alone + (self.joint > 0), rng=rng).random(count)
+        parts = [] if self.prior is None else [self.prior.at(levels[:, :alone])]
         if self.samples is not None:
-            ordered = self.samples[np.argsort(self.samples[:, 0])]
-            values += [*ordered[(levels[:, -1] * len(ordered)).astype(int)].T]
-        known = len(self.variables)
-        return np.asarray((np.stack(values, axis=1) - self.box.lower[known:]) / self.box.range[known:])
+            ordered = (self.samples - self.box.lower[known + alone :]) / self.box.range[known + alone :]
+            parts.append(ordered[np.argsort(ordered[:, 0])][(levels[:, -1] * len(ordered)).astype(int)])
+        return np.concatenate(parts, axis=1)
 
     def scene_at(self, values: Row, seed: int) -> Scene:
         """The scene with all numbers [K + Q] and a jitter seed."""

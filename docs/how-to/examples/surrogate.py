@@ -28,8 +28,6 @@ with tempfile.TemporaryDirectory() as folder:
     after = evaluate(load(model_path(run)).simulator, unseen)
 print(f"before\n\n{table(before)}\nafter\n\n{table(after)}")
 errors = [np.mean([abs(each.front_error) + each.profile_error for each in scores]) for scores in (before, after)]
-print(
-    f"front and profile are off by {100 * errors[0]:.1f} % of the deposit's extent before, {100 * errors[1]:.1f} % after"
-)
+print(f"front and profile are off by {100 * errors[0]:.1f} % of the extent before, {100 * errors[1]:.1f} % after")
 assert errors[1] < 0.6 * errors[0]
 assert errors[1] < 0.15

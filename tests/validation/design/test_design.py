@@ -11,12 +11,13 @@ from scipy.stats import norm
 from datasets.errors import InputError
 from datasets.forces import forces_of
 from datasets.scene import Baffle, Mass
+from inverse.parameters.prior import Correlation, Prior
 from inverse.posterior import Matrix, Row
 from mpm import simulate
 from tests.scenes import scene_of
 from validation import find_design
 from validation.design.__main__ import main
-from validation.design.problem import Budget, DesignProblem, Limit, Prior, Uncertain, Variable, read_design
+from validation.design.problem import Budget, DesignProblem, Limit, Uncertain, Variable, read_design
 from validation.design.problem import _File as problem_file
 from validation.design.report import record
 from validation.design.search import Verdict, designed
@@ -114,8 +115,11 @@ def test_draws_are_those_of_the_prior() -> None:
     np.testing.assert_allclose(drawn.mean(axis=0), [30.0, 0.4, 0.2], rtol=2e-3)
     np.testing.assert_allclose(drawn.std(axis=0), [3.0, 0.05, 0.2 / np.sqrt(12.0)], rtol=1e-2)
     narrow = dataclasses.replace(FRICTION, lower=29.0, upper=33.0)
-    cut = narrow.at(np.linspace(0.0, 1.0, 5))
+    cut = narrow.parameter.marginal.at(np.linspace(0.0, 1.0, 5))
     assert (cut[0], cut[-1]) == (29.0, 33.0)
+    pair = Correlation(between=("friction_deg", "floor_friction"), coefficient=-0.6)
+    pairs = problem_of(uncertain=(FRICTION, floor), correlations=(pair,)).draws(4000, np.random.default_rng(0))
+    assert np.corrcoef(pairs.T)[0, 1] == pytest.approx(-0.6, abs=0.04)
 
 
 PROBLEM = """
@@ -173,7 +177,7 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
         ("lower = 0.04", "lower = 0.4", "variables[0].upper: expected a value above 0.4"),
         ('name = "floor_friction"', 'name = "baffles[0].height"', "variables[0].name: expected each number once"),
         ("upper = 0.5", "upper = 0.5\nprior = { kind = 'normal', mean = 0.4 }", "uncertain[0].prior.deviation"),
-        ("upper = 0.5", "upper = 0.5\nprior = { mean = 0.4 }", "uncertain[0].prior.mean: expected none of a uniform"),
+        ("upper = 0.5", "upper = 0.5\nprior = { mean = 0.4 }", "uncertain[0].prior.kind: expected"),
         ("upper = 0.5", "upper = 0.5\nprior = { kind = 'beta' }", "uncertain[0].prior.kind: expected"),
         ('quantity = "front"', 'quantity = "force"', "limit.quantity: expected 'front', 'runout' or 'impact_force'"),
         ("below = 0.7", "below = 1.7", "limit.below: expected a number in (0, 1)"),
@@ -201,7 +205,7 @@ def test_every_key_is_on_the_page_of_formats() -> None:
     section = page.split("\n## A design problem\n")[1].split("\n## ")[0]
     problem = problem_of(budget=Budget(runs=30, checks=20))
     written = record(designed(problem, Known(problem)))
-    read = [each.name for kind in (Uncertain, Prior, Limit, Budget, problem_file) for each in dataclasses.fields(kind)]
+    read = [each.name for kind in (Uncertain, Limit, Budget, problem_file) for each in dataclasses.fields(kind)]
     for name in (*read, *written, *written["probability"], *written["waves"][0], *written["checks"][0]):
         assert f"`{name}`" in section or f"[{name}]" in section, name
 
