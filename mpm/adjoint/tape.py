@@ -70,8 +70,8 @@ def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:
 def steady(scene: Scene) -> Scene:
     """The scene with steps in which, in 3D, no particle that has its nodes to itself swings ever more.
 
-    They are at most sqrt((lambda + 2 mu) / (3 lambda + 2 mu)) of a cell over the speed of waves, 0.73 with nu = 0.3: with
-    longer ones a few particles make up most of a gradient though they move by 1e-8 m, as where a system is chaotic
+    They are at most sqrt((lambda + 2 mu) / (3 lambda + 2 mu)) of a cell over the speed of waves, 0.73 with nu = 0.3.
+    With longer ones a few particles make up most of a gradient though they move by 1e-8 m, as where a system is chaotic
     (Metz et al. 2021, Gradients are not all you need). In 2D few particles fly alone, and the flow keeps its step.
     """
     if scene.dimension < 3:
