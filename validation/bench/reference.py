@@ -20,11 +20,11 @@ from datasets.records import read_json
 from inverse.parameters.prior import JointPrior
 from inverse.posterior.sampling import systematic
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings
+from inverse.settings import LoopSettings, ObservationSettings
 from inverse.target import Target, read_target
 from mpm import LAST, simulate_many
 from validation.loop.solve import solve
-from validation.report.page import Page
+from validation.report.page import Page, between
 from validation.runs import RunStore
 
 Floats = NDArray[np.float64]
@@ -32,8 +32,10 @@ GAUGES, NOISE = (0.05, 0.15, 0.25, 0.35), 0.01
 """Where heights are measured, and the standard deviation of each [m]."""
 CELLS = 10
 """Of the grid, along each axis."""
-FIRST, SECOND = 4, 600
-"""Runs of each cell, and those that follow the weights."""
+FIRST, STAGES = 4, ((600, 1.0), (400, 0.25))
+"""Runs of each cell; those that follow, and the power of the likelihood by which: at its top, then in its tails."""
+MORE = 3
+"""Times the runs of the loop, of a second search: what its emulator does not know is part of its widths."""
 
 
 def observed(problem: Problem) -> Problem:
@@ -47,7 +49,9 @@ def without_prior(problem: Problem) -> Problem:
     return dataclasses.replace(problem, parameters=numbers, correlations=())
 
 
-def compare(problem: Problem, keep: Path, *, cells: int = CELLS, second: int = SECOND) -> list[dict[str, Any]]:
+def compare(
+    problem: Problem, keep: Path, *, cells: int = CELLS, stages: Sequence[tuple[int, float]] = STAGES
+) -> list[dict[str, Any]]:
     """Mean and deviation of each number by both, with the uniform and the stated prior; runs stay in `keep`."""
     asked = observed(problem)
     store = RunStore(keep / "mpm", simulate_many)
@@ -56,15 +60,18 @@ def compare(problem: Problem, keep: Path, *, cells: int = CELLS, second: int = S
     cell = np.repeat(np.arange(cells**2), FIRST)
     points = within(cell, cells, rng)
     likelihood = weighed(asked, target, store, points, first=0)
-    share = np.bincount(cell, likelihood, minlength=cells**2)
-    more = systematic(share / share.sum(), second, rng)
-    further = within(more, cells, rng)
-    likelihood = np.concatenate([likelihood, weighed(asked, target, store, further, first=len(points))])
-    points, cell = np.concatenate([points, further]), np.concatenate([cell, more])
-    likelihood = likelihood / np.bincount(cell, minlength=cells**2)[cell]
-    rows = []
-    for each in (without_prior(asked), asked):
-        path = keep / f"{'uniform' if each.prior is None else 'stated'}.json"
+    for count, power in stages:
+        share = np.bincount(cell, likelihood**power) / np.bincount(cell)
+        chosen = systematic(share / share.sum(), count, rng)
+        further = within(chosen, cells, rng)
+        likelihood = np.concatenate([likelihood, weighed(asked, target, store, further, first=len(points))])
+        points, cell = np.concatenate([points, further]), np.concatenate([cell, chosen])
+    likelihood = likelihood / np.bincount(cell)[cell]
+    rows, budget = [], asked.loop.budget(len(asked.numbers))
+    free, more = without_prior(asked), LoopSettings(mpm_runs=MORE * budget)
+    for each in (free, asked, dataclasses.replace(free, loop=more)):
+        runs = each.loop.budget(len(each.numbers))
+        path = keep / f"{'uniform' if each.prior is None else 'stated'}-{runs}.json"
         if (known := read_json(path)) is None:
             found = solve(each, keep / path.stem)
             assert found.posterior is not None, "of numbers"
@@ -126,12 +133,13 @@ def compared(problem: Problem, points: Floats, likelihood: Floats, known: dict[s
 
 def conclusion(rows: Sequence[dict[str, Any]]) -> str:
     """The largest differences, in a sentence."""
-    off = max(abs(each["difference of means over the width"]) for each in rows)
-    ratios = [each["ratio of widths"] for each in rows]
-    return (
-        f"Beside {rows[0]['runs']} runs without an emulator, means differ by up to {off:.2f} standard deviations, "
-        f"widths are {min(ratios):.2f} to {max(ratios):.2f} times theirs."
-    )
+    parts = []
+    for runs in sorted({each["runs of the emulator"] for each in rows}):
+        own = [each for each in rows if each["runs of the emulator"] == runs]
+        off = max(abs(each["difference of means over the width"]) for each in own)
+        widths = between([each["ratio of widths"] for each in own], ".2f")
+        parts.append(f"by {runs} runs means differ by up to {off:.2f} standard deviations, widths are {widths} times")
+    return f"Beside {rows[0]['runs']} runs without an emulator: {'; '.join(parts)}."
 
 
 def section(page: Page, rows: Sequence[dict[str, Any]]) -> None:

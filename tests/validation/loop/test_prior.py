@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 import pytest
 
-from inverse import Prior
+from inverse import Prior, inference_data
 from inverse.found import Verdict
-from tests.validation.loop.flows import Case, Formula, wedge
+from tests.validation.loop.flows import Case, Formula, layers, wedge
 
 NOISE, SLOPE = 0.06, 0.0164
 """Of the front [m], and how much of it a degree is."""
@@ -69,13 +69,16 @@ matplotlib.use("Agg")
 import arviz
 found = arviz.from_netcdf("posterior.nc")
 arviz.plot_pair(found)
-assert float(arviz.summary(found, round_to="none").r_hat.iloc[0]) < 1.05
-assert found.posterior["friction_deg"].attrs["units"] == "deg"
+assert float(arviz.summary(found, round_to="none").r_hat.max()) < 1.1
+assert found.posterior["masses[0].velocity_x"].attrs["units"] == "m/s"
 """
 
 
-@pytest.mark.skipif(importlib.util.find_spec("arviz") is None, reason="arviz is in the extra dev")
 def test_arviz_plots_it_as_it_is(tmp_path: Path) -> None:
-    case = case_of(tmp_path, Prior(kind="triangular", mode=30.0), noise=NOISE)
-    case.solve(tmp_path).save(tmp_path)
+    inference_data.write(layers(tmp_path, scatter=0.002).solve(tmp_path), tmp_path / "posterior.nc")
+    with h5py.File(tmp_path / "posterior.nc") as file:
+        # A deposit has too many numbers.
+        assert set(file) == {"posterior", "prior"}
+    if importlib.util.find_spec("arviz") is None:
+        pytest.skip("arviz is in the extra dev")
     subprocess.run([sys.executable, "-W", "ignore", "-c", READING], cwd=tmp_path, check=True)
