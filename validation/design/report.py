@@ -65,8 +65,8 @@ def summary(found: Design) -> list[str]:
         f"{problem.name}: {found.verdict}",
         f"design: {design}{cost}",
         f"{limit.quantity} below {limit.below:g} {problem.unit}: asked of {100.0 * limit.probability:g} % of the flows",
-        f"by the emulator of {100.0 * search.expected:.1f} %, of {100.0 * search.cautious:.1f} % were all "
-        f"{limit.quantity}s a standard deviation of what is unknown of them larger",
+        f"by the emulator of {100.0 * search.expected:.1f} % ({100.0 * search.cautious:.1f} % where its mean is a "
+        "standard deviation too small)",
         f"by the MPM of {checks - found.exceeding} of {checks} fresh flows, so of {100.0 * low:.1f} to "
         f"{100.0 * high:.1f} % (95 %): {found.exceeding} exceed it where {problem.allowed} may, the largest is "
         f"{found.responses.max():.4g} {problem.unit}",
