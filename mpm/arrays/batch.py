@@ -272,7 +272,7 @@ class Batch:
         self.workers[own, Worker.HIGH_X : Worker.HIGH_X + 3] = [*node_shape(scene.domain), 1][:3]
 
     def put_contacts_first(self, index: int) -> None:
-        """Put the particles of one scene that touch a solid first in each worker's part: few blocks then compute contact."""
+        """Put particles of one scene that touch a solid first in each worker's part: few blocks compute contact."""
         state, order, lanes = self.state_of(index), self.order_of(index), self.features.lanes
         touch = state[:, self.features.contacts + Contact.DELTA].ravel()[: len(order)] > 0.0
         for worker in self.workers[self.workers[:, Worker.SCENE] == index]:

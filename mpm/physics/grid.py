@@ -142,7 +142,7 @@ def velocity_before(node, arrays: ti.template()):
 
 @ti.func
 def moved_node(node, n, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
-    """Node (i, j, k), the n-th of its scene: its new velocity in place of its momentum, and its change new - kept old."""
+    """Node (i, j, k), the n-th of its scene, with its new velocity for its momentum, and its change new - kept old."""
     features = arrays.features
     old = velocity_before(node, arrays)
     new = velocity_after(node, old, n, i, j, k, worker, scene, dt, arrays)
