@@ -213,6 +213,8 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", st
         for index, particles in enumerate(batch.particles):
             if since_sorted == 0 and len(particles.positions) >= SORTED:
                 batch.sort(index)
+            elif since_sorted == 0 and batch.features.contact:
+                batch.put_contacts_first(index)
         batch.arrivals[:] = 0
         run(*batch.arguments.values(), first, last, Phase.FRAMES)
         batch.computed = last - 1

@@ -26,7 +26,7 @@ import taichi as ti
 from mpm.adjoint.boundary import before_wall, wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import box_cells
-from mpm.arrays.layout import Setting, Worker
+from mpm.arrays.layout import Offset, Setting, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.contact import after_solids
 from mpm.physics.grid import (
@@ -34,7 +34,6 @@ from mpm.physics.grid import (
     TINY,
     acceleration,
     damping_terms,
-    geometry_node,
     node_of,
     own_box,
     put_node,
@@ -70,10 +69,10 @@ def first_kept(worker, arrays: ti.template()):
 
 
 @ti.func
-def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
+def node_reverse(node, bar, n, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
     """Bar of a node (momentum, mass, force) from that of what it became; then the SUMS that it shares.
 
-    node: before its velocity was computed; (i, j, k): its indices.
+    node: the n-th of its scene, before its velocity was computed; (i, j, k): its indices.
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
@@ -98,7 +97,7 @@ def node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays: ti.templa
         new_bar = apply_barriers(new_bar, index, scene, dt, arrays)
     mass_bar, side_bar = zero, zero
     if ti.static(features.contact or features.channel):
-        n = geometry_node(i, j, k, scene, arrays)
+        n += arrays.offsets[scene, Offset.GEOMETRY]
         stopped = before_wall(v_star, index, box_cells(scene, arrays), dimension, scene, arrays)
         if ti.static(features.channel):
             braked = stopped
@@ -158,7 +157,7 @@ def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()
                     node = arrays.kept[first_kept(worker, arrays) + n]
                     if node[arrays.features.dimension] > 0.0:
                         bar = node_of(arrays.grid_adjoints, n, i, j, k, worker, arrays)
-                        bar, shared = node_reverse(node, bar, i, j, k, worker, scene, dt, kappa, arrays)
+                        bar, shared = node_reverse(node, bar, n, i, j, k, worker, scene, dt, kappa, arrays)
                         for number in ti.static(range(SUMS)):
                             total[number] += ti.cast(shared[number], ti.f64)
                         put_node(arrays.grid_adjoints, bar, n, i, j, k, worker, arrays)

@@ -40,7 +40,6 @@ class Setting(Column):
     WALL_FRICTION = auto()  # [-]
     CONTACT_WIDTH = auto()  # over which contact with a solid is spread [m]
     SEARCH_DISTANCE = auto()  # distance from solids up to which it has to be known [m]
-    FACE_DISTANCE = auto()  # distance from solids beyond which cells have no faces [m]
     DAMPING = auto()  # [-]
     GRIP = auto()  # friction of the side walls per volume over the pressure on them, 2 mu / W [1/m]
     CORRECTED = auto()  # 1 where gaps are remembered, else 0

@@ -53,7 +53,6 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.WALL_FRICTION: coefficient(scene.wall_friction),
         Setting.CONTACT_WIDTH: CONTACT_WIDTH * scene.domain.cell,
         Setting.SEARCH_DISTANCE: search_distance(scene),
-        Setting.FACE_DISTANCE: search_distance(scene) + scene.domain.cell,
         Setting.DAMPING: scene.damping,
         Setting.GRIP: scene.channel.grip if scene.channel else 0.0,
         Setting.CORRECTED: float(remembers_gaps(scene)),

@@ -41,6 +41,7 @@ STEP = {
     "faces": Kind.REAL_TABLE,
     "cell_faces": Kind.INTEGER,
     "near_faces": Kind.INTEGER,
+    "cell_distance": Kind.REAL,
     "node_holds": Kind.INTEGER,
     "holds": Kind.REAL_TABLE,
     "offsets": Kind.INTEGER_TABLE,

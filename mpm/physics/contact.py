@@ -356,9 +356,8 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
             if v.dot(normal) < 0.0:
                 v = after_contact(v, normal, arrays.faces[face, features.face_friction])
                 solid = solid_of(face, arrays)
-    # Cells without faces are farther from any than this.
-    delta, distance, free = 0.0 * cell, arrays.settings[scene, Setting.FACE_DISTANCE], 0.0 * cell
     cell_index = cell_of(x, scene, arrays)
+    delta, distance, free = 0.0 * cell, arrays.cell_distance[cell_index], 0.0 * cell
     if arrays.cell_faces[cell_index] < arrays.cell_faces[cell_index + 1]:
         last = ti.cast(arrays.lanes[contact + Contact.FACE * lanes], ti.i32)
         face, feature, weights, normal, d = nearest_face(x, last, cell_index, arrays)

@@ -50,7 +50,7 @@ def update_grid(worker, scene, dt, kappa, strides, arrays: ti.template()):
                     n = i * strides[0] + j * strides[1] + k
                     node = node_of(arrays.grid, n, i, j, k, worker, arrays)
                     if node[features.dimension] > 0.0:
-                        node = moved_node(node, i, j, k, worker, scene, dt, kappa, arrays)
+                        node = moved_node(node, n, i, j, k, worker, scene, dt, kappa, arrays)
                         put_node(arrays.grid, node, n, i, j, k, worker, arrays)
 
 
@@ -115,11 +115,11 @@ def update_node(n, scene, arrays: ti.template()):
         k = n - i * strides[0] - j * strides[1]
     dt = arrays.step_control[scene, StepControl.DT]
     if i < arrays.offsets[scene, Offset.CELLS_X] + 2 * PADDING + 1 and dt > 0.0:
-        n = arrays.workers[scene, Worker.NODE] + n
-        node = arrays.grid[n]
+        at = arrays.workers[scene, Worker.NODE] + n
+        node = arrays.grid[at]
         if node[arrays.features.dimension] > 0.0:
             kappa = relaxation_factor(scene, dt, arrays)
-            arrays.grid[n] = moved_node(node, i, j, k, scene, scene, dt, kappa, arrays)
+            arrays.grid[at] = moved_node(node, n, i, j, k, scene, scene, dt, kappa, arrays)
 
 
 @ti.func
@@ -141,11 +141,11 @@ def velocity_before(node, arrays: ti.template()):
 
 
 @ti.func
-def moved_node(node, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
-    """The node (i, j, k) with its new velocity in place of its momentum, and its change new - kept old."""
+def moved_node(node, n, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
+    """Node (i, j, k), the n-th of its scene, with its new velocity for its momentum, and its change new - kept old."""
     features = arrays.features
     old = velocity_before(node, arrays)
-    new = velocity_after(node, old, i, j, k, worker, scene, dt, arrays)
+    new = velocity_after(node, old, n, i, j, k, worker, scene, dt, arrays)
     for axis in ti.static(range(features.dimension)):
         node[axis] = new[axis]
         node[features.change + axis] = new[axis] - kappa * old[axis]
@@ -177,15 +177,8 @@ def damping_terms(v, a, scene, arrays: ti.template()):
 
 
 @ti.func
-def geometry_node(i, j, k, scene, arrays: ti.template()):
-    """Index of node (i, j, k) in `node_holds`."""
-    strides = node_strides(scene, arrays)
-    return arrays.offsets[scene, Offset.GEOMETRY] + i * strides[0] + j * strides[1] + k * strides[2]
-
-
-@ti.func
-def velocity_after(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
-    """The new velocity [m/s] of the node (momentum, mass, force) at (i, j, k), shape [D], from its old one `v`."""
+def velocity_after(node, v, n, i, j, k, worker, scene, dt, arrays: ti.template()):
+    """The new velocity [m/s] of the n-th node (momentum, mass, force), at (i, j, k), shape [D], from its old one."""
     features = arrays.features
     mass = node[features.dimension]
     a, _ = acceleration(node, scene, arrays)
@@ -196,7 +189,7 @@ def velocity_after(node, v, i, j, k, worker, scene, dt, arrays: ti.template()):
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(features.dimension))])
     v_star = apply_walls(v_star, index, box_cells(scene, arrays), mass, worker, scene, arrays)
     if ti.static(features.contact):
-        v_star = apply_solids(v_star, mass, geometry_node(i, j, k, scene, arrays), worker, arrays)
+        v_star = apply_solids(v_star, mass, arrays.offsets[scene, Offset.GEOMETRY] + n, worker, arrays)
     if ti.static(features.channel):
         v_star = after_side_walls(v_star, node, dt, features)
     if ti.static(features.barriers):

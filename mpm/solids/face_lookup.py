@@ -101,12 +101,13 @@ def nearest_face(x, last, cell_index, arrays: ti.template()):
     weights, offset = 0.0 * x, 0.0 * x
     first = arrays.cell_faces[cell_index]
     for number in range(arrays.cell_faces[cell_index + 1] - first + 1):
-        candidate = last
+        candidate, known = last, False
         if number > 0:
             candidate = arrays.near_faces[first + number - 1]
+            known = candidate == last
         # No point of a face is nearer than its plane.
         height = (x - face_vector(candidate, 0, arrays)).dot(face_vector(candidate, features.face_normal, arrays))
-        if height * height < smallest:
+        if height * height < smallest and not known:
             w, part, from_foot = foot_on_face(x, candidate, arrays)
             square = from_foot.dot(from_foot)
             if square < smallest:

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from datasets.geometry.nearest import Search, feet, nearest
 from datasets.geometry.surface import Surface, surface_of
@@ -51,6 +52,8 @@ class Obstacles:
     """Where the list of each cell begins in `near_faces`, shape [C + 1]."""
     near_faces: Array
     """The faces near the cells."""
+    cell_distance: Array
+    """No point of a cell is nearer to a face that its list is without [m], shape [C + 1]."""
     node_holds: Array
     """Where those of each node begin in `holds`, shape [C + 1]."""
     holds: Array
@@ -70,6 +73,7 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers, Integers
         lists["faces"].append(part.faces)
         lists["cell_faces"].append(part.cell_faces + near)
         lists["near_faces"].append(part.near_faces + face)
+        lists["cell_distance"].append(part.cell_distance)
         lists["node_holds"].append(part.node_holds + hold)
         lists["holds"].append(part.holds + np.array([face, 0.0, 0.0]))
     together = Obstacles(**{name: np.concatenate(each) for name, each in lists.items()})
@@ -88,6 +92,7 @@ def obstacles_in(scene: Scene) -> Obstacles:
             faces=np.zeros((0, features_of([scene], "f32").face_columns)),
             cell_faces=none,
             near_faces=none[:0],
+            cell_distance=np.zeros(len(none)),
             node_holds=none,
             holds=np.zeros((0, 3)),
         )
@@ -105,9 +110,20 @@ def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles
         faces=np.concatenate([each.reshape(count, -1) for each in described], axis=1),
         cell_faces=cell_faces,
         near_faces=near_faces,
+        cell_distance=free_distance(domain, np.diff(cell_faces) > 0, cutoff),
         node_holds=node_holds,
         holds=holds,
     )
+
+
+def free_distance(domain: Domain, listed: NDArray[np.bool_], cutoff: float) -> Floats:
+    """`Obstacles.cell_distance` where cells with faces are `listed`, shape [C]: the way from another cell to a face
+
+    leads into a listed one, and from there it is still `cutoff` cells long at least.
+    """
+    apart = distance_transform_edt(~listed.reshape(node_shape(domain))).ravel()
+    beyond = np.maximum(apart - np.sqrt(len(domain.size)), 0.0)
+    return np.append((cutoff + beyond) * domain.cell, 0.0)
 
 
 def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float) -> tuple[NDArray[np.int32], Floats]:
