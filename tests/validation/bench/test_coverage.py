@@ -71,7 +71,7 @@ def test_a_posterior_by_runs_alone_is_that_of_their_likelihood(tmp_path: Path, m
     friction = dataclasses.replace(asked.parameters[0], prior=Prior(kind="normal", mean=30.5, deviation=2.9))
     asked = dataclasses.replace(asked, parameters=(friction, *asked.parameters[1:]), correlations=())
 
-    def solved(problem: Problem, out: Path) -> Any:
+    def answered(problem: Problem, out: Path) -> Any:
         deviations = np.array([width if problem.prior is None else width / 2**0.5, width])
         samples = SimpleNamespace(mean=centre, covariance=np.diag(deviations**2))
         return SimpleNamespace(posterior=SimpleNamespace(samples=samples), mpm_runs=range(problem.loop.budget(2)))
@@ -79,7 +79,7 @@ def test_a_posterior_by_runs_alone_is_that_of_their_likelihood(tmp_path: Path, m
     def weighed(problem: Problem, target: Any, store: Any, points: Any, first: int) -> Any:
         return np.exp(-0.5 * (((points - centre) / width) ** 2).sum(axis=1))
 
-    for name, own in {"solve": solved, "weighed": weighed, "read_target": lambda problem, simulate: None}.items():
+    for name, own in {"solve": answered, "weighed": weighed, "read_target": lambda problem, simulate: None}.items():
         monkeypatch.setattr(reference, name, own)
     rows = reference.compare(asked, tmp_path)
     assert [each["runs of the emulator"] for each in rows] == [64] * 4 + [192] * 2
