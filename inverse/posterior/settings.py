@@ -73,7 +73,9 @@ class Constants:
     first_checks: int = 2
     """Runs at each answer of a surrogate: as many as two processors make in the time of one."""
     local_runs: int = 16
-    """Runs around an answer, of those known from other targets, by which the scatter is known to a fifth."""
+    """Runs around an answer, of which an emulator of them alone is made: the scatter is known to a fifth."""
+    around_deviations: float = 2.0
+    """Standard deviations from the mean of the samples within which runs make the last emulator."""
     lack_of_fit: float = 0.9
     """Quantile of the ratio of variances up to which the scatter about the emulator is that of repeated runs."""
     margin: float = 0.25

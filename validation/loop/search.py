@@ -15,8 +15,9 @@ from inverse.found import MpmRun, Purpose
 from inverse.observations import Values
 from inverse.optimise import Inversion
 from inverse.posterior import Matrix
+from inverse.posterior.answers import Part, parts
 from inverse.posterior.emulator import fewest_runs, linear
-from inverse.posterior.posterior import Posterior, Region, next_points, posterior
+from inverse.posterior.posterior import SMALLEST, Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
 from inverse.target import Target
 from validation.loop.task import Task
@@ -82,8 +83,8 @@ class Search:
         more = self.task.run(points[: self.left], len(self.runs), purpose)
         return dataclasses.replace(self, runs=(*self.runs, *more))
 
-    def inferred(self, **changes: Any) -> "Search":
-        """With the posterior by all runs so far."""
+    def inferred(self, region: Region | None = None, **changes: Any) -> "Search":
+        """With the posterior by all runs so far; region: that of the runs that count, in place of `region`."""
         state = dataclasses.replace(self, **changes)
         points, numbers = state.points, state.numbers
         guide, many = state.guide, points.shape[1] > CONSTANTS.few_parameters
@@ -92,7 +93,7 @@ class Search:
             numbers,
             state.target_so_far(),
             scatter=state.task.scatter,
-            region=state.region(points),
+            region=region or state.region(points),
             rng=state.task.generator(len(state.runs)),
             factor=state.factor,
             discretisation=state.discretisation,
@@ -126,6 +127,27 @@ class Search:
         while np.sum(region.inside(points)) < min(CONSTANTS.local_runs, len(points)):
             region = region.wider()
         return region
+
+    def narrowed(self) -> "Search":
+        """With the emulator of the runs around the samples alone, where these are in one part and it knows more there.
+
+        Flows scatter and curve differently over the box: an emulator of all of it has the mean of their variances.
+        """
+        samples = self.posterior.samples
+        wide = CONSTANTS.around_deviations * np.sqrt(np.diag(samples.covariance)) + SMALLEST
+        low, high = np.maximum(samples.mean - wide, 0.0), np.minimum(samples.mean + wide, 1.0)
+        around = Region(low=low, high=high)
+        few = len(wide) <= CONSTANTS.few_parameters and not self.known
+        enough = around.suffices(self.points) and np.sum(around.inside(self.points)) >= CONSTANTS.local_runs
+        if not few or not enough or len(self.parts()) > 1:
+            return self
+        found = self.inferred(around)
+        return found if found.posterior.emulator_share < self.posterior.emulator_share else self
+
+    def parts(self) -> list[Part]:
+        """The separate parts of the 95 % region."""
+        found = self.posterior
+        return parts(found.samples, found.likelihood, self.task.generator(len(self.runs)))
 
     def target_so_far(self) -> Target:
         """The target; of a design the smallest number that is expected at any of the runs so far."""

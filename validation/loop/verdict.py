@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from inverse.found import IDENTIFIABLE, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
-from inverse.posterior.answers import Part, half_widths, parts
+from inverse.posterior.answers import Part, half_widths
 from inverse.posterior.settings import CONSTANTS
 from validation.loop.search import Search
 from validation.loop.task import Task
@@ -45,7 +45,7 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
     if state.task.problem.target.minimise:
         return of_design(state)
     excluded = is_excluded(state)
-    state, found = checked(state, moves=moves)
+    state, found = checked(state.narrowed(), moves=moves)
     if cells := on_other_cells(state.task, found[0]):
         # The error grows as the cell (Roache 1994): nature has none, a twin on other cells that of its own.
         own, other = (each[0].trajectory.scene.domain.cell for each in (found[0].checks, cells))
@@ -56,13 +56,13 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
     factor = 1.0 if found[0].fit is None else found[0].fit.factor
     if factor > 1.0 and not excluded:
         state = state.inferred(factor=factor)
-        found = answers_of(state, separate(state))
+        found = answers_of(state, state.parts())
     return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
 
 
 def judged(state: Search) -> Outcome:
     """The answers by the runs that there are."""
-    found = answers_of(state, separate(state))
+    found = answers_of(state, state.parts())
     return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found))
 
 
@@ -83,7 +83,7 @@ def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) 
     not confirm the first of them.
     """
     for turn in range(CONSTANTS.rounds):
-        found, close = separate(state), CLOSE if turn < moves else math.inf
+        found, close = state.parts(), CLOSE if turn < moves else math.inf
         locations = [each.point for each in found if not is_checked(state, each, close)]
         if not locations:
             answers = answers_of(state, found)
@@ -96,13 +96,7 @@ def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) 
         checks = CONSTANTS.few_checks if state.known or state.guide is not None else CONSTANTS.checks
         count = min(checks, state.left // len(locations))
         state = state.ran(np.repeat(np.stack(locations), count, axis=0), Purpose.CHECK).inferred()
-    return state, answers_of(state, separate(state))
-
-
-def separate(state: Search) -> list[Part]:
-    """The separate parts of the 95 % region."""
-    found = state.posterior
-    return parts(found.samples, found.likelihood, state.task.generator(len(state.runs)))
+    return state, answers_of(state, state.parts())
 
 
 def distances(state: Search, runs: Sequence[MpmRun], part: Part) -> Values:
