@@ -204,7 +204,10 @@ def searched(state: Search) -> Search:
     size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
     enough = CONSTANTS.converged_around if state.known else CONSTANTS.converged
     while state.posterior.emulator_share > enough and state.left > spared:
+        near = state.narrowed()
+        if near.posterior.emulator_share <= enough:
+            return near
         points = next_points(state.posterior, min(size, state.left - spared), state.task.generator(len(state.runs)))
         repeated = np.repeat(state.posterior.samples.mean[None], CONSTANTS.repeats, axis=0)
         state = state.ran(np.concatenate([repeated, points]), Purpose.WAVE).inferred()
-    return state
+    return state.narrowed()

@@ -45,7 +45,7 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
     if state.task.problem.target.minimise:
         return of_design(state)
     excluded = is_excluded(state)
-    state, found = checked(state.narrowed(), moves=moves)
+    state, found = checked(state, moves=moves)
     if cells := on_other_cells(state.task, found[0]):
         # The error grows as the cell (Roache 1994): nature has none, a twin on other cells that of its own.
         own, other = (each[0].trajectory.scene.domain.cell for each in (found[0].checks, cells))
