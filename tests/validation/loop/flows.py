@@ -81,6 +81,15 @@ class FakeMpm:
         return np.asarray((length(angle) + scatter_of(scene.seed, angle) * self.scatter) * SHAPE)
 
 
+class Uneven(FakeMpm):
+    """Deposits that scatter thirty times as much above 30 degrees."""
+
+    def x(self, scene: Scene) -> NDArray[np.float64]:
+        angle = scene.material.friction_deg
+        scatter = self.scatter * (30.0 if angle > 30.0 else 1.0)
+        return np.asarray((length(angle) + scatter_of(scene.seed, angle) * scatter) * SHAPE)
+
+
 class Coarse(FakeMpm):
     """Deposits that the cells shorten."""
 

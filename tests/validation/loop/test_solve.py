@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.found import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS
-from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, layers, length, wedge
+from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, Uneven, layers, length, wedge
 from validation.loop import verdict
 from validation.loop.__main__ import print_outcome
+from validation.loop.search import first
 from validation.loop.solve import solve
 
 RESULT_KEYS = {
@@ -56,6 +58,20 @@ def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None
         )
         inside += len(case.solve(tmp_path / str(seed)).inside)
     assert inside >= 26
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_flows_that_scatter_more_elsewhere_do_not_widen_the_half_width(tmp_path: Path, seed: int) -> None:
+    case = wedge(tmp_path, mpm=Uneven(scatter=0.002), truth=22.0, seed=seed, noise=0.002)
+    # Twenty runs from 20 to 24 degrees, nine over the whole box.
+    state = first(case.task(tmp_path)).ran(np.linspace(0.2, 0.3, 20)[:, None], Purpose.WAVE).inferred()
+    found = state.narrowed().posterior
+    assert 15 < found.near.sum() < state.posterior.near.sum()
+    # In degrees: noise and scatter over the slope of the length.
+    exact = math.hypot(0.002 / FRONT, 0.002) / (0.02 - 0.0003 * (22.0 - 12.0))
+    wide, narrow = (40.0 * float(each.samples.covariance[0, 0]) ** 0.5 for each in (state.posterior, found))
+    assert narrow < 2.0 * exact < wide
+    assert abs(40.0 * found.samples.mean[0] - 10.0) < 4.0 * exact
 
 
 @pytest.mark.parametrize(("count", "seed", "widest"), [(2, 3, 0.06), pytest.param(10, 4, 0.2, marks=pytest.mark.slow)])
