@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 import gns
@@ -30,7 +29,7 @@ from inverse.parameters import Parameter
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 from mpm import simulate_many
-from validation.bench.searches import By, Evaluation, Models, Searched, by_reverse, by_runs, methods, search, slope_of
+from validation.bench.searches import By, Evaluation, Models, Searched, by_reverse, by_runs, methods, search
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, INK, ORANGE, RED, figure
 
@@ -63,8 +62,6 @@ PICTURES, LINE = "pictures", "efficiency-line.png"
 
 
 class Method(StrEnum):
-    """What computes a gradient."""
-
     SURROGATE = "surrogate"
     """Reverse mode through the rollout."""
     ADJOINT = "adjoint of the MPM"
@@ -76,8 +73,6 @@ COLOURS = {Method.SURROGATE: ORANGE, Method.ADJOINT: RED, Method.DIFFERENCES: BL
 
 @dataclass(frozen=True, kw_only=True)
 class Gradient:
-    """One gradient by one method."""
-
     problem: str
     method: Method
     unknowns: int
@@ -94,8 +89,6 @@ class Gradient:
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """All methods on one problem."""
-
     problem: str
     limit: float
     """Seconds that each method may use."""
@@ -160,11 +153,6 @@ def hundred_problem() -> Problem:
     return dataclasses.replace(problem, name=HUNDRED, parameters=numbers)
 
 
-def sampled(count: int) -> NDArray[np.int64]:
-    """Unknowns whose differences are run, ascending: all, or `MOST_COLUMNS` of them along the diagonal of the cuts."""
-    return np.unique(np.linspace(0, count - 1, min(count, MOST_COLUMNS)).round().astype(np.int64))
-
-
 def bench(out: Path, *, quick: bool, keep: Path) -> str:
     """Gradients over the number of unknowns, and whole searches, by every method; some seven minutes.
 
@@ -207,7 +195,9 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     models = Models.build(problem, simulator)
     observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
-    chosen, own = sampled(unknowns), models.mpm.select(values)
+    # All, or some along the diagonal of the cuts.
+    chosen = np.unique(np.linspace(0, unknowns - 1, min(unknowns, MOST_COLUMNS)).round().astype(np.int64))
+    own = models.mpm.select(values)
 
     def reverse(*forwards: GnsForward | AdjointForward) -> list[Evaluation]:
         found = []
@@ -226,10 +216,10 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     ]
     runs, whole = (1 + 2 * count for count in (len(chosen), unknowns))
     adjoints = [AdjointForward(each, observation, simulate_many) for each in seeded]
-    expected = np.mean([slope_of(each) for each in differences], axis=0)
+    expected = np.mean([each.slope for each in differences], axis=0)
 
     def compared(method: Method, found: Sequence[Evaluation], share: float = 1.0) -> Gradient:
-        slopes = np.stack([slope_of(each) for each in found])
+        slopes = np.stack([each.slope for each in found])
         slopes = slopes if method is Method.DIFFERENCES else slopes[:, chosen]
         mean = slopes.mean(axis=0)
         length, off = float(np.linalg.norm(mean)), np.linalg.norm(slopes - mean, axis=1)
@@ -257,17 +247,13 @@ def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> l
     seconds = {method: {e.unknowns: e.seconds for e in of_blocks if e.method is method} for method in Method}
     numbers = sorted(seconds[Method.SURROGATE])
 
-    def listed(values: Sequence[str]) -> str:
-        return " / ".join(values)
-
-    prices = [f"{method} {listed([f'{seconds[method][n]:.2g} s' for n in numbers])}" for method in Method]
+    prices = [f"{method} {' / '.join(f'{seconds[method][n]:.2g} s' for n in numbers)}" for method in Method]
     cosines = [
-        f"{method} {listed([f'{e.cosine:.2f}' for e in of_blocks if e.method is method and e.unknowns > 1])}"
+        f"{method} {' / '.join(f'{e.cosine:.2f}' for e in of_blocks if e.method is method and e.unknowns > 1)}"
         for method in (Method.SURROGATE, Method.ADJOINT)
     ]
-    sentences = [f"A gradient in {listed([f'{n:,}' for n in numbers])} unknowns: {'; '.join(prices)}."]
-    if any(n > 1 for n in numbers):
-        many = listed([f"{n:,}" for n in numbers if n > 1])
+    sentences = [f"A gradient in {' / '.join(f'{n:,}' for n in numbers)} unknowns: {'; '.join(prices)}."]
+    if many := " / ".join(f"{n:,}" for n in numbers if n > 1):
         sentences.append(
             f"Cosine to the MPM's differences (means of {JITTERS} jitters) in {many}: {'; '.join(cosines)}."
         )
@@ -284,14 +270,8 @@ def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> l
 
 
 def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: bool) -> Page:
-    """The page."""
-    result = Page(
-        "What a gradient costs",
-        command="python -m validation.bench efficiency --out docs",
-        conclusion=conclusion(gradients, compared),
-        packages=MPM | GNS,
-        quick=quick,
-    )
+    said = conclusion(gradients, compared)
+    result = Page("What a gradient costs", "efficiency --out docs", said, packages=MPM | GNS, quick=quick)
     result.section("Over the unknowns")
     result.text(f"""
         The paper's sand of ten layers, cut into blocks between its particles; the velocity of each along x is unknown.
@@ -326,7 +306,6 @@ def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: 
 
 
 def gradient_row(each: Gradient) -> Row:
-    """A line of the first table."""
     return {
         "problem": each.problem,
         "unknowns": f"{each.unknowns:,}",
@@ -339,7 +318,6 @@ def gradient_row(each: Gradient) -> Row:
 
 
 def search_row(each: Searched, level: float) -> Row:
-    """A line of a problem."""
     there = each.seconds_to(level)
     return {
         "method": each.by,
@@ -373,7 +351,7 @@ def draw_line(path: Path, models: Models) -> None:
     seen = np.stack(models.mpm.observe([start + at * np.eye(len(start))[0] for at in along]))
     losses = models.target.observation.components * np.mean((seen - own) ** 2, axis=1)
     differences = (losses[-1] - losses[0]) / (along[-1] - along[0])
-    slopes = {Method.ADJOINT: slope_of(evaluate(start))[0], Method.DIFFERENCES: differences}
+    slopes = {Method.ADJOINT: evaluate(start).slope[0], Method.DIFFERENCES: differences}
     with figure(path, size=(6.0, 4.0)) as axes:
         axes[0, 0].plot(1000.0 * along, losses, "o-", color=INK, lw=0.8, markersize=3, label="one jitter")
         for method, slope in slopes.items():

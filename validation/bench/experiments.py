@@ -60,7 +60,6 @@ class Score:
 
     @property
     def label(self) -> str:
-        """Experiment, case and quantity."""
         return f"{self.experiment}, {self.case.name}, {self.measured.quantity}"
 
     @property
@@ -71,7 +70,6 @@ class Score:
 
     @property
     def independent(self) -> bool:
-        """Whether the angle was measured by itself."""
         return self.name != INFERRED
 
     @property
@@ -113,8 +111,6 @@ class Inferred:
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """All that the page is made from."""
-
     shipped: tuple[Shipped, ...]
     scores: tuple[Score, ...]
     """At the first angle of each experiment, or at the inferred one where it has none."""
@@ -231,14 +227,8 @@ def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float
     return (a + (target - fronts[a]) / (fronts[b] - fronts[a]) * (b - a) if inside else math.nan), slope
 
 
-def page(findings: Findings, *, quick: bool = False) -> Page:
-    """The page."""
-    text = Page(
-        "Measured experiments",
-        command="python -m validation.bench experiments",
-        conclusion=conclusion(findings),
-        quick=quick,
-    )
+def page(findings: Findings, *, quick: bool) -> Page:
+    text = Page("Measured experiments", "experiments", conclusion(findings), quick=quick)
     text.picture("experiments.png", "measured against computed")
     text.text(f"""
         Every experiment is a folder in `validation/experiments`: scene, numbers, spread, source, licence, and what the
@@ -299,7 +289,6 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
 
 
 def conclusion(findings: Findings) -> list[str]:
-    """What was found, each sentence from its numbers."""
     scores = [each for each in findings.scores if each.independent]
     inferred = [each for each in findings.inferred if not math.isnan(each.difference_deg)]
     if not scores:

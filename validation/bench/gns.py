@@ -70,7 +70,6 @@ class Model:
     """Of rollouts `TIMES` times as long as the first scenes whose reference comes to rest [mm/s]."""
 
     def of_kind(self, kind: str) -> list[Compared]:
-        """The scenes of a kind."""
         return [each for each in self.compared if kind in (ALL, each.kind)]
 
     def fronts(self) -> list[float]:
@@ -82,7 +81,6 @@ class Model:
         return [each.jittered.front for each in self.compared if each.free]
 
     def profiles(self) -> list[float]:
-        """Errors of the profiles [-]."""
         return [each.rollout.profile for each in self.compared]
 
     @property
@@ -132,7 +130,6 @@ def bench(out: Path, *, quick: bool, keep: Path, model: tuple[Path, ...] = ()) -
 def measure(
     path: Path, family: str, scenes: Sequence[tuple[str, Scene]], keep: Path, *, cells: Sequence[int], long: int
 ) -> Model:
-    """Everything of one model on scenes of one family."""
     simulator = gns.load(path)
     store, fine = RunStore(keep / family), [scene for _, scene in scenes]
     references, again = (
@@ -210,7 +207,6 @@ def price_sentence(model: Model) -> str:
 
 
 def conclusion(found: Sequence[Model]) -> list[str]:
-    """At most five sentences, each over all models."""
     fronts = [
         f"{each.family} {mean(each.fronts()):.1%} on average, worst {signed(worst(each.fronts()))} of "
         f"{len(each.fronts())} (the MPM, jittered anew, {mean(each.scatter()):.1%}), "
@@ -232,14 +228,8 @@ def conclusion(found: Sequence[Model]) -> list[str]:
 
 
 def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
-    """The page."""
-    result = Page(
-        "The surrogate beside the MPM",
-        command=f"python -m validation.bench gns{flags} --out docs",
-        conclusion=conclusion(found),
-        packages=GNS | MPM,
-        quick=quick,
-    )
+    bench = f"gns{flags} --out docs"
+    result = Page("The surrogate beside the MPM", bench, conclusion(found), packages=GNS | MPM, quick=quick)
     result.picture("gns.png", "errors of fronts by kind of scene; error over seconds")
     result.text(f"""
         Scenes drawn by the definitions that draw the training data, with seed {SEED}: of the paper's families
@@ -284,8 +274,6 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
 
 
 def kind_row(model: Model, title: str, runs: Sequence[tuple[Compared, Measured]]) -> Row:
-    """Errors of runs of some scenes."""
-
     def both(values: Sequence[float]) -> str:
         return f"{mean(values):.1%} ({signed(worst(values))})" if values else "-"
 
@@ -302,7 +290,6 @@ def kind_row(model: Model, title: str, runs: Sequence[tuple[Compared, Measured]]
 
 
 def self_row(model: Model) -> Row:
-    """Bands, warnings and rest of a model."""
     widths = [each.band[1] / each.extent for each in model.compared if each.band]
     return {
         "model": f"`{model.name}`",
@@ -324,7 +311,6 @@ def draw(path: Path, found: Sequence[Model]) -> None:
 
 
 def draw_fronts(axis: Axes, model: Model) -> None:
-    """A point for each scene."""
     kinds = list(dict.fromkeys(each.kind for each in model.compared))
     for index, kind in enumerate(kinds):
         values = 100.0 * np.array([each.rollout.front for each in model.of_kind(kind) if each.free])
@@ -336,7 +322,6 @@ def draw_fronts(axis: Axes, model: Model) -> None:
 
 
 def draw_price(axis: Axes, model: Model) -> None:
-    """The coarse MPM's curve and the model."""
     points, (seconds, error) = model.points, model.own
     x, y = zip(*points.values(), strict=True)
     axis.loglog(x, [100.0 * each for each in y], "o-", color=BLUE, label="MPM")

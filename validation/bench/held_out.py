@@ -88,7 +88,6 @@ class Measured:
 
     @staticmethod
     def of_flow(flow: Trajectory, reference: Deposit) -> "Measured":
-        """That of a flow of the same scene."""
         front, profile = reference.errors(flow.positions[-1], flow.volumes)
         shown = depths(flow.scene, flow.positions[-1], flow.volumes)
         known = depths(flow.scene, reference.positions, reference.volume)
@@ -97,7 +96,6 @@ class Measured:
 
     @property
     def largest(self) -> float:
-        """The larger of the two errors."""
         return max(abs(self.front), self.profile)
 
 

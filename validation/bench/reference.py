@@ -39,12 +39,10 @@ MORE = 3
 
 
 def observed(problem: Problem) -> Problem:
-    """The problem with heights at gauges as its observation."""
     return dataclasses.replace(problem, observations=(ObservationSettings(kind="height", x=GAUGES, noise=NOISE),))
 
 
 def without_prior(problem: Problem) -> Problem:
-    """The problem with uniform priors."""
     numbers = tuple(dataclasses.replace(each, initial=each.start, prior=None) for each in problem.parameters)
     return dataclasses.replace(problem, parameters=numbers, correlations=())
 
@@ -105,7 +103,6 @@ def moments(points: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def compared(problem: Problem, points: Floats, likelihood: Floats, known: dict[str, Any]) -> list[dict[str, Any]]:
-    """A row for each number."""
     prior: JointPrior | None = problem.prior
     weights = likelihood if prior is None else likelihood * np.exp(prior(points))
     effective = float(weights.sum() ** 2 / (weights**2).sum())
@@ -132,7 +129,6 @@ def compared(problem: Problem, points: Floats, likelihood: Floats, known: dict[s
 
 
 def conclusion(rows: Sequence[dict[str, Any]]) -> str:
-    """The largest differences, in a sentence."""
     parts = []
     for runs in sorted({each["runs of the emulator"] for each in rows}):
         own = [each for each in rows if each["runs of the emulator"] == runs]
@@ -143,7 +139,6 @@ def conclusion(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def section(page: Page, rows: Sequence[dict[str, Any]]) -> None:
-    """The table on the page."""
     page.section("A posterior without an emulator")
     page.text(f"""
         Friction and cohesion of a column by heights at {len(GAUGES)} gauges to {100.0 * NOISE:g} cm, mean ± deviation:

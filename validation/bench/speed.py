@@ -21,7 +21,7 @@ from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE
 from validation.bench import large
-from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, spread, turns
+from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
 from validation.report.page import GNS, MPM, Page, Row, between
 from validation.report.plots import BLUE, ORANGE, figure
 
@@ -86,7 +86,6 @@ class Price:
 
     @property
     def ratio(self) -> float:
-        """Runs per gradient."""
         return self.gradient / self.run
 
 
@@ -211,7 +210,7 @@ def network_rows(*, rounds: int, sizes: int) -> list[dict[str, str]]:
 
             forward()
             backward()
-            own, both = (spread(seconds_of(work) for _ in range(rounds)) for work in (forward, backward))
+            own, both = (Spread([seconds_of(work) for _ in range(rounds)]) for work in (forward, backward))
             rows.append(
                 {
                     "model": f"`{path.stem}`",
@@ -246,13 +245,12 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in cases for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
-    rates = {key: spread(found) for key, found in timed.items()}
+    rates = {key: Spread(found) for key, found in timed.items()}
     prices = [isolated(price, enlarged(*each), rounds) for each in (((0.5, 0.1),) if quick else SCALES)]
     networks = network_rows(rounds=rounds, sizes=1 if quick else 3)
     terrain = large.measured(keep, quick=quick)
     draw(out / "speed.png", rates, prices)
-    command = f"python -m validation.bench speed --rounds {rounds}"
-    return page(rates, prices, networks, terrain, command=command, quick=quick).write(out / "speed.md")
+    return page(rates, prices, networks, terrain, rounds=rounds, quick=quick).write(out / "speed.md")
 
 
 def page(
@@ -261,12 +259,11 @@ def page(
     networks: Sequence[Mapping[str, str]],
     terrain: Mapping[str, large.Found],
     *,
-    command: str,
-    quick: bool = False,
+    rounds: int,
+    quick: bool,
 ) -> Page:
-    """The page, from what was measured."""
     said = [*conclusion(rates, prices, networks), large.sentence(terrain)]
-    text = Page("Speed", command=command, conclusion=said, packages=MPM | GNS, quick=quick)
+    text = Page("Speed", f"speed --rounds {rounds}", said, packages=MPM | GNS, quick=quick)
     text.picture("speed.png", "rate of the MPM over particles; a run and its gradient")
     text.section("Million particle-steps a second of the MPM")
     text.text(f"""

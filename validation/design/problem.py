@@ -79,7 +79,6 @@ class Limit(Record):
 
     @property
     def force(self) -> bool:
-        """Whether it is one."""
         return self.quantity == "impact_force"
 
     @property
@@ -188,7 +187,6 @@ class DesignProblem(_Keys):
 
     @cached_property
     def kinds(self) -> list[Kind]:
-        """What they are."""
         return [each.parameter.kind for each in self.numbers]
 
     @cached_property

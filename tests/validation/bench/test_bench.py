@@ -12,7 +12,7 @@ from validation.bench import __main__
 from validation.bench.__main__ import BENCHES, bench_of, main
 from validation.bench.large import CELL, QUICK, Found, friction, slide
 from validation.bench.speed import CASES, Price, column, draw, enlarged, mean_x, modes, page
-from validation.report.measuring import spread
+from validation.report.measuring import Spread
 from validation.report.page import Page
 
 
@@ -56,7 +56,7 @@ def test_a_wrong_name_takes_one_line(arguments: list[str], capsys: pytest.Captur
 
 
 def test_a_page_begins_with_its_conclusion(tmp_path: Path) -> None:
-    page = Page("Title", command="python -m it", conclusion=["a = 1", "b = 2"], quick=True)
+    page = Page("Title", "it --flag", ["a = 1", "b = 2"], quick=True)
     page.section("Section")
     page.text("""
         One line
@@ -65,16 +65,16 @@ def test_a_page_begins_with_its_conclusion(tmp_path: Path) -> None:
     page.table([{"x [m]": "0.12", "who": "us"}, {"x [m]": "", "who": "them"}])
     assert page.write(tmp_path / "page.md") == "- a = 1\n- b = 2"
     text = (tmp_path / "page.md").read_text(encoding="utf-8")
-    assert text.startswith("# Title\n\n- a = 1\n- b = 2\n\n`python -m it`")
+    assert text.startswith("# Title\n\n- a = 1\n- b = 2\n\n`python -m validation.bench it --flag`")
     assert "`--quick`" in text
     assert "## Section\n\nOne line\nand another.\n\n| x [m]   | who" in text
     assert "| 0.12 " in text
     with pytest.raises(ValueError, match="conclusion"):
-        Page("Title", command="", conclusion=["one"] * 6)
+        Page("Title", "it", ["one"] * 6, quick=False)
 
 
 RATES = {
-    (case, mode): spread([10.0 * rank, 12.0 * rank])
+    (case, mode): Spread([10.0 * rank, 12.0 * rank])
     for rank, case in enumerate(CASES, start=1)
     for mode in (("f32", 2), ("f64", 2))
 }
@@ -95,7 +95,9 @@ TERRAIN: dict[str, Found] = {
 
 
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
-    text = page(RATES, PRICES, [{"model": "`flow2d`", "nodes": "500", "µs per node": "148"}], TERRAIN, command="it")
+    text = page(
+        RATES, PRICES, [{"model": "`flow2d`", "nodes": "500", "µs per node": "148"}], TERRAIN, rounds=1, quick=False
+    )
     assert "In 2D the MPM makes 22 to 55 million particle-steps a second, at 3,200 to " in text.conclusion
     assert "5.0 to 5.5 runs, for any number of unknowns, and at most 16 MiB (12,800" in text.conclusion
     assert "takes 148 µs for each node" in text.conclusion

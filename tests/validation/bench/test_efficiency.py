@@ -46,12 +46,16 @@ def test_differences_of_some_columns_are_those_of_the_whole_gradient() -> None:
 
 def test_the_paper_s_descent_is_a_step_of_its_rate_within_the_bounds() -> None:
     problem = read_problem("friction-tall-42")
-    slow = dataclasses.replace(PAPER[problem.name], rate=0.1, stop_below=0.0)
-    found = descend(evaluation, problem, slow, 3)
-    assert [float(each.parameters[0]) for each in found] == pytest.approx([30.0, 31.0, 31.8])
-    far = dataclasses.replace(slow, rate=1e3)
-    assert descend(evaluation, problem, far, 2)[1].parameters[0] == problem.box.upper[0]
-    assert len(descend(evaluation, problem, dataclasses.replace(slow, stop_below=1e3), 3)) == 1
+
+    def descended(**changes: float) -> list[float]:
+        slow = dataclasses.replace(PAPER[problem.name], **{"rate": 0.1, "stop_below": 0.0} | changes)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(PAPER, problem.name, slow)
+            return [float(each.parameters[0]) for each in descend(evaluation, problem, 3)]
+
+    assert descended() == pytest.approx([30.0, 31.0, 31.8])
+    assert descended(rate=1e3)[1] == problem.box.upper[0]
+    assert len(descended(stop_below=1e3)) == 1
 
 
 def test_optuna_begins_at_the_start_and_finds_the_minimum() -> None:

@@ -150,6 +150,7 @@ def test_a_verdict_says_what_is_wrong() -> None:
         {(2, "APIC", 1.0, 0.9): 1.0, (2, "AFLIP, default", 1.0, 0.9): 1.0},
         {TAYLOR: {5: Safety(factor=0.98, stands=0.97, moves=0.99, displacements={}, cells=5.0, seconds=1.0)}},
         precision="f32",
+        quick=False,
     )
     assert "1 of 2 hard cases hold; **red**: rest." in text.conclusion
     assert "Factors of safety of 1 slopes are at most 2 % on 5 cells over the height off." in text.conclusion

@@ -114,6 +114,11 @@ def rms(errors: Mapping[str, Error]) -> float:
     return float(np.sqrt(np.mean([np.mean(np.square(each.errors)) for each in errors.values()])))
 
 
+def mean_seconds(errors: Mapping[str, Error]) -> float:
+    """Of a run, over the scenes."""
+    return float(np.mean([each.seconds for each in errors.values()]))
+
+
 def prediction_limit(errors: Sequence[float]) -> float:
     """A bound on the error of one more scene with probability COVERAGE, from the errors of the measured scenes.
 
@@ -121,12 +126,10 @@ def prediction_limit(errors: Sequence[float]) -> float:
     the mean and standard deviation of n errors and t Student's quantile for n - 1 degrees of freedom; and no less than
     the largest of them, which a share n / (n + 1) of further scenes stays within whatever the distribution.
     """
-    count = len(errors)
-    if count < 2:
+    if (count := len(errors)) < 2:
         return max(errors)
-    t = float(stdtrit(count - 1, COVERAGE))
-    limit = float(np.mean(errors)) + t * float(np.std(errors, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
-    return max(limit, *errors)
+    deviation = float(np.std(errors, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
+    return max(float(np.mean(errors)) + float(stdtrit(count - 1, COVERAGE)) * deviation, *errors)
 
 
 def bound(found: Errors, resolution: Resolution) -> float:
@@ -197,8 +200,7 @@ def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False) -> str:
         trials[dimension] = errors_of(scenes, tried, 14.0 if quick else reference, (SEED,), store)
     paper = columns.paper_columns(store, 1 if quick else 3)
     fronts = columns.collapse(store, quick=quick)
-    promised = {(each.dimension, each.resolution): each.promised for each in known}
-    draw(out / "accuracy.png", trials, promised, fronts)
+    draw(out / "accuracy.png", trials, known, fronts)
     return page(trials, known, paper, fronts, quick=quick).write(out / "accuracy.md")
 
 
@@ -208,17 +210,11 @@ def page(
     paper: columns.PaperColumns,
     fronts: columns.Fronts,
     *,
-    quick: bool = False,
+    quick: bool,
 ) -> Page:
-    """The page, from what was measured."""
-    promised = {(each.dimension, each.resolution): each.promised for each in known}
-    held = [trial_text(dimension, found, promised) for dimension, found in trials.items()]
-    text = Page(
-        "Accuracy of the MPM",
-        command="python -m validation.bench accuracy",
-        conclusion=[*held, str(paper), columns.aspect_text(fronts)],
-        quick=quick,
-    )
+    limits = {dimension: promises(dimension, known) for dimension in trials}
+    held = [trial_text(dimension, found, limits[dimension]) for dimension, found in trials.items()]
+    text = Page("Accuracy of the MPM", "accuracy", [*held, str(paper), columns.aspect_text(fronts)], quick=quick)
     text.picture("accuracy.png", "error over seconds; fronts of columns over their aspect ratio")
     text.section("What `--tolerance` selects")
     text.text(f"""
@@ -253,44 +249,43 @@ def page(
         share of the time of all that ran beside it.
     """)
     for dimension, found in trials.items():
-        text.table(trial_rows(dimension, found, promised))
+        text.table(trial_rows(dimension, found, limits[dimension]))
     paper.table(text)
     columns.aspect_tables(text, fronts)
     return text
 
 
-def trial_rows(dimension: int, found: Errors, promised: Mapping[tuple[int, Resolution], float]) -> list[dict[str, str]]:
+def promises(dimension: int, known: Sequence[Measured]) -> dict[Resolution, float]:
+    """The bound of each measured resolution of a dimension."""
+    return {each.resolution: each.promised for each in known if each.dimension == dimension}
+
+
+def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> list[dict[str, str]]:
     """A line per scene, and one of the seconds."""
-    heads = {r: f"{r.cells:g} cells (bound {percent(promised[dimension, r])})" for r in found}
+    heads = {r: f"{r.cells:g} cells (bound {percent(limits[r])})" for r in found}
     rows = []
     for name in next(iter(found.values())):
         row = {f"{dimension}D": name}
         for resolution, errors in found.items():
             (error,) = errors[name].errors
             text = percent(error)
-            row[heads[resolution]] = f"**{text}**" if error > promised[dimension, resolution] else text
+            row[heads[resolution]] = f"**{text}**" if error > limits[resolution] else text
         rows.append(row)
-    seconds = {heads[r]: f"{np.mean([each.seconds for each in errors.values()]):.2g}" for r, errors in found.items()}
+    seconds = {heads[r]: f"{mean_seconds(errors):.2g}" for r, errors in found.items()}
     return [*rows, {f"{dimension}D": "seconds of a run, mean"} | seconds]
 
 
-def trial_text(dimension: int, found: Errors, promised: Mapping[tuple[int, Resolution], float]) -> str:
+def trial_text(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> str:
     """How many scenes are within the bound, and what it takes, one sentence."""
-    parts = []
-    for resolution, errors in found.items():
-        limit = promised[dimension, resolution]
-        within = sum(each.errors[0] <= limit for each in errors.values())
-        seconds = np.mean([each.seconds for each in errors.values()])
-        parts.append(
-            f"{within} of {len(errors)} other scenes are within {percent(limit)} on {resolution.cells:g} cells"
-            f" ({percent(rms(errors))} rms, {seconds:.2g} s)"
-        )
+    parts = [
+        f"{sum(each.errors[0] <= limits[r] for each in errors.values())} of {len(errors)} other scenes are within"
+        f" {percent(limits[r])} on {r.cells:g} cells ({percent(rms(errors))} rms, {mean_seconds(errors):.2g} s)"
+        for r, errors in found.items()
+    ]
     return f"**{dimension}D**: {', '.join(parts)}."
 
 
-def draw(
-    path: Path, trials: Mapping[int, Errors], promised: Mapping[tuple[int, Resolution], float], fronts: columns.Fronts
-) -> None:
+def draw(path: Path, trials: Mapping[int, Errors], known: Sequence[Measured], fronts: columns.Fronts) -> None:
     """Error over seconds, a pane per dimension; fronts over the aspect ratio."""
     with figure(path, columns=len(trials) + 1, size=(4.2, 3.8)) as axes:
         for number, (dimension, found) in enumerate(trials.items()):
@@ -298,19 +293,21 @@ def draw(
             for name in next(iter(found.values())):
                 points = [(each[name].seconds, 100.0 * each[name].errors[0]) for each in found.values()]
                 axis.plot(*zip(*points, strict=True), ".-", color=GREY, linewidth=0.5, markersize=3)
-            seconds = [float(np.mean([each.seconds for each in errors.values()])) for errors in found.values()]
+            seconds, limits = [mean_seconds(errors) for errors in found.values()], promises(dimension, known)
             axis.plot(seconds, [100.0 * rms(errors) for errors in found.values()], "o-", color=BLUE, label="rms")
-            bounds = [100.0 * promised[dimension, each] for each in found]
+            bounds = [100.0 * limits[each] for each in found]
             axis.plot(seconds, bounds, "s--", color=ORANGE, label="bound for nine of ten")
             for resolution, x, y in zip(found, seconds, bounds, strict=True):
                 axis.annotate(f"{resolution.cells:g} cells", (x, y), xytext=(3, 4), textcoords="offset points", size=7)
-            axis.set(xscale="log", yscale="log", title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
-            axis.set_ylabel("error over the extent [%]")
+            axis.set(title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
+            axis.set(xscale="log", yscale="log", ylabel="error over the extent [%]")
             axis.legend()
         last = axes[0, len(trials)]
-        known = {**fronts, **columns.laws(), **columns.codes()}
-        for name in dict.fromkeys(name for dimension, name, _ in known if dimension == 2):
-            points = sorted((a, value) for (dimension, who, a), value in known.items() if (dimension, who) == (2, name))
+        others = {**fronts, **columns.laws(), **columns.codes()}
+        for name in dict.fromkeys(name for dimension, name, _ in others if dimension == 2):
+            points = sorted(
+                (a, value) for (dimension, who, a), value in others.items() if (dimension, who) == (2, name)
+            )
             ours = name in (columns.OURS, columns.APIC)
             last.plot(*zip(*points, strict=True), "o-" if ours else "--", linewidth=0.8, markersize=4, label=name)
         last.set(xscale="log", yscale="log", title="columns in 2D", xlabel="H / L", ylabel="front, (d - L) / L")

@@ -105,7 +105,6 @@ def laws() -> Fronts:
 
 
 def codes() -> Fronts:
-    """Fronts by other codes."""
     return {
         (2, code["name"], aspect): value
         for code in read_toml(PUBLISHED)["codes"]
@@ -114,7 +113,6 @@ def codes() -> Fronts:
 
 
 def aspect_tables(page: Page, found: Fronts) -> None:
-    """The tables of columns over their aspect ratio."""
     page.section("Columns over their aspect ratio")
     page.text(f"""
         Columns of length (in 3D: cylinders of radius) L and height H = a L, dry sand of {FRICTION_DEG:g}° on a floor as
@@ -156,7 +154,6 @@ class PaperColumns:
         return np.array([np.mean(self.found[damping, name]) / value - 1.0 for name, value in self.stated.items()])
 
     def rms(self, damping: float) -> float:
-        """Root mean square of the deviations."""
         return float(np.sqrt(np.mean(self.deviations(damping) ** 2)))
 
     def __str__(self) -> str:
@@ -167,7 +164,6 @@ class PaperColumns:
         )
 
     def table(self, page: Page) -> None:
-        """The section of a page."""
         scene = read_scene("column-tall-42")
         page.section("The paper's columns")
         page.text(f"""
@@ -188,7 +184,6 @@ class PaperColumns:
 
 
 def paper_columns(store: RunStore, seeds: int) -> PaperColumns:
-    """Run the paper's columns."""
     stated = read_toml(PUBLISHED)["paper"]
     keys = [(damping, name, seed) for damping in DAMPINGS for name in stated for seed in range(seeds)]
     flows = store.run(

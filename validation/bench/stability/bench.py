@@ -53,7 +53,6 @@ class Check(Record):
     maximum: float | None = None
 
     def finding(self, flow: Trajectory) -> Finding:
-        """What it is in `flow`."""
         found = QUANTITIES[self.quantity](flow)
         return dataclasses.replace(
             found,
@@ -83,7 +82,6 @@ class Row(Record):
 
     @property
     def scene(self) -> Scene:
-        """The scene, read from its file."""
         return read_scene(str(FOLDER / "hard_cases" / f"{self.name}.toml"))
 
 
@@ -194,16 +192,9 @@ def bench(out: Path, *, quick: bool, keep: Path, rows: tuple[str, ...] = (), pre
     return text.conclusion
 
 
-def page(
-    verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, precision: str, quick: bool = False
-) -> Page:
-    """The page, but for its picture."""
-    text = Page(
-        "Stability of the MPM",
-        command=f"python -m validation.bench stability --precision {precision}",
-        conclusion=conclusion(verdicts, found, safety),
-        quick=quick,
-    )
+def page(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, precision: str, quick: bool) -> Page:
+    said = conclusion(verdicts, found, safety)
+    text = Page("Stability of the MPM", f"stability --precision {precision}", said, quick=quick)
     text.section("Hard cases")
     text.text(f"""
         {len(verdicts)} scenes (`validation/bench/stability/rows.toml`) in {precision}. **Required** is the row's own;
@@ -238,7 +229,6 @@ def page(
 
 
 def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors) -> list[str]:
-    """What the page comes to."""
     red = [each.row.name for each in verdicts if each.failures]
     exact = [each for each in verdicts if each.row.exact]
     agreed = sum(not each.failures for each in exact)
@@ -268,7 +258,6 @@ def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factor
 
 
 def row_of(each: Verdict) -> dict[str, object]:
-    """A row of the table."""
     known = {finding.check: finding for finding in each.kept}
     own = "; ".join(f"{found.check} {found.range} {found.unit}".strip() for found in each.own)
     value = ", ".join(emphasised(f"{found.value:.4g}", found) for found in each.own)
