@@ -68,7 +68,7 @@ def command(
         write_picture(out / "picture.png", flow, Colour(colour or Colour.DISPLACEMENT), nearest)
         print(f"t = {flow.time[nearest]:.3f} s, drawn into {out / 'picture.png'}")
     if movie:
-        write_movie(out / "movie.mp4", flow, Colour(colour or Colour.VELOCITY), shown, rate=rate, progress=True)
+        write_movie(out / "movie.mp4", flow, Colour(colour or Colour.VELOCITY), shown, rate=rate)
         print(f"{len(shown)} frames, drawn into {out / 'movie.mp4'}")
 
 

@@ -7,10 +7,9 @@ Bayesian inference algorithms with simulation-based calibration, arXiv:1804.0678
 highest density regions, Am. Stat. 50 (1996) 120-126).
 """
 
-import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -196,7 +195,7 @@ def bench(
             else workers.finished(solve_twin, [(*task, 1) for task in tasks])
         )
         for index, result in tqdm(results, total=len(tasks), unit="twin", leave=False, disable=None):
-            write_json(missing[index], dataclasses.asdict(result))
+            write_json(missing[index], asdict(result))
     stored = {
         family: [twin for path in sorted((keep / name).glob("[0-9]*.json")) if (twin := read_twin(path))]
         for name, family in FAMILIES.items()
@@ -231,16 +230,15 @@ def drawn(family: Family, number: int) -> Problem:
     asked, rng = stated(family), np.random.default_rng([FIRST_SEED, number])
     shares = rng.random(len(asked.names))
     truth = asked.named(asked.box.at(shares if asked.prior is None else asked.prior.at(shares)))
-    scene = dataclasses.replace(asked.scene, seed=int(rng.integers(2**31)))
+    scene = replace(asked.scene, seed=int(rng.integers(2**31)))
     if family.cell is not None:
         scene = scene.with_cell(family.cell)
     finer = None if family.finer is None else family.finer * scene.domain.cell
-    return dataclasses.replace(
+    return replace(
         asked,
         scene=scene,
         observations=tuple(
-            dataclasses.replace(each, noise=each.noise if family.noise is None else family.noise)
-            for each in asked.observations
+            replace(each, noise=each.noise if family.noise is None else family.noise) for each in asked.observations
         ),
         target=TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=finer),
         surrogate=family.surrogate,
@@ -253,9 +251,9 @@ def stated(family: Family) -> Problem:
         return problem
     both = zip(problem.parameters, family.priors, strict=True)
     pair = (problem.names[0], problem.names[-1])
-    return dataclasses.replace(
+    return replace(
         problem,
-        parameters=tuple(dataclasses.replace(each, prior=prior) for each, prior in both),
+        parameters=tuple(replace(each, prior=prior) for each, prior in both),
         correlations=() if family.correlation is None else (Correlation(between=pair, coefficient=family.correlation),),
     )
 

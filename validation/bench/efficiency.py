@@ -5,10 +5,9 @@ MPM's differences averaged over `JITTERS` seeds: along the path of one run the a
 over runs has not. So has that of two baffles in 3D.
 """
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import product
 from pathlib import Path
@@ -112,23 +111,20 @@ def blocks(columns: int, layers: int) -> Scene:
     across = round(whole.masses[0].size[0] / spacing)
     up = round(max(mass.lower[1] + mass.size[1] for mass in whole.masses) / spacing)
     x, y = (np.round(np.linspace(0, count, parts + 1)) for count, parts in ((across, columns), (up, layers)))
-    masses = []
-    for j, i in product(range(layers), range(columns)):
-        middle = (y[j] + y[j + 1]) / 2.0 / up
-        masses.append(
-            Mass(
-                lower=(float(x[i] * spacing), float(y[j] * spacing)),
-                size=(float((x[i + 1] - x[i]) * spacing), float((y[j + 1] - y[j]) * spacing)),
-                velocity=(AT_FLOOR + (AT_TOP - AT_FLOOR) * float(middle), 0.0),
-            )
+    masses = tuple(
+        Mass(
+            lower=(float(x[i] * spacing), float(y[j] * spacing)),
+            size=(float((x[i + 1] - x[i]) * spacing), float((y[j + 1] - y[j]) * spacing)),
+            velocity=(AT_FLOOR + (AT_TOP - AT_FLOOR) * float((y[j] + y[j + 1]) / 2.0 / up), 0.0),
         )
-    return dataclasses.replace(whole, masses=tuple(masses))
+        for j, i in product(range(layers), range(columns))
+    )
+    return replace(whole, masses=masses)
 
 
-def blocks_problem(unknowns: int, *, duration: float | None = None) -> Problem:
+def blocks_problem(unknowns: int) -> Problem:
     """The velocities of so many blocks from their deposit; it starts at `FRACTION` of the true ones."""
     scene = blocks(*CUTS[unknowns])
-    scene = scene if duration is None else dataclasses.replace(scene, duration=duration)
     return Problem(
         name=f"blocks-{unknowns}",
         scene=scene,
@@ -149,8 +145,8 @@ def blocks_problem(unknowns: int, *, duration: float | None = None) -> Problem:
 def hundred_problem() -> Problem:
     """As `velocity-layers-10`, of a hundred blocks."""
     problem = blocks_problem(100)
-    numbers = tuple(dataclasses.replace(each, initial=0.75, lower=-1.0, upper=3.0) for each in problem.parameters)
-    return dataclasses.replace(problem, name=HUNDRED, parameters=numbers)
+    numbers = tuple(replace(each, initial=0.75, lower=-1.0, upper=3.0) for each in problem.parameters)
+    return replace(problem, name=HUNDRED, parameters=numbers)
 
 
 def bench(out: Path, *, quick: bool, keep: Path) -> str:
@@ -167,19 +163,21 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
     """
     torch.set_num_threads(processors())
     simulator = gns.load("flow2d")
-    duration = QUICK_S if quick else None
+
+    def asked(problem: Problem) -> Problem:
+        scene = replace(problem.scene, duration=QUICK_S) if quick else problem.scene
+        return replace(problem, scene=scene)
+
     gradients = [
         each
         for number in tqdm([*CUTS][: 2 if quick else None], desc="gradients", unit="cut")
-        for each in gradients_of(BLOCKS, blocks_problem(number, duration=duration), STEP, simulator, JITTERS)
+        for each in gradients_of(BLOCKS, asked(blocks_problem(number)), STEP, simulator, JITTERS)
     ]
     if not quick:
         gradients += gradients_of(BAFFLES, read_problem(BAFFLES), BAFFLE_STEP, gns.load("obstacle3d"), BAFFLE_JITTERS)
     compared = []
     for name in [*LIMITS][: 1 if quick else None]:
-        problem = hundred_problem() if name == HUNDRED else read_problem(name)
-        if quick:
-            problem = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, duration=QUICK_S))
+        problem = asked(hundred_problem() if name == HUNDRED else read_problem(name))
         models, limit = Models.build(problem, simulator), QUICK_LIMIT if quick else LIMITS[name]
         searches = [search(by, models, limit) for by in tqdm(methods(problem), desc=name, unit="method")]
         compared.append(
@@ -208,7 +206,7 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
         return found[1:]
 
     seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
-    seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
+    seeded = [replace(problem, scene=replace(problem.scene, seed=seed)) for seed in seeds]
     moves = step * np.eye(unknowns)[chosen]
     differences = [
         by_runs(MpmForward(each, observation, simulate_many), own, observation.components, moves)(problem.initial)

@@ -1,10 +1,9 @@
 """`python -m validation.bench experiments`: measured flows at angles of friction measured by themselves, and back."""
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -150,7 +149,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         (each, case, reading)
         for each, case in pairs
         for reading in each.experiment.readings[:1]
-        or [dataclasses.replace(ladder(each)[0], deg=crossings[each.name, case.name][0])]
+        or [replace(ladder(each)[0], deg=crossings[each.name, case.name][0])]
         if not math.isnan(reading.deg)
     ]
     fine = run(firsts, 1, simulate)
@@ -168,7 +167,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
     ]
     # Where no angle was measured, what else was is held against a run at the inferred one.
     again = [
-        (each, case, dataclasses.replace(first, deg=one.deg))
+        (each, case, replace(first, deg=one.deg))
         for (each, case, first), one in zip(firsts, inferred, strict=True)
         if not each.experiment.angles and case.measured[1:]
     ]
@@ -200,7 +199,7 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
 def ladder(shipped: Shipped) -> list[Reading]:
     """The readings over which the slope of a front is found: as the first of an experiment, at other angles."""
     known = [*shipped.experiment.readings, Reading(math.nan, rate=shipped.experiment.grains is not None)]
-    return [dataclasses.replace(known[0], deg=deg) for deg in LADDER_DEG]
+    return [replace(known[0], deg=deg) for deg in LADDER_DEG]
 
 
 def run(asked: Sequence[tuple[Shipped, MeasuredScene, Reading]], number: int, simulate: Simulate) -> Flows:
@@ -208,7 +207,7 @@ def run(asked: Sequence[tuple[Shipped, MeasuredScene, Reading]], number: int, si
     runs = []
     for each, case, reading in asked:
         timed = any(measured.times for measured in case.measured)
-        record = dataclasses.replace(AT_REST, frames=RECORDED) if timed else AT_REST
+        record = replace(AT_REST, frames=RECORDED) if timed else AT_REST
         runs.append(Run(scene=each.scene(case.scene, each.cells(case)[number], reading), record=record))
     flows = zip(asked, simulate(runs), strict=True)
     return {(each.name, case.name, reading): partial(quantity, flow=flow) for (each, case, reading), flow in flows}

@@ -1,9 +1,8 @@
 """`python -m validation.bench gns`: the shipped surrogates against the MPM on fine cells, on held-out scenes."""
 
-import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -133,8 +132,7 @@ def measure(
     simulator = gns.load(path)
     store, fine = RunStore(keep / family), [scene for _, scene in scenes]
     references, again = (
-        store.run([Run(scene=dataclasses.replace(each, seed=each.seed + more), record=AT_REST) for each in fine])
-        for more in (0, 1)
+        store.run([Run(scene=replace(each, seed=each.seed + more), record=AT_REST) for each in fine]) for more in (0, 1)
     )
     # Kernels are compiled, or read from their cache, at a first call.
     gns.simulate(scenes[0][1], model=simulator)
@@ -164,7 +162,7 @@ def measure(
         )
     torch.set_num_threads(threads)
     resting = [scene for (_, scene), flow, _ in pairs if flow.summary["rest_time"] is not None]
-    longer = [dataclasses.replace(each, duration=TIMES * each.duration) for each in resting[:long]]
+    longer = [replace(each, duration=TIMES * each.duration) for each in resting[:long]]
     creeps = [creep(gns.simulate(each, model=simulator)) for each in tqdm(longer, desc=f"{family}, rest", unit="scene")]
     return Model(name=path.stem, family=family, compared=compared, creeps=creeps)
 
@@ -180,7 +178,7 @@ def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
 
 def point(runs: Sequence[Measured]) -> tuple[float, float]:
     """Mean seconds of a method, and the rms over the scenes of the larger error of front and profile."""
-    return float(np.mean([each.seconds for each in runs])), rms([each.largest for each in runs])
+    return float(np.mean([each.seconds for each in runs])), rms([max(abs(each.front), each.profile) for each in runs])
 
 
 def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | None:
@@ -198,14 +196,6 @@ def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | 
     return None
 
 
-def price_sentence(model: Model) -> str:
-    """What a rollout costs and how far it is off, beside the MPM's seconds for the same error."""
-    seconds, error = model.own
-    same = mpm_seconds(model.points.values(), error)
-    cheaper = "no coarse MPM is as good" if same is None else f"a coarse MPM takes {same:.2g} s for the same error"
-    return f"{model.family} off by {error:.1%} in {seconds:.2g} s, {cheaper}"
-
-
 def conclusion(found: Sequence[Model]) -> list[str]:
     fronts = [
         f"{each.family} {mean(each.fronts()):.1%} on average, worst {signed(worst(each.fronts()))} of "
@@ -213,9 +203,15 @@ def conclusion(found: Sequence[Model]) -> list[str]:
         f"profiles {mean(each.profiles()):.1%}"
         for each in found
     ]
+    prices = []
+    for each in found:
+        seconds, error = each.own
+        same = mpm_seconds(each.points.values(), error)
+        cheaper = "no coarse MPM is as good" if same is None else f"a coarse MPM takes {same:.2g} s for the same error"
+        prices.append(f"{each.family} off by {error:.1%} in {seconds:.2g} s, {cheaper}")
     sentences = [
         f"Fronts of held-out scenes, free of walls, over the extent: {'; '.join(fronts)}.",
-        f"One rollout: {'; '.join(map(price_sentence, found))}.",
+        f"One rollout: {'; '.join(prices)}.",
     ]
     if parts := [f"{sum(each.held)} of {len(each.held)} fronts ({each.family})" for each in found if each.held]:
         sentences.append(f"{LEVEL:.0%} bands hold {' and '.join(parts)}.")

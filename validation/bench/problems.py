@@ -1,13 +1,12 @@
 """`python -m validation.bench problems`: every shipped inverse problem, beside its criteria and the paper's figures."""
 
-import dataclasses
 import hashlib
 import math
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +62,7 @@ class Family(Record):
             problem = read_problem(name)
             found.append((problem, name))
             if self.second is not None:
-                found.append((dataclasses.replace(problem, surrogate=self.second), f"{name}-{self.second}"))
+                found.append((replace(problem, surrogate=self.second), f"{name}-{self.second}"))
         return found
 
 
@@ -178,7 +177,7 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
 
 def made_of(problem: Problem) -> str:
     """Digest of the problem and of the weights of a surrogate that may be asked."""
-    text, asked = repr(dataclasses.replace(problem, folder=Path())), problem.surrogate is not Surrogate.NONE
+    text, asked = repr(replace(problem, folder=Path())), problem.surrogate is not Surrogate.NONE
     weights = library.shipped(problem.scene.dimension).read_bytes() if asked else b""
     return hashlib.sha256(text.encode() + weights).hexdigest()[:16]
 
@@ -275,7 +274,10 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
             f"Where both ways were gone, it takes {between(with_it, '.0f')} MPM runs with a surrogate that leads, "
             f"{between(without, '.0f')} without"
         )
-        if ratios := speed_up(outcomes):
+        dear = {each.problem.name for each in outcomes if each.surrogate and each.problem.surrogate is Surrogate.AUTO}
+        asked = [each for each in outcomes if each.problem.name in dear]
+        times = both_ways(asked, lambda result: result["seconds"]["total"])
+        if ratios := [each[True] / each[False] for each in times]:
             text += f"; where a run of the MPM is dear, {between(ratios, '.0%')} of the seconds"
         sentences.append(f"{text}.")
     return sentences
@@ -287,13 +289,6 @@ def both_ways(outcomes: Sequence[Outcome], figure: Callable[[dict[str, Any]], fl
     for each in outcomes:
         ways.setdefault(each.problem.name, {})[each.surrogate] = figure(each.result)
     return [each for each in ways.values() if len(each) == len((True, False))]
-
-
-def speed_up(outcomes: Sequence[Outcome]) -> list[float]:
-    """Seconds with a surrogate over those without, of the problems that ask for one where a run of the MPM is dear."""
-    dear = {each.problem.name for each in outcomes if each.surrogate and each.problem.surrogate is Surrogate.AUTO}
-    some = [each for each in outcomes if each.problem.name in dear]
-    return [each[True] / each[False] for each in both_ways(some, lambda result: result["seconds"]["total"])]
 
 
 def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:

@@ -7,8 +7,8 @@ Carlo computations, Ann. Statist. 37 (2009) 697-725). Runs fill the cells of a g
 large weight: q is a cell's number of runs over its area.
 """
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,20 +38,11 @@ MORE = 3
 """Times the runs of the loop, of a second search: what its emulator does not know is part of its widths."""
 
 
-def observed(problem: Problem) -> Problem:
-    return dataclasses.replace(problem, observations=(ObservationSettings(kind="height", x=GAUGES, noise=NOISE),))
-
-
-def without_prior(problem: Problem) -> Problem:
-    numbers = tuple(dataclasses.replace(each, initial=each.start, prior=None) for each in problem.parameters)
-    return dataclasses.replace(problem, parameters=numbers, correlations=())
-
-
 def compare(
     problem: Problem, keep: Path, *, cells: int = CELLS, stages: Sequence[tuple[int, float]] = STAGES
 ) -> list[dict[str, Any]]:
     """Mean and deviation of each number by both, with the uniform and the stated prior; runs stay in `keep`."""
-    asked = observed(problem)
+    asked = replace(problem, observations=(ObservationSettings(kind="height", x=GAUGES, noise=NOISE),))
     store = RunStore(keep / "mpm", simulate_many)
     target = read_target(asked, lambda scene: store([scene], record=LAST)[0])
     rng = np.random.default_rng(0)
@@ -66,8 +57,9 @@ def compare(
         points, cell = np.concatenate([points, further]), np.concatenate([cell, chosen])
     likelihood = likelihood / np.bincount(cell)[cell]
     rows, budget = [], asked.loop.budget(len(asked.numbers))
-    free, more = without_prior(asked), LoopSettings(mpm_runs=MORE * budget)
-    for each in (free, asked, dataclasses.replace(free, loop=more)):
+    uniform = tuple(replace(each, initial=each.start, prior=None) for each in asked.parameters)
+    free, more = replace(asked, parameters=uniform, correlations=()), LoopSettings(mpm_runs=MORE * budget)
+    for each in (free, asked, replace(free, loop=more)):
         runs = each.loop.budget(len(each.numbers))
         path = keep / f"{'uniform' if each.prior is None else 'stated'}-{runs}.json"
         if (known := read_json(path)) is None:

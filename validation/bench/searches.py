@@ -4,11 +4,10 @@ Of the gradients SciPy's L-BFGS-B and least squares; the paper's descent; and Op
 'talus[efficiency]'`), which uses no gradient.
 """
 
-import dataclasses
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import accumulate
 
@@ -146,7 +145,7 @@ class Models:
 
     def checked(self, numbers: Vector) -> float:
         """The loss that the MPM shows at `numbers` [U], with a jitter of its own."""
-        scene = dataclasses.replace(self.problem.scene_at(numbers), seed=CHECK_SEED)
+        scene = replace(self.problem.scene_at(numbers), seed=CHECK_SEED)
         return self.target.misfit(self.target.observation.observe(simulate(scene)))
 
     @property

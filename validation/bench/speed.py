@@ -306,22 +306,20 @@ def page(
 
 def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping[str, str]]) -> list[str]:
     """Rates by dimension, the price of a gradient, the network's step."""
-    found = []
-    for dimension in dict.fromkeys(case.dimension for case, _ in rates):
-        best = best_rates(rates, dimension)
-        found.append(
-            f"In {dimension}D the MPM makes {between(best.values(), '.0f')} million particle-steps a second, at"
-            f" {between(best, ',')} particles."
-        )
+    best = {dimension: best_rates(rates, dimension) for dimension in dict.fromkeys(case.dimension for case, _ in rates)}
     large = max(prices, key=lambda each: each.memory)
     runs = between([each.ratio for each in prices], ".1f")
-    found.append(
-        f"A gradient by the adjoint takes {runs} runs, for any number of unknowns, and at most"
-        f" {large.memory / 2**20:.0f} MiB ({large.particles:,} particles, {large.steps:,} steps)."
-    )
     steps = between([float(each["µs per node"]) for each in networks], ".0f")
-    found.append(f"A step of the shipped networks takes {steps} µs for each node with its gradient, on one thread.")
-    return found
+    return [
+        *(
+            f"In {dimension}D the MPM makes {between(own.values(), '.0f')} million particle-steps a second, at"
+            f" {between(own, ',')} particles."
+            for dimension, own in best.items()
+        ),
+        f"A gradient by the adjoint takes {runs} runs, for any number of unknowns, and at most"
+        f" {large.memory / 2**20:.0f} MiB ({large.particles:,} particles, {large.steps:,} steps).",
+        f"A step of the shipped networks takes {steps} µs for each node with its gradient, on one thread.",
+    ]
 
 
 def best_rates(rates: Rates, dimension: int) -> dict[int, float]:

@@ -4,10 +4,9 @@ Every number was read in a source, or worked out from such numbers; `status` say
 is listed with the choice made for it.
 """
 
-import dataclasses
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -235,17 +234,17 @@ class Shipped:
     def scene(self, file: str, cell: float, reading: Reading) -> Scene:
         """The scene of `file` on another cell [m], of grains of the friction of `reading`."""
         scene = read_scene(str(self.folder / file))
-        material = dataclasses.replace(scene.material, friction_deg=reading.deg, angle=reading.angle)
+        material = replace(scene.material, friction_deg=reading.deg, angle=reading.angle)
         if reading.rate and (grains := self.experiment.grains) is not None:
             limit = math.tan(math.radians(reading.deg)) + grains.friction_growth
-            material = dataclasses.replace(
+            material = replace(
                 material,
                 friction_limit_deg=math.degrees(math.atan(limit)),
                 inertial_number=grains.inertial_number,
                 grain_diameter=grains.grain_diameter,
                 grain_density=grains.grain_density,
             )
-        return dataclasses.replace(scene, domain=Domain(size=scene.domain.size, cell=cell), material=material)
+        return replace(scene, domain=Domain(size=scene.domain.size, cell=cell), material=material)
 
 
 def read_experiment(folder: Path) -> Shipped:

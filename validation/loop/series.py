@@ -6,13 +6,13 @@ checks. Each deposit's own runs have jitter seeds of their own.
 """
 
 import csv
-import dataclasses
 import io
 import itertools
 import json
 import sys
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,20 +93,16 @@ def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
 def of_deposit(problem: Problem, path: Path) -> Problem:
     """The problem with the deposit in a file as its target, and jitter seeds of its own."""
     target, observations = TargetSettings(trajectory=str(path.absolute())), problem.observations
-    unmeasured = [dataclasses.replace(each, value=None, values=None, csv=None) for each in observations]
+    unmeasured = [replace(each, value=None, values=None, csv=None) for each in observations]
     if path.suffix == ".csv":
         if len(observations) > 1 or "csv" not in KINDS[observations[0].kind].sources:
             message = f"expected a trajectory: the problem observes {', '.join(each.kind for each in observations)}"
             raise InputError(message)
         target = TargetSettings()
-        unmeasured = [dataclasses.replace(unmeasured[0], csv=str(path.absolute()))]
+        unmeasured = [replace(unmeasured[0], csv=str(path.absolute()))]
     seed = int(np.random.SeedSequence([problem.scene.seed, zlib.crc32(path.stem.encode())]).generate_state(1)[0])
-    return dataclasses.replace(
-        problem,
-        name=path.stem,
-        scene=dataclasses.replace(problem.scene, seed=seed),
-        observations=tuple(unmeasured),
-        target=target,
+    return replace(
+        problem, name=path.stem, scene=replace(problem.scene, seed=seed), observations=tuple(unmeasured), target=target
     )
 
 

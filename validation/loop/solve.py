@@ -1,11 +1,11 @@
 """The loop: runs of the MPM narrow the posterior over the whole box, confirm its answers, and give the verdict."""
 
-import dataclasses
 import math
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +106,7 @@ def run(
         outcome = concluded(searched(first(task, known=before)))
     elif not outcome.verdict.confirms:
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
-        tried = tuple(dataclasses.replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
+        tried = tuple(replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
         outcome = nearer(outcome.state, concluded(searched(first(task, tried, before))))
     state, answer = outcome.state, outcome.answers[0]
     runs = (*state.runs, *state.cells)

@@ -1,7 +1,7 @@
 """Errors against a reference, bounds on further scenes, and the page on made-up figures."""
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ from validation.bench.accuracy.bench import (
 from validation.bench.accuracy.flows import read_flows
 from validation.runs import RunStore
 
-COLUMN = dataclasses.replace(read_scene("column-short-21"), duration=0.1)
+COLUMN = replace(read_scene("column-short-21"), duration=0.1)
 
 
 def deposit(scene: Scene, length: float, *, shift: float = 0.0) -> Trajectory:
@@ -98,7 +98,7 @@ def test_an_error_that_grows_again_on_finer_grids_counts_on_the_coarse_one() -> 
 
 def test_what_is_measured_is_what_a_tolerance_reads(tmp_path: Path) -> None:
     square = read_flows(2, unseen=False)["square, 20°"]
-    scenes = {"square": dataclasses.replace(square, duration=4 * square.frame_dt)}
+    scenes = {"square": replace(square, duration=4 * square.frame_dt)}
     tried = [own(2.0), own(5.0)]
     known = measured(2, errors_of(scenes, tried, 10.0, (0, 1), RunStore(tmp_path / "keep")))
     path = tmp_path / "resolution.toml"

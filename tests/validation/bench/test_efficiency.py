@@ -1,7 +1,7 @@
 """`python -m validation.bench efficiency`: cuts of one column, gradients, searches, a page whose words are numbers."""
 
-import dataclasses
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,7 @@ def test_the_paper_s_descent_is_a_step_of_its_rate_within_the_bounds() -> None:
     problem = read_problem("friction-tall-42")
 
     def descended(**changes: float) -> list[float]:
-        slow = dataclasses.replace(PAPER[problem.name], **{"rate": 0.1, "stop_below": 0.0} | changes)
+        slow = replace(PAPER[problem.name], **{"rate": 0.1, "stop_below": 0.0} | changes)
         with pytest.MonkeyPatch.context() as patch:
             patch.setitem(PAPER, problem.name, slow)
             return [float(each.parameters[0]) for each in descend(evaluation, problem, 3)]

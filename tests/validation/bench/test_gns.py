@@ -1,7 +1,7 @@
 """`python -m validation.bench gns`: errors of known deposits, a page whose words are its numbers, the quick command."""
 
-import dataclasses
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +44,7 @@ def test_errors_of_deposits_of_known_length() -> None:
 
 
 def test_the_depth_before_a_baffle() -> None:
-    scene = dataclasses.replace(BLOCK, baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),))
+    scene = replace(BLOCK, baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),))
     flow, short = (stretched(scene, by) for by in (1.0, 0.4))
     assert depths(scene, flow.positions[0], flow.volumes) == pytest.approx([0.2], rel=0.01)
     assert Measured.of_flow(flow, deposit_of(flow)).depth == 0.0
@@ -69,7 +69,7 @@ def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Mod
         warned=False,
         jittered=measured(2.0, 0.005),
     )
-    second = dataclasses.replace(first, free=False, rollout=measured(0.5, 0.04), band=None, warned=True)
+    second = replace(first, free=False, rollout=measured(0.5, 0.04), band=None, warned=True)
     return Model(name="tiny", family="flow2d", compared=[first, second], creeps=[-0.2])
 
 

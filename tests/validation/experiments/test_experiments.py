@@ -1,8 +1,8 @@
 """Experiments that ship can be run, wrong ones are refused by name; a page of a made-up one follows its numbers."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -168,7 +168,7 @@ def test_the_page_on_formats_names_every_key() -> None:
     page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
     section = page.split("\n## A measured experiment (TOML)\n")[1].split("\n## ")[0]
     for kind in (Experiment, Angle, Grains, MeasuredScene, Measured, Assumption):
-        for each in dataclasses.fields(kind):
+        for each in fields(kind):
             assert f"`{each.name}`" in section or f"[{each.name}]" in section or f".{each.name}]" in section, each.name
     for status in Status:
         assert status in section.replace("\n", " ")

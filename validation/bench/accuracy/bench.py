@@ -3,10 +3,9 @@
 `--ship` measures what --tolerance reads, `mpm/resolution.toml`, on other scenes; it takes longer.
 """
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,22 +34,11 @@ SEED = 7
 """Of what is tried: not one of those that were measured."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Study:
-    """What `mpm/resolution.toml` is measured on, in one dimension."""
-
-    cells: tuple[float, ...]
-    """Across the smallest side."""
-    checked: tuple[float, ...]
-    """Where another step, 0.4, and other particles per axis, 3, are tried too."""
-    reference: float
-    seeds: int
-
-
-STUDIES = {
-    2: Study(cells=(5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), checked=(7.0, 14.0), reference=80.0, seeds=3),
-    3: Study(cells=(4.0, 5.0, 7.0, 10.0, 14.0, 18.0), checked=(5.0,), reference=24.0, seeds=2),
-}
+SHIPPED = {2: (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), 3: (4.0, 5.0, 7.0, 10.0, 14.0, 18.0)}
+"""Cells across the smallest side with which `mpm/resolution.toml` is measured, by dimension, as all that follow."""
+CHECKED = {2: (7.0, 14.0), 3: (5.0,)}
+"""Where another step, 0.4, and other particles per axis, 3, are tried too."""
+SHIPPED_REFERENCE, SHIPPED_SEEDS = {2: 80.0, 3: 24.0}, {2: 3, 3: 2}
 
 
 def error(flow: Trajectory, reference: Trajectory) -> float:
@@ -92,7 +80,7 @@ def errors_of(
 
     def runs(scene: Scene, resolution: Resolution, seeds: Sequence[int]) -> list[Run]:
         fine = with_resolution(scene, resolution)
-        return [Run(scene=dataclasses.replace(fine, seed=seed), precision=resolution.precision) for seed in seeds]
+        return [Run(scene=replace(fine, seed=seed), precision=resolution.precision) for seed in seeds]
 
     exact = {name: runs(scene, own(reference), (0,)) for name, scene in scenes.items()}
     coarse = {(each, name): runs(scene, each, seeds) for each in tried for name, scene in scenes.items()}
@@ -137,8 +125,7 @@ def bound(found: Errors, resolution: Resolution) -> float:
 
     Where errors of both signs cancel, one is small by chance; on finer grids it is not.
     """
-    alike = dataclasses.replace
-    finer = [r for r in found if r.cells >= resolution.cells and alike(r, cells=resolution.cells) == resolution]
+    finer = [r for r in found if r.cells >= resolution.cells and replace(r, cells=resolution.cells) == resolution]
     names = found[resolution]
     return prediction_limit([max(max(found[each][name].errors) for each in finer) for name in names])
 
@@ -163,7 +150,7 @@ def toml(known: Sequence[Measured]) -> str:
         "# What resolutions promise and cost, for --tolerance. By `python -m validation.bench accuracy --ship`.\n"
         "# expected, promised: errors over the extent, rms over scenes and jitters, and the bound for nine of ten\n"
         "# scenes; particle_steps: mean over the scenes.\n\n"
-    ) + tomli_w.dumps({"measured": [dataclasses.asdict(each) for each in known]})
+    ) + tomli_w.dumps({"measured": [asdict(each) for each in known]})
 
 
 def selected(dimension: int, tolerance: float, known: Sequence[Measured]) -> Measured | None:
@@ -183,12 +170,12 @@ def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False) -> str:
     store = RunStore(keep)
     if ship:
         every: list[Measured] = []
-        for dimension, study in STUDIES.items():
-            tried = [own(cells) for cells in study.cells]
-            for cells in study.checked:
+        for d, sizes in SHIPPED.items():
+            tried = [own(cells) for cells in sizes]
+            for cells in CHECKED[d]:
                 tried += [own(cells, step_fraction=0.4), own(cells, particles_per_axis=3)]
-            scenes = read_flows(dimension, unseen=False)
-            every += measured(dimension, errors_of(scenes, tried, study.reference, range(study.seeds), store))
+            scenes, seeds = read_flows(d, unseen=False), range(SHIPPED_SEEDS[d])
+            every += measured(d, errors_of(scenes, tried, SHIPPED_REFERENCE[d], seeds, store))
         write_text(MEASURED, toml(every))
         return f"{len(every)} resolutions are in {MEASURED}."
     known = read_measured()

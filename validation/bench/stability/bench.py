@@ -1,10 +1,9 @@
 """`python -m validation.bench stability`: hard cases, a flume, factors of safety, fronts over stiffness and step."""
 
-import dataclasses
 import difflib
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +53,7 @@ class Check(Record):
 
     def finding(self, flow: Trajectory) -> Finding:
         found = QUANTITIES[self.quantity](flow)
-        return dataclasses.replace(
+        return replace(
             found,
             minimum=found.minimum if self.minimum is None else self.minimum,
             maximum=found.maximum if self.maximum is None else self.maximum,
@@ -118,7 +117,7 @@ def run(rows: Sequence[Row], precision: Precision) -> dict[str, Trajectory | Wor
     flows: dict[str, Trajectory | WorkFailed] = {}
     for ends in (False, True):
         group = {row.name: row.scene for row in rows if row.until_rest is ends}
-        record = dataclasses.replace(WITH_FIELDS, until_rest=ends)
+        record = replace(WITH_FIELDS, until_rest=ends)
         if group:
             outcomes = simulate_each(list(group.values()), precision=precision, record=record, progress=True)
             flows.update(zip(group, outcomes, strict=True))
@@ -135,7 +134,7 @@ def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFai
     if row.rings:
         kept = [each for each in kept if each.check != "energy"]
     if row.energy is not None:
-        kept = [dataclasses.replace(each, maximum=row.energy) if each.check == "energy" else each for each in kept]
+        kept = [replace(each, maximum=row.energy) if each.check == "energy" else each for each in kept]
     own = [check.finding(flow) for check in row.checks]
     if isinstance(other, Trajectory):
         value = front(flow.positions[-1], flow.volumes) / front(other.positions[-1], other.volumes)
@@ -153,9 +152,9 @@ def fronts(dimensions: Sequence[int] = (2, 3)) -> Fronts:
     scenes = {}
     for dimension, transfer, stiffness, step in itertools.product(dimensions, TRANSFERS, STIFFNESSES, STEPS):
         flow, cells = RELEASED[dimension]
-        stiff = dataclasses.replace(flow, stiffness=stiffness * flow.stiffness).scene()
+        stiff = replace(flow, stiffness=stiffness * flow.stiffness).scene()
         chosen = Resolution(cells=cells, particles_per_axis=2, step_fraction=step, precision="f32")
-        scene = dataclasses.replace(with_resolution(stiff, chosen), relaxation_time=TRANSFERS[transfer])
+        scene = replace(with_resolution(stiff, chosen), relaxation_time=TRANSFERS[transfer])
         scenes[dimension, transfer, stiffness, step] = scene
     flows = simulate_many(list(scenes.values()), record=LAST, progress=True)
     return {key: front(flow.positions[-1], flow.volumes) for key, flow in zip(scenes, flows, strict=True)}

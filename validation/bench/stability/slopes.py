@@ -1,9 +1,8 @@
 """Slopes whose factor of safety is known (`slopes.toml`), and the one that `mpm.safety_factor` finds over it."""
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from datasets.material import Material
@@ -56,9 +55,7 @@ class KnownSlope(Record):
 KNOWN = tuple(from_mapping(KnownSlope, each) for each in read_toml(Path(__file__).with_suffix(".toml"))["slopes"])
 TAYLOR, _, BISHOP, SAND = KNOWN
 WITHOUT_DILATION = tuple(
-    dataclasses.replace(
-        each, name=each.name.replace("φ = ψ", "ψ = 0, φ"), source=f"{each.source} for ψ = φ", dilates=False
-    )
+    replace(each, name=each.name.replace("φ = ψ", "ψ = 0, φ"), source=f"{each.source} for ψ = φ", dilates=False)
     for each in (BISHOP, SAND)
 )
 
