@@ -156,12 +156,8 @@ def bench(
 
     Parameters
     ----------
-    out
-        Folder for coverage.md and its picture.
     quick
         Two twins of the first family.
-    keep
-        Folder of a file for each twin that is solved; those that are there are not solved again.
     twins
         Of each family, in place of 40, or 20 of velocities-gns and baffles-gns.
     only
@@ -279,9 +275,7 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     )
 
 
-def page(
-    found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]] = (), *, flags: str = "", quick: bool
-) -> Page:
+def page(found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]], *, flags: str, quick: bool) -> Page:
     tested = {
         level: [family.title for family, each in found.items() if not low <= held(each, level) <= high]
         for level, (low, high) in WITHIN.items()

@@ -152,14 +152,7 @@ def hundred_problem() -> Problem:
 def bench(out: Path, *, quick: bool, keep: Path) -> str:
     """Gradients over the number of unknowns, and whole searches, by every method; some seven minutes.
 
-    Parameters
-    ----------
-    out
-        Folder for efficiency.md and its pictures.
-    quick
-        Short flows, ten unknowns, one problem.
-    keep
-        Not used: seconds are measured anew.
+    quick: short flows, ten unknowns, one problem. keep: not used, seconds are measured anew.
     """
     torch.set_num_threads(processors())
     simulator = gns.load("flow2d")

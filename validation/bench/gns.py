@@ -103,12 +103,8 @@ def bench(out: Path, *, quick: bool, keep: Path, model: tuple[Path, ...] = ()) -
 
     Parameters
     ----------
-    out
-        Folder for gns.md and its picture.
     quick
         Two scenes of each family, on coarse cells.
-    keep
-        Folder of the MPM's runs, which are not made again.
     model
         A model's file or the name of one that ships, once or more often; all that ship unless given.
     """
@@ -223,7 +219,7 @@ def conclusion(found: Sequence[Model]) -> list[str]:
     return sentences
 
 
-def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
+def page(found: Sequence[Model], *, flags: str, quick: bool) -> Page:
     bench = f"gns{flags} --out docs"
     result = Page("The surrogate beside the MPM", bench, conclusion(found), packages=GNS | MPM, quick=quick)
     result.picture("gns.png", "errors of fronts by kind of scene; error over seconds")

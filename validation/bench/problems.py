@@ -142,12 +142,8 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
 
     Parameters
     ----------
-    out
-        Folder for problems.md and its pictures.
     quick
         One problem.
-    keep
-        Folder of results.
     only
         Solve these alone; the page has all that there are.
     """

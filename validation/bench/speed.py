@@ -227,14 +227,12 @@ def network_rows(*, rounds: int, sizes: int) -> list[dict[str, str]]:
 def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     """Measure rates over sizes, the price of a gradient, a step of the network, a large terrain; needs a quiet machine.
 
+    KEEP has the stages of the large terrain; other times are of one command.
+
     Parameters
     ----------
-    out
-        Folder for speed.md and its picture.
     quick
         A single frame of two small cases, one small gradient, a coarse terrain.
-    keep
-        Where the stages of the large terrain stay; other times are of one command.
     rounds
         How often everything is measured, in turn; the tables give the median and the range.
     """

@@ -13,8 +13,6 @@ from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.resolution import COVERAGE, Measurements, characteristic_length, read_measured, resolved, with_resolution
 from tests.flows import flow_of
-from validation.bench.__main__ import main
-from validation.bench.accuracy import bench as accuracy
 from validation.bench.accuracy import columns
 from validation.bench.accuracy.bench import (
     TRIED,
@@ -115,24 +113,13 @@ def test_the_page_says_which_scenes_are_within_the_bound(tmp_path: Path) -> None
     assert [each.resolution.cells for each in what] == sorted(each.resolution.cells for each in what)
     off = {each.resolution.cells: (0.5 * each.promised, 2.0 * each.promised) for each in what}
     stated = {"short-21": 0.7, "tall-42": 0.6}
-    runouts = {
-        (damping, name): [(1.0 + damping) * value] for damping in columns.DAMPINGS for name, value in stated.items()
-    }
+    runouts = {(damping, name): [(1.0 + damping) * stated[name]] for damping in columns.DAMPINGS for name in stated}
     fronts = {(2, who, a): 1.4 * a for who in (columns.OURS, columns.APIC) for a in (1.0, 2.0)}
     paper = columns.PaperColumns(found=runouts, stated=stated)
-    text = page({2: found(off)}, known, paper, fronts, quick=False)  # type: ignore[arg-type]
+    text = page({2: found(off)}, known, paper, fronts, quick=False)
     assert "**2D**: 1 of 2 other scenes are within" in text.conclusion
     assert "within 0 % rms with a damping of 0 that" in text.conclusion
     assert "as in other codes within 21 %" in text.conclusion
     assert "| scene 1" in str(text)
-    draw(tmp_path / "accuracy.png", {2: found(off)}, known, fronts)  # type: ignore[arg-type]
+    draw(tmp_path / "accuracy.png", {2: found(off)}, known, fronts)
     assert (tmp_path / "accuracy.png").stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_the_page_of_a_few_coarse_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(accuracy, "MEASURED", tmp_path / "resolution.toml")
-    assert main(["accuracy", "--quick", "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "accuracy.md").exists()
-    assert (tmp_path / "accuracy.png").exists()
-    assert not (tmp_path / "resolution.toml").exists()

@@ -60,7 +60,7 @@ def test_even_ranks_pass_and_uneven_ones_are_named() -> None:
     assert max(uniformity(narrow), ranks(narrow)) < 1e-4
     assert row(FAMILY, even)["in the 95% region"] == "95%"
     other = Family(title="Too narrow", problem="wedge")
-    text = page({FAMILY: even, other: narrow}, quick=False).conclusion
+    text = page({FAMILY: even, other: narrow}, [], flags="", quick=False).conclusion
     assert "outside of 30% to 70%: Too narrow." in text
     assert "Ranks are not uniform (p below 0.01) for Too narrow." in text
 
@@ -89,7 +89,7 @@ def test_a_posterior_by_runs_alone_is_that_of_their_likelihood(tmp_path: Path, m
         assert each["difference of means over the width"] == pytest.approx(0.0, abs=0.2)
     again = reference.compare(asked, tmp_path)
     assert again == rows
-    text = page({FAMILY: [twin(0.3, 0.4)]}, rows, quick=False)
+    text = page({FAMILY: [twin(0.3, 0.4)]}, rows, flags="", quick=False)
     assert "by 192 runs means differ" in text.conclusion
     assert "A posterior without an emulator" in str(text)
 

@@ -10,8 +10,6 @@ import pytest
 
 from inverse.parameters import Vector
 from inverse.problem import read_problem
-from validation.bench import efficiency, searches
-from validation.bench.__main__ import main
 from validation.bench.efficiency import Compared, Gradient, Method, draw_gradients, draw_searches, page
 from validation.bench.searches import PAPER, By, Evaluation, Searched, by_runs, descend, explore
 from validation.report import plots
@@ -98,11 +96,3 @@ def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypa
     draw_gradients(tmp_path / "gradients.png", gradients)
     draw_searches(tmp_path / "searches.png", compared)
     assert len(list(tmp_path.glob("*.png"))) == 2
-
-
-@pytest.mark.slow
-def test_gradients_of_a_short_flow_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(searches, "PAPER", {})
-    monkeypatch.setattr(efficiency, "JITTERS", 2)
-    assert main(["efficiency", "--quick", "--out", str(tmp_path)]) == 0
-    assert "adjoint" in (tmp_path / "efficiency.md").read_text()
