@@ -71,17 +71,6 @@ class Model:
     def of_kind(self, kind: str) -> list[Compared]:
         return [each for each in self.compared if kind in (ALL, each.kind)]
 
-    def fronts(self) -> list[float]:
-        """Errors of the fronts that no wall holds [-]."""
-        return [each.rollout.front for each in self.compared if each.free]
-
-    def scatter(self) -> list[float]:
-        """Those of the same fronts by the MPM, jittered anew [-]."""
-        return [each.jittered.front for each in self.compared if each.free]
-
-    def profiles(self) -> list[float]:
-        return [each.rollout.profile for each in self.compared]
-
     @property
     def points(self) -> dict[int, tuple[float, float]]:
         """`point` of the coarse MPM, by its cells across the body."""
@@ -193,14 +182,14 @@ def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | 
 
 
 def conclusion(found: Sequence[Model]) -> list[str]:
-    fronts = [
-        f"{each.family} {mean(each.fronts()):.1%} on average, worst {signed(worst(each.fronts()))} of "
-        f"{len(each.fronts())} (the MPM, jittered anew, {mean(each.scatter()):.1%}), "
-        f"profiles {mean(each.profiles()):.1%}"
-        for each in found
-    ]
-    prices = []
+    fronts, prices = [], []
     for each in found:
+        free = [one for one in each.compared if one.free]
+        off, again = [one.rollout.front for one in free], [one.jittered.front for one in free]
+        fronts.append(
+            f"{each.family} {mean(off):.1%} on average, worst {signed(worst(off))} of {len(off)} (the MPM, jittered "
+            f"anew, {mean(again):.1%}), profiles {mean([one.rollout.profile for one in each.compared]):.1%}"
+        )
         seconds, error = each.own
         same = mpm_seconds(each.points.values(), error)
         cheaper = "no coarse MPM is as good" if same is None else f"a coarse MPM takes {same:.2g} s for the same error"
