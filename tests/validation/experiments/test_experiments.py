@@ -114,12 +114,11 @@ def shelf(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("shipped", SHIPPED, ids=lambda each: each.name)
 def test_scenes_are_undamped_and_hold_what_was_measured(shipped: Shipped) -> None:
-    files = [(case.scene, case) for case in shipped.experiment.cases]
-    for file, case in files:
+    for case in shipped.experiment.cases:
         coarse, fine = shipped.cells(case)
         assert fine < coarse
         for cell in (coarse, fine):
-            scene = shipped.scene(file, cell, PLAUSIBLE)
+            scene = shipped.scene(case.scene, cell, PLAUSIBLE)
             assert scene.damping == 0.0
             assert (scene.material.friction_deg, scene.material.angle) == (PLAUSIBLE.deg, "slope")
             assert scene.material.cohesion == 0.0

@@ -1,9 +1,10 @@
 """Where a surrogate leads: its answers, what the MPM says of them, and what the MPM alone would find."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from scipy.stats import norm
 
 from datasets.errors import InputError
-from datasets.scene import Domain, Scene, Solid
+from datasets.scene import Domain, Solid
 from gns import card, checkpoint
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
@@ -151,26 +152,17 @@ def test_an_answer_at_a_bound(tmp_path: Path) -> None:
     assert result.unknowns["friction_deg"] == pytest.approx(12.0, abs=1.0)
 
 
-@dataclass(frozen=True)
-class Level:
-    """A card in place of a model's own: trained on level floors."""
-
-    ranges: tuple[()] = ()
-
-    def calibration(self, scene: Scene) -> card.Calibration:
-        """Of its fronts 95 % are within 4 % of the extent."""
-        return card.Calibration(front={"0.95": 0.04}, profile={"0.95": 0.02}, flows=40)
-
-
 @pytest.fixture
 def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The file of a tiny model with a card."""
+    """The file of a tiny model with a card: trained on level floors, 95 % of its fronts within 4 % of the extent."""
+    calibration = card.Calibration(front={"0.95": 0.04}, profile={"0.95": 0.02}, flows=40)
+    level = SimpleNamespace(ranges=(), calibration=lambda scene: calibration)
     settings = ModelSettings(body_length=0.2, width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
     scales = Normalisation(displacement_scale=0.003, acceleration_scale=0.01, friction_mean=0.6, friction_std=0.2)
     checkpoint.save(tmp_path / "tiny.safetensors", Simulator(settings, scales), {})
-    monkeypatch.setattr(card, "read", lambda path: Level())
+    monkeypatch.setattr(card, "read", lambda path: level)
     monkeypatch.setattr(
-        surrogate, "outside", lambda scene, _: [f"slope_deg {scene.slope_deg:g}"] if scene.slope_deg else []
+        surrogate, "outside", lambda scene, _: [f"slope_deg {scene.slope_deg:g}"] * (scene.slope_deg > 0)
     )
     monkeypatch.setattr(card, "warning", lambda path, scene: None)
     return tmp_path / "tiny.safetensors"
