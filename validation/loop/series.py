@@ -20,7 +20,7 @@ import numpy as np
 from tabulate import tabulate
 
 from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.files import make_folder, write_json, write_text
 from datasets.trajectory import SUFFIXES, Trajectory
 from inverse.forward import Simulate
@@ -81,12 +81,10 @@ def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
             raise InputError(f"expected a name of its own, it is that of {path.name}", where=str(other))
     found = {}
     for path in files:
-        try:
+        with naming(path):
             found[path.stem] = each = of_deposit(problem, path)
             # Nothing is simulated: a deposit is a file.
             read_target(each, simulate)
-        except InputError as error:
-            raise error if str(path) in error.where else error.at(str(path)) from None
     return found
 
 

@@ -160,10 +160,10 @@ def fronts(dimensions: Sequence[int] = (2, 3)) -> Fronts:
     return {key: front(flow.positions[-1], flow.volumes) for key, flow in zip(scenes, flows, strict=True)}
 
 
-def spread(found: Fronts, dimension: int, transfer: str) -> float:
-    """Largest less smallest front over their mean [-]."""
+def spread(found: Fronts, dimension: int, transfer: str) -> str:
+    """Largest less smallest front over their mean."""
     some = [value for (*kind, _, _), value in found.items() if kind == [dimension, transfer]]
-    return (max(some) - min(some)) / float(np.mean(some))
+    return percent((max(some) - min(some)) / float(np.mean(some)))
 
 
 def bench(out: Path, *, quick: bool, keep: Path, rows: tuple[str, ...] = (), precision: Precision = "f32") -> str:
@@ -229,31 +229,27 @@ def page(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, 
 
 def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors) -> list[str]:
     red = [each.row.name for each in verdicts if each.failures]
-    exact = [each for each in verdicts if each.row.exact]
-    agreed = sum(not each.failures for each in exact)
-    sentences = [
-        f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases hold{'; **red**: ' + ', '.join(red) if red else ''}."
-        f" Of {len(exact)} with an exact solution {agreed} agree with it."
-    ]
+    exact = [not each.failures for each in verdicts if each.row.exact]
     sliding = [each.own[0].value for each in verdicts if each.row.checks and each.row.checks[0].quantity == "slides"]
-    if sliding:
-        off = max(abs(each - 1.0) for each in sliding)
-        sentences.append(f"Blocks slide down inclines as far as the closed form within {percent(off)}.")
-    rises = [found.value for each in verdicts for found in each.kept if found.check == "energy"]
-    balances = [found.value for each in verdicts for found in each.kept if found.check == "momentum"]
-    sentences.append(
-        f"No flow gains more than {percent(max(rises))} of its energy; momentum balances with the impulses on walls and"
-        f" solids within {max(balances):.0e}."
+    off = max((abs(each - 1.0) for each in sliding), default=0.0)
+    rise, balance = (
+        max(found.value for each in verdicts for found in each.kept if found.check == check)
+        for check in ("energy", "momentum")
     )
-    moved = []
-    for dimension in dict.fromkeys(dimension for dimension, *_ in found):
-        own, other = (percent(spread(found, dimension, transfer)) for transfer in TRANSFERS)
-        moved.append(f"{own} in {dimension}D (by APIC {other})")
-    sentences.append(
-        f"Over {STIFFNESSES[-1]:g} times the stiffness and a third of the step a front moves by {', '.join(moved)}."
-    )
-    sentences.append(slopes.conclusion(safety))
-    return sentences
+    own, other = TRANSFERS
+    moved = [
+        f"{spread(found, dimension, own)} in {dimension}D (by APIC {spread(found, dimension, other)})"
+        for dimension in dict.fromkeys(dimension for dimension, *_ in found)
+    ]
+    return [
+        f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases hold{'; **red**: ' + ', '.join(red) if red else ''}."
+        f" Of {len(exact)} with an exact solution {sum(exact)} agree with it.",
+        *([f"Blocks slide down inclines as far as the closed form within {percent(off)}."] if sliding else []),
+        f"No flow gains more than {percent(rise)} of its energy; momentum balances with the impulses on walls and"
+        f" solids within {balance:.0e}.",
+        f"Over {STIFFNESSES[-1]:g} times the stiffness and a third of the step a front moves by {', '.join(moved)}.",
+        slopes.conclusion(safety),
+    ]
 
 
 def row_of(each: Verdict) -> dict[str, object]:
