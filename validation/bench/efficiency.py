@@ -191,12 +191,10 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     own = models.mpm.select(values)
 
     def reverse(*forwards: GnsForward | AdjointForward) -> list[Evaluation]:
-        found = []
-        # The first one compiles kernels.
-        for forward in (forwards[0], *forwards):
-            evaluate = by_reverse(forward, forward.select(values), observation.components)
-            found.append(evaluate(problem.initial))
-        return found[1:]
+        evaluates = [by_reverse(each, each.select(values), observation.components) for each in forwards]
+        # This one compiles kernels.
+        evaluates[0](problem.initial)
+        return [evaluate(problem.initial) for evaluate in evaluates]
 
     seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
     seeded = [replace(problem, scene=replace(problem.scene, seed=seed)) for seed in seeds]

@@ -22,7 +22,7 @@ from validation.experiments.experiment import (
     quantity,
     read_experiments,
 )
-from validation.report.page import Page, percent, rms, signed
+from validation.report.page import Page, emphasised, percent, rms, signed
 from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure
 from validation.runs import Run, RunStore
 
@@ -243,7 +243,7 @@ def page(findings: Findings, *, quick: bool) -> Page:
                 "measured [m]": f"{each.measured.value:.4f} ± {each.measured.spread:.4f}",
                 "coarse cells [m]": "-" if math.isnan(each.coarse) else f"{each.coarse:.4f}",
                 "fine cells [m]": f"{each.fine:.4f}",
-                "error [spreads]": f"{each.error:+.1f}" if each.agrees else f"**{each.error:+.1f}**",
+                "error [spreads]": emphasised(f"{each.error:+.1f}", each.agrees),
                 "at the other angle": ", ".join(
                     f"{other.error:+.1f} at {other.angle}"
                     for other in findings.others

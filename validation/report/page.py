@@ -40,6 +40,11 @@ def between(values: Collection[float], form: str) -> str:
     return low if low == high else f"{low} to {high}"
 
 
+def emphasised(text: str, ok: bool) -> str:
+    """Bold where it is not."""
+    return text if ok else f"**{text}**"
+
+
 def rms(values: Collection[float]) -> float:
     """Root mean square; nan of none."""
     return math.sqrt(sum(value**2 for value in values) / len(values)) if values else math.nan

@@ -20,7 +20,7 @@ from datasets.trajectory import Trajectory
 from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
 from validation.bench.accuracy import columns
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
-from validation.report.page import Page, percent
+from validation.report.page import Page, emphasised, percent
 from validation.report.plots import BLUE, GREY, ORANGE, figure
 from validation.runs import SHARE, Run, RunStore
 
@@ -250,14 +250,11 @@ def promises(dimension: int, known: Sequence[Measured]) -> dict[Resolution, floa
 def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> list[dict[str, str]]:
     """A line per scene, and one of the seconds."""
     heads = {r: f"{r.cells:g} cells (bound {percent(limits[r])})" for r in found}
-    rows = []
-    for name in next(iter(found.values())):
-        row = {f"{dimension}D": name}
-        for resolution, errors in found.items():
-            (error,) = errors[name].errors
-            text = percent(error)
-            row[heads[resolution]] = f"**{text}**" if error > limits[resolution] else text
-        rows.append(row)
+    rows = [
+        {f"{dimension}D": name}
+        | {heads[r]: emphasised(percent(error), error <= limits[r]) for r in found for error in found[r][name].errors}
+        for name in next(iter(found.values()))
+    ]
     seconds = {heads[r]: f"{mean_seconds(errors):.2g}" for r, errors in found.items()}
     return [*rows, {f"{dimension}D": "seconds of a run, mean"} | seconds]
 

@@ -23,7 +23,7 @@ from validation.bench.accuracy.flows import Flow
 from validation.bench.stability import slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
 from validation.bench.stability.quantities import QUANTITIES
-from validation.report.page import Page, percent
+from validation.report.page import Page, emphasised, percent
 from validation.report.plots import BLUE, INK, ORANGE, figure
 
 FOLDER = Path(__file__).parent
@@ -255,7 +255,7 @@ def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factor
 def row_of(each: Verdict) -> dict[str, object]:
     known = {finding.check: finding for finding in each.kept}
     own = "; ".join(f"{found.check} {found.range} {found.unit}".strip() for found in each.own)
-    value = ", ".join(emphasised(f"{found.value:.4g}", found) for found in each.own)
+    value = ", ".join(emphasised(f"{found.value:.4g}", found.ok) for found in each.own)
     cells = {head: written(known[check]) if check in known else "" for check, head in COLUMNS.items()}
     rest = [str(found) for found in each.kept if not found.ok and found.check not in COLUMNS]
     wrong = [f"**{text}**" for text in (each.blown_up, *rest) if text]
@@ -271,12 +271,7 @@ def row_of(each: Verdict) -> dict[str, object]:
 def written(found: Finding) -> str:
     """A cell of what every flow keeps."""
     forms = {"volume": f"{100.0 * found.value:+.1f} %", "slope": f"{found.value:.1f}"}
-    return emphasised(forms.get(found.check, f"{found.value:.0e}"), found)
-
-
-def emphasised(text: str, found: Finding) -> str:
-    """Bold where it is wrong."""
-    return text if found.ok else f"**{text}**"
+    return emphasised(forms.get(found.check, f"{found.value:.0e}"), found.ok)
 
 
 def draw(path: Path, flow: Trajectory, found: Fronts) -> None:
