@@ -163,9 +163,8 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
             if is_current(problem, folder):
                 outcome = Outcome(problem=problem, criteria=family.criteria, result=read_json(folder / RESULT) or {})
                 found.setdefault(family.title, []).append(outcome)
-    pictures = [copied(keep, picture, out) for family in families for picture in family.pictures]
-    result = page(found, [each for each in pictures if each], shipped.paper, quick=quick)
-    conclusion = result.write(out / "problems.md")
+    pictures = [name for family in families for each in family.pictures if (name := copied(keep, each, out))]
+    conclusion = page(found, pictures, shipped.paper, quick=quick).write(out / "problems.md")
     if failed:
         raise WorkFailed(f"could not be run: {', '.join(failed)}")
     return conclusion
