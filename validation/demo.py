@@ -1,8 +1,8 @@
 """`python -m validation.demo`: a tall column at a secret friction angle, found again from its front alone."""
 
-import dataclasses
 import secrets
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +36,7 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     stream = np.random.default_rng(secrets.randbits(64) if seed is None else seed)
     truth_deg, jitter = float(stream.uniform(*ANGLES_DEG)), int(stream.integers(1, 2**31))
     stated = read_problem("friction-tall-42")
-    scene = dataclasses.replace(stated.scene.with_friction_deg(truth_deg), seed=jitter)
+    scene = replace(stated.scene.with_friction_deg(truth_deg), seed=jitter)
     flow = simulate(scene, record=LAST)
     front = measures.front(flow.positions[-1], flow.volumes)
     print(f"A column {scene.masses[0].size[0]} m long and {scene.masses[0].size[1]} m high ran to x = {front:.4f} m.")
@@ -44,7 +44,7 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
 
     # From here on neither the angle nor its deposit is used, until the answer stands.
     (parameter,) = stated.numbers
-    problem = dataclasses.replace(
+    problem = replace(
         stated,
         name="demo",
         asked="demo",
@@ -55,8 +55,8 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     )
     result = solve(problem, out, model=model)
 
-    target = dataclasses.replace(result.target, deposit=flow.positions[-1], truth={parameter.name: truth_deg})
-    result = dataclasses.replace(result, target=target)
+    target = replace(result.target, deposit=flow.positions[-1], truth={parameter.name: truth_deg})
+    result = replace(result, target=target)
     result.save(out)
     print_outcome(result, out)
 

@@ -2,11 +2,12 @@
 
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.command_line import run
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.files import read_json, reading
 
 FIELDS = ("velocities", "pressure", "plastic_strain")
@@ -82,16 +83,9 @@ def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None
         second = Source(file=first.target, name="observed")
     page = out or (flow if flow.is_dir() else flow.parent) / "view.html"
     flows = [open_trajectory(each.file, *FIELDS) for each in (first, second) if each is not None]
-    try:
-        write_view(
-            page,
-            *flows,
-            title=flow.resolve().name,
-            labels=labels,
-            observed=Observed(front=first.front, x=first.profile[0], height=first.profile[1]),
-        )
-    except InputError as error:
-        raise error if error.where or second is None else error.at(str(second.file)) from None
+    observed = Observed(front=first.front, x=first.profile[0], height=first.profile[1])
+    with nullcontext() if second is None else naming(second.file):
+        write_view(page, *flows, title=flow.resolve().name, labels=labels, observed=observed)
     print(f"written to {page}, {page.stat().st_size / 1e6:.1f} MB")
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from datasets.command_line import run
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.files import make_folder
 from datasets.trajectory import read_trajectory, trajectory_file
 
@@ -54,10 +54,8 @@ def command(
     if time is not None and not 0.0 <= time <= end:
         raise InputError(f"expected a time from 0 to {end:g} s, got {time:g}", key="--time")
     if colour is not None:
-        try:
+        with naming(trajectory_file(trajectory)):
             require(flow, Colour(colour))
-        except InputError as error:
-            raise error.at(str(trajectory_file(trajectory))) from None
     make_folder(out)
     shown = frames_of(flow, frames)
     print(f"{len(shown)} frames of {flow.positions.shape[1]} particles")
@@ -68,7 +66,7 @@ def command(
         write_picture(out / "picture.png", flow, Colour(colour or Colour.DISPLACEMENT), nearest)
         print(f"t = {flow.time[nearest]:.3f} s, drawn into {out / 'picture.png'}")
     if movie:
-        write_movie(out / "movie.mp4", flow, Colour(colour or Colour.VELOCITY), shown, rate=rate, progress=True)
+        write_movie(out / "movie.mp4", flow, Colour(colour or Colour.VELOCITY), shown, rate=rate)
         print(f"{len(shown)} frames, drawn into {out / 'movie.mp4'}")
 
 

@@ -1,7 +1,7 @@
 """Contact of whole flows: an incline by two descriptions is one, a bed presses on a wall wherever its face lies."""
 
-import dataclasses
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def on_incline(seed: int) -> tuple[Scene, Scene]:
     corners = tuple(level(x, y + 1.0e-6) for x, y in ((0.2, 0.0), (0.5, 0.0), (0.5, 0.2), (0.2, 0.2)))
     start = level(0.0, 0.0)[1]
     ends = ((0.0, start + 0.1 * math.tan(SLOPE)), (2.4, start - 2.3 * math.tan(SLOPE)))
-    sloping = dataclasses.replace(
+    sloping = replace(
         tilted,
         domain=Domain(size=(2.4, 1.4), cell=CELL),
         masses=(Mass(kind="polygon", vertices=corners),),

@@ -1,7 +1,7 @@
 """Stored MPM runs: what has been run with the same options is read, everything else is run."""
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ class Fragile(FakeMpm):
 
 
 def test_survivors_of_a_failure_are_stored(tmp_path: Path) -> None:
-    scenes = [dataclasses.replace(SCENE, seed=seed) for seed in (1, 2, 3)]
+    scenes = [replace(SCENE, seed=seed) for seed in (1, 2, 3)]
     mpm = Fragile()
     with pytest.raises(ScenesFailed, match="scene 1 of 3 failed: it blew up"):
         RunStore(tmp_path, mpm, label="ensemble-")(scenes, record=LAST)
@@ -66,10 +66,10 @@ def test_other_options_another_version_and_a_broken_file_are_run_again(
     assert len(last.time) == 1
     base = Run(scene=SCENE)
     others = [
-        dataclasses.replace(base, precision="f64"),
-        dataclasses.replace(base, record=AT_REST),
-        dataclasses.replace(base, record=ALL),
-        Run(scene=dataclasses.replace(SCENE, duration=0.5)),
+        replace(base, precision="f64"),
+        replace(base, record=AT_REST),
+        replace(base, record=ALL),
+        Run(scene=replace(SCENE, duration=0.5)),
     ]
     assert len({run.digest for run in (base, *others)}) == 5
     store.file(last, LAST).write_bytes(b"no archive")

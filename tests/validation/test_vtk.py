@@ -1,6 +1,7 @@
 """`python -m validation.vtk`: the pictures show what is where, the movie has every frame, mistakes are one line."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -51,13 +52,8 @@ def slide(dimension: int) -> Trajectory:
     counts = ((24,) * 2, (12,) * 3)[dimension - 2]
     grid = np.stack(np.meshgrid(*(np.linspace(0.0, 1.0, count) for count in counts)), axis=-1).reshape(-1, dimension)
     start = np.array(scene.masses[0].lower) + grid * scene.masses[0].size
-    frames = []
-    for frame in range(3):
-        moved = start.copy()
-        moved[:, 0] += 0.15 * frame
-        moved[:, 1] *= 1.0 - 0.2 * frame
-        frames.append(moved)
-    return flow_of(scene, frames)
+    ahead, up = np.eye(dimension)[:2]
+    return flow_of(scene, [start + frame * (0.15 * ahead - 0.2 * start * up) for frame in range(3)])
 
 
 def pixel(picture: Picture, position: tuple[float, ...]) -> np.ndarray:
@@ -78,14 +74,6 @@ def colour_at(image: np.ndarray, picture: Picture, position: tuple[float, ...]) 
 def hue(colour: np.ndarray) -> np.ndarray:
     """A colour without its brightness."""
     return colour / np.linalg.norm(colour)
-
-
-def line(capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line of a refusal."""
-    text = capsys.readouterr().err.strip()
-    assert text.startswith("talus: ")
-    assert "\n" not in text
-    return text
 
 
 @opengl
@@ -125,14 +113,14 @@ def test_a_picture_shows_what_is_where(dimension: int) -> None:
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     slide(2).save(tmp_path / "run" / "trajectory.npz")
     out = tmp_path / "out"
-    assert (
-        run(command, "vtk", [str(tmp_path / "run"), "--out", str(out), "--picture", "--movie", "--time", "0.12"]) == 0
-    )
+    flags = ["--out", str(out), "--picture", "--movie", "--time", "0.12"]
+    assert run(command, "vtk", [str(tmp_path / "run"), *flags]) == 0
     assert "t = 0.100 s" in capsys.readouterr().out
     assert pyvista.get_reader(out / "trajectory.pvd").time_values == [0.0, 0.1, 0.2]
     picture = imread(out / "picture.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 100
-    assert len(frames_of(out / "movie.mp4")) == 3
+    with av.open(str(out / "movie.mp4")) as file:
+        assert len([*file.decode(video=0)]) == 3
     assert sorted(file.name for file in out.glob("*") if "-" not in file.name) == [
         "domain.vtp",
         "movie.mp4",
@@ -142,28 +130,12 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     ]
 
 
-def frames_of(path: Path) -> list[np.ndarray]:
-    with av.open(str(path)) as file:
-        return [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
-
-
 def test_no_opengl_is_one_line_after_the_series(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    class Blind:
-        """A window of VTK on a system that cannot draw."""
-
-        def __init__(self, **_: object) -> None:
-            self.render_window = self
-
-        def Initialize(self) -> None: ...
-
-        def IsCurrent(self) -> bool:
-            return False
-
-        def close(self) -> None: ...
-
-    monkeypatch.setattr(rendering.pyvista, "Plotter", Blind)
+    blind = SimpleNamespace(Initialize=lambda: None, IsCurrent=lambda: False)
+    plotter = SimpleNamespace(render_window=blind, close=lambda: None)
+    monkeypatch.setattr(rendering.pyvista, "Plotter", lambda **_: plotter)
     slide(2).save(tmp_path / "trajectory.npz")
     assert run(command, "vtk", [str(tmp_path), "--out", str(tmp_path / "out"), "--picture"]) == 1
     assert "OpenGL" in capsys.readouterr().err.splitlines()[-1]
@@ -188,5 +160,7 @@ def test_wrong_input_is_one_line(
     slide(2).save(Path("flow.npz"))
     words = words if "--out" in words else [*words, "--out", "out"]
     assert run(command, "vtk", words) == 2
-    assert expected in line(capsys)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("talus: ")
+    assert expected in line
     assert not Path("out").exists()

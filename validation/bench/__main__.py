@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 from datasets.command_line import run
 from datasets.errors import InputError
@@ -57,11 +57,16 @@ def command_of(bench: Callable[..., str]) -> Callable[..., None]:
             print(bench(out, quick=quick, keep=Path(folder), **flags))
         print(f"{time.perf_counter() - began:.0f} s")
 
+    from cyclopts import Parameter
+
+    kept = Parameter(help="Folder of what is finished, which is not done again; it goes at the end unless given.")
+    kinds = {"out": Annotated[Path, Parameter(help="Folder of the page and its pictures.")]}
+    kinds |= {"keep": Annotated[Path | None, kept]}
     own = {each.name: each.replace(kind=each.KEYWORD_ONLY) for each in inspect.signature(bench).parameters.values()}
-    own |= {"quick": own["quick"].replace(default=False)}
-    own |= {"keep": own["keep"].replace(annotation=Path | None, default=None)}
+    own |= {name: own[name].replace(annotation=kind) for name, kind in kinds.items()}
+    own |= {"quick": own["quick"].replace(default=False), "keep": own["keep"].replace(default=None)}
     command.__signature__ = inspect.Signature([*own.values()])  # type: ignore[attr-defined]
-    command.__annotations__["keep"] = Path | None
+    command.__annotations__ |= kinds
     return command
 
 

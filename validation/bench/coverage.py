@@ -7,10 +7,9 @@ Bayesian inference algorithms with simulation-based calibration, arXiv:1804.0678
 highest density regions, Am. Stat. 50 (1996) 120-126).
 """
 
-import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,13 +43,14 @@ FIRST_SEED = 100_000
 """Jitter seed of the first twin's target, then upwards; its inversion has others."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Family:
     """Twins of one problem."""
 
     title: str
     problem: str
     """Name of a shipped problem, whose scene, numbers and observation the twins have."""
+    _: KW_ONLY
     noise: float | str | None = None
     """Of each observed number, as in `inverse.settings.ObservationSettings`; unless given the problem's own."""
     cell: float | None = None
@@ -70,37 +70,29 @@ class Family:
 
 
 FAMILIES = {
-    "front": Family(title="Friction, front", problem="friction-tall-42"),
-    "profile": Family(title="Friction, profile", problem="friction-tall-42-profile"),
-    "front-noise": Family(title="Friction, front with 1 % noise", problem="friction-short-21", noise="1%"),
-    "front-fine": Family(title="Friction, front of half the cells", problem="friction-tall-42", finer=0.5),
-    "profile-fine": Family(title="Friction, profile of half the cells", problem="friction-tall-42-profile", finer=0.5),
-    "cohesion": Family(title="Friction and cohesion, profile", problem="cohesion-friction"),
+    "front": Family("Friction, front", "friction-tall-42"),
+    "profile": Family("Friction, profile", "friction-tall-42-profile"),
+    "front-noise": Family("Friction, front with 1 % noise", "friction-short-21", noise="1%"),
+    "front-fine": Family("Friction, front of half the cells", "friction-tall-42", finer=0.5),
+    "profile-fine": Family("Friction, profile of half the cells", "friction-tall-42-profile", finer=0.5),
+    "cohesion": Family("Friction and cohesion, profile", "cohesion-friction"),
     "cohesion-fine": Family(
-        title="Friction and cohesion, profile of half the cells to 1 mm",
-        problem="cohesion-friction",
-        noise=0.001,
-        finer=0.5,
+        "Friction and cohesion, profile of half the cells to 1 mm", "cohesion-friction", noise=0.001, finer=0.5
     ),
-    "floor": Family(title="Friction of sand and floor, profile to 1 mm", problem="floor-friction"),
-    "floor-fine": Family(
-        title="Friction of sand and floor, profile of half the cells to 1 mm", problem="floor-friction", finer=0.5
-    ),
+    "floor": Family("Friction of sand and floor, profile to 1 mm", "floor-friction"),
+    "floor-fine": Family("Friction of sand and floor, profile of half the cells to 1 mm", "floor-friction", finer=0.5),
     "terrain": Family(
-        title="Friction and thickness on a terrain, front and heights of two thirds of the cells to 0.5 and 0.1 m",
-        problem="hillside",
+        "Friction and thickness on a terrain, front and heights of two thirds of the cells to 0.5 and 0.1 m",
+        "hillside",
         cell=1.5,
         finer=2.0 / 3.0,
     ),
-    "layers": Family(title="Friction of four layers, deposit", problem="slope-layers"),
-    "velocities": Family(title="Velocities of ten layers, deposit", problem="velocity-layers-10"),
-    "baffles": Family(title="Two baffles, toe", problem="baffles-2"),
+    "layers": Family("Friction of four layers, deposit", "slope-layers"),
+    "velocities": Family("Velocities of ten layers, deposit", "velocity-layers-10"),
+    "baffles": Family("Two baffles, toe", "baffles-2"),
     **{
         f"prior-{prior.kind}": Family(
-            title=f"Friction, {prior.kind} prior, front with 10 % noise",
-            problem="friction-tall-42",
-            noise="10%",
-            priors=(prior,),
+            f"Friction, {prior.kind} prior, front with 10 % noise", "friction-tall-42", noise="10%", priors=(prior,)
         )
         for prior in (
             Prior(kind="normal", mean=30.0, deviation=5.0),
@@ -109,27 +101,20 @@ FAMILIES = {
         )
     },
     "prior-correlated": Family(
-        title="Friction, normal, and cohesion, lognormal, correlated by -0.5, profile to 2 cm",
-        problem="cohesion-friction",
+        "Friction, normal, and cohesion, lognormal, correlated by -0.5, profile to 2 cm",
+        "cohesion-friction",
         noise=0.02,
         priors=(Prior(kind="normal", mean=30.0, deviation=5.0), Prior(kind="lognormal", mean=600.0, deviation=400.0)),
         correlation=-0.5,
     ),
-    "front-gns": Family(
-        title="Friction, front, the surrogate leads", problem="friction-tall-42", surrogate=Surrogate.GNS
-    ),
+    "front-gns": Family("Friction, front, the surrogate leads", "friction-tall-42", surrogate=Surrogate.GNS),
     "velocities-gns": Family(
-        title="Velocities of ten layers, the surrogate leads",
-        problem="velocity-layers-10",
-        surrogate=Surrogate.GNS,
-        twins=20,
+        "Velocities of ten layers, the surrogate leads", "velocity-layers-10", surrogate=Surrogate.GNS, twins=20
     ),
-    "baffles-gns": Family(
-        title="Two baffles, the surrogate leads", problem="baffles-2", surrogate=Surrogate.GNS, twins=20
-    ),
+    "baffles-gns": Family("Two baffles, the surrogate leads", "baffles-2", surrogate=Surrogate.GNS, twins=20),
     "front-adapted": Family(
-        title="Friction, front, an adapted surrogate leads",
-        problem="unseen-friction-square-27",
+        "Friction, front, an adapted surrogate leads",
+        "unseen-friction-square-27",
         surrogate=Surrogate.GNS,
         adapted=True,
     ),
@@ -171,12 +156,8 @@ def bench(
 
     Parameters
     ----------
-    out
-        Folder for coverage.md and its picture.
     quick
         Two twins of the first family.
-    keep
-        Folder of a file for each twin that is solved; those that are there are not solved again.
     twins
         Of each family, in place of 40, or 20 of velocities-gns and baffles-gns.
     only
@@ -193,16 +174,16 @@ def bench(
         raise InputError(f"expected {', '.join((*FAMILIES, REFERENCE))}, got {unknown[0]}", where="--only")
     if twins is not None and twins < 1:
         raise InputError(f"expected at least one twin, got {twins}", where="--twins")
-    asked = [
-        (name, number)
+    asked = {
+        keep / name / f"{number:03d}.json": (FAMILIES[name], number, model)
         for name in (only[:1] if quick else only)
         if name != REFERENCE
         for number in range(2 if quick else twins or FAMILIES[name].twins)
-    ]
-    missing = [(name, number) for name, number in asked if read_twin(path_of(number, keep / name)) is None]
-    if model is None and any(FAMILIES[name].adapted for name, _ in missing):
+    }
+    missing = [path for path in asked if read_twin(path) is None]
+    tasks = [asked[path] for path in missing]
+    if model is None and any(family.adapted for family, *_ in tasks):
         raise InputError("expected the folder of an adaptation", key="--model")
-    tasks = [(FAMILIES[name], number, model) for name, number in missing]
     with nullcontext() if not scheduler else connected(scheduler) as workers:
         results: Iterator[tuple[int, Twin]] = (
             enumerate(solve_twin(*task) for task in tasks)
@@ -210,11 +191,10 @@ def bench(
             else workers.finished(solve_twin, [(*task, 1) for task in tasks])
         )
         for index, result in tqdm(results, total=len(tasks), unit="twin", leave=False, disable=None):
-            name, number = missing[index]
-            write_json(path_of(number, keep / name), dataclasses.asdict(result))
+            write_json(missing[index], asdict(result))
     stored = {
-        FAMILIES[name]: [twin for path in sorted((keep / name).glob("[0-9]*.json")) if (twin := read_twin(path))]
-        for name in FAMILIES
+        family: [twin for path in sorted((keep / name).glob("[0-9]*.json")) if (twin := read_twin(path))]
+        for name, family in FAMILIES.items()
     }
     found = {family: some for family, some in stored.items() if some}
     if REFERENCE in only:
@@ -227,11 +207,6 @@ def bench(
     flags += "" if only == DEFAULT else "".join(f" --only {name}" for name in only)
     flags += "" if model is None else " --model RUN"
     return page(found, rows, flags=flags, quick=quick).write(out / "coverage.md")
-
-
-def path_of(number: int, folder: Path) -> Path:
-    """The file of a twin in the folder of its family."""
-    return folder / f"{number:03d}.json"
 
 
 def read_twin(path: Path) -> Twin | None:
@@ -251,16 +226,15 @@ def drawn(family: Family, number: int) -> Problem:
     asked, rng = stated(family), np.random.default_rng([FIRST_SEED, number])
     shares = rng.random(len(asked.names))
     truth = asked.named(asked.box.at(shares if asked.prior is None else asked.prior.at(shares)))
-    scene = dataclasses.replace(asked.scene, seed=int(rng.integers(2**31)))
+    scene = replace(asked.scene, seed=int(rng.integers(2**31)))
     if family.cell is not None:
         scene = scene.with_cell(family.cell)
     finer = None if family.finer is None else family.finer * scene.domain.cell
-    return dataclasses.replace(
+    return replace(
         asked,
         scene=scene,
         observations=tuple(
-            dataclasses.replace(each, noise=each.noise if family.noise is None else family.noise)
-            for each in asked.observations
+            replace(each, noise=each.noise if family.noise is None else family.noise) for each in asked.observations
         ),
         target=TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=finer),
         surrogate=family.surrogate,
@@ -268,21 +242,19 @@ def drawn(family: Family, number: int) -> Problem:
 
 
 def stated(family: Family) -> Problem:
-    """The problem of a family, with its priors."""
     problem = read_problem(family.problem)
     if not family.priors:
         return problem
     both = zip(problem.parameters, family.priors, strict=True)
     pair = (problem.names[0], problem.names[-1])
-    return dataclasses.replace(
+    return replace(
         problem,
-        parameters=tuple(dataclasses.replace(each, prior=prior) for each, prior in both),
+        parameters=tuple(replace(each, prior=prior) for each, prior in both),
         correlations=() if family.correlation is None else (Correlation(between=pair, coefficient=family.correlation),),
     )
 
 
 def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
-    """Where the posterior of `result` has its truth."""
     found, box = result.posterior, result.problem.box
     assert found is not None, "of numbers"
     where = found.region.sampled
@@ -303,33 +275,25 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     )
 
 
-def page(
-    found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]] = (), *, flags: str = "", quick: bool
-) -> Page:
-    """The table and its conclusion."""
+def page(found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]], *, flags: str, quick: bool) -> Page:
     tested = {
         level: [family.title for family, each in found.items() if not low <= held(each, level) <= high]
         for level, (low, high) in WITHIN.items()
     }
     uneven = [family.title for family, each in found.items() if uniformity(each) < SIGNIFICANT]
     every = [each for twins_of_one in found.values() for each in twins_of_one]
-    compared = [reference.conclusion(rows)] if rows else []
-    result = Page(
-        "Coverage of the posterior",
-        command=f"python -m validation.bench coverage{flags} --out docs",
-        conclusion=[
-            f"{len(every)} twin experiments of {len(found)} kinds, truths drawn from the prior.",
-            *(
-                f"{level:.0%} regions hold {held(every, level):.0%} of the truths; outside of {WITHIN[level][0]:.0%} "
-                f"to {WITHIN[level][1]:.0%}: {', '.join(names) or 'none'}."
-                for level, names in tested.items()
-            ),
-            f"Ranks are not uniform (p below {SIGNIFICANT:g}) for {', '.join(uneven) or 'none'}.",
-            *compared,
-        ],
-        packages=MPM | GNS,
-        quick=quick,
-    )
+    conclusion = [
+        f"{len(every)} twin experiments of {len(found)} kinds, truths drawn from the prior.",
+        *(
+            f"{level:.0%} regions hold {held(every, level):.0%} of the truths; outside of {WITHIN[level][0]:.0%} "
+            f"to {WITHIN[level][1]:.0%}: {', '.join(names) or 'none'}."
+            for level, names in tested.items()
+        ),
+        f"Ranks are not uniform (p below {SIGNIFICANT:g}) for {', '.join(uneven) or 'none'}.",
+        *([reference.conclusion(rows)] if rows else []),
+    ]
+    bench = f"coverage{flags} --out docs"
+    result = Page("Coverage of the posterior", bench, conclusion, packages=MPM | GNS, quick=quick)
     result.picture("coverage.png", "share of the truths that a region holds over the region's share")
     result.text(f"""
         A truth is drawn from the prior, its flow by the MPM with a jitter seed of its own is observed, and the loop
@@ -355,18 +319,14 @@ def uniformity(found: Sequence[Twin]) -> float:
 
 def ranks(found: Sequence[Twin]) -> float:
     """Least p-value over the numbers of their ranks, if these were uniform, times how many there are."""
-    names = list(found[0].below)
-    values = [
-        chisquare(np.histogram([each.below[name] for each in found], bins=BINS, range=(0.0, 1.0))[0]).pvalue
-        for name in names
+    counts = [
+        np.histogram([each.below[name] for each in found], bins=BINS, range=(0.0, 1.0))[0] for name in found[0].below
     ]
-    return min(1.0, len(names) * float(min(values)))
+    return min(1.0, len(counts) * float(min(chisquare(each).pvalue for each in counts)))
 
 
 def row(family: Family, found: Sequence[Twin]) -> Row:
-    """A line of the table."""
-    verdicts = [each.verdict for each in found]
-    count = len(found[0].below)
+    verdicts, count = [each.verdict for each in found], len(found[0].below)
     return {
         "twins of": family.title,
         "problem": f"`{family.problem}`",
@@ -389,6 +349,5 @@ def draw(path: Path, found: Mapping[Family, Sequence[Twin]]) -> None:
         axis.plot(levels, levels, color=GREY, linewidth=0.8)
         for family, twins in found.items():
             axis.plot(levels, [held(twins, level) for level in levels], label=family.title, linewidth=1.2)
-        axis.set_xlabel("share of the posterior in the region")
-        axis.set_ylabel("share of the truths in it")
+        axis.set(xlabel="share of the posterior in the region", ylabel="share of the truths in it")
         axis.legend()

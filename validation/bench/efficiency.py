@@ -5,17 +5,15 @@ MPM's differences averaged over `JITTERS` seeds: along the path of one run the a
 over runs has not. So has that of two baffles in 3D.
 """
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 import gns
@@ -30,7 +28,7 @@ from inverse.parameters import Parameter
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 from mpm import simulate_many
-from validation.bench.searches import By, Evaluation, Models, Searched, by_reverse, by_runs, methods, search, slope_of
+from validation.bench.searches import By, Evaluation, Models, Searched, by_reverse, by_runs, methods, search
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, INK, ORANGE, RED, figure
 
@@ -63,8 +61,6 @@ PICTURES, LINE = "pictures", "efficiency-line.png"
 
 
 class Method(StrEnum):
-    """What computes a gradient."""
-
     SURROGATE = "surrogate"
     """Reverse mode through the rollout."""
     ADJOINT = "adjoint of the MPM"
@@ -76,8 +72,6 @@ COLOURS = {Method.SURROGATE: ORANGE, Method.ADJOINT: RED, Method.DIFFERENCES: BL
 
 @dataclass(frozen=True, kw_only=True)
 class Gradient:
-    """One gradient by one method."""
-
     problem: str
     method: Method
     unknowns: int
@@ -94,8 +88,6 @@ class Gradient:
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """All methods on one problem."""
-
     problem: str
     limit: float
     """Seconds that each method may use."""
@@ -119,23 +111,20 @@ def blocks(columns: int, layers: int) -> Scene:
     across = round(whole.masses[0].size[0] / spacing)
     up = round(max(mass.lower[1] + mass.size[1] for mass in whole.masses) / spacing)
     x, y = (np.round(np.linspace(0, count, parts + 1)) for count, parts in ((across, columns), (up, layers)))
-    masses = []
-    for j, i in product(range(layers), range(columns)):
-        middle = (y[j] + y[j + 1]) / 2.0 / up
-        masses.append(
-            Mass(
-                lower=(float(x[i] * spacing), float(y[j] * spacing)),
-                size=(float((x[i + 1] - x[i]) * spacing), float((y[j + 1] - y[j]) * spacing)),
-                velocity=(AT_FLOOR + (AT_TOP - AT_FLOOR) * float(middle), 0.0),
-            )
+    masses = tuple(
+        Mass(
+            lower=(float(x[i] * spacing), float(y[j] * spacing)),
+            size=(float((x[i + 1] - x[i]) * spacing), float((y[j + 1] - y[j]) * spacing)),
+            velocity=(AT_FLOOR + (AT_TOP - AT_FLOOR) * float((y[j] + y[j + 1]) / 2.0 / up), 0.0),
         )
-    return dataclasses.replace(whole, masses=tuple(masses))
+        for j, i in product(range(layers), range(columns))
+    )
+    return replace(whole, masses=masses)
 
 
-def blocks_problem(unknowns: int, *, duration: float | None = None) -> Problem:
+def blocks_problem(unknowns: int) -> Problem:
     """The velocities of so many blocks from their deposit; it starts at `FRACTION` of the true ones."""
     scene = blocks(*CUTS[unknowns])
-    scene = scene if duration is None else dataclasses.replace(scene, duration=duration)
     return Problem(
         name=f"blocks-{unknowns}",
         scene=scene,
@@ -156,42 +145,32 @@ def blocks_problem(unknowns: int, *, duration: float | None = None) -> Problem:
 def hundred_problem() -> Problem:
     """As `velocity-layers-10`, of a hundred blocks."""
     problem = blocks_problem(100)
-    numbers = tuple(dataclasses.replace(each, initial=0.75, lower=-1.0, upper=3.0) for each in problem.parameters)
-    return dataclasses.replace(problem, name=HUNDRED, parameters=numbers)
-
-
-def sampled(count: int) -> NDArray[np.int64]:
-    """Unknowns whose differences are run, ascending: all, or `MOST_COLUMNS` of them along the diagonal of the cuts."""
-    return np.unique(np.linspace(0, count - 1, min(count, MOST_COLUMNS)).round().astype(np.int64))
+    numbers = tuple(replace(each, initial=0.75, lower=-1.0, upper=3.0) for each in problem.parameters)
+    return replace(problem, name=HUNDRED, parameters=numbers)
 
 
 def bench(out: Path, *, quick: bool, keep: Path) -> str:
     """Gradients over the number of unknowns, and whole searches, by every method; some seven minutes.
 
-    Parameters
-    ----------
-    out
-        Folder for efficiency.md and its pictures.
-    quick
-        Short flows, ten unknowns, one problem.
-    keep
-        Not used: seconds are measured anew.
+    quick: short flows, ten unknowns, one problem. keep: not used, seconds are measured anew.
     """
     torch.set_num_threads(processors())
     simulator = gns.load("flow2d")
-    duration = QUICK_S if quick else None
+
+    def asked(problem: Problem) -> Problem:
+        scene = replace(problem.scene, duration=QUICK_S) if quick else problem.scene
+        return replace(problem, scene=scene)
+
     gradients = [
         each
         for number in tqdm([*CUTS][: 2 if quick else None], desc="gradients", unit="cut")
-        for each in gradients_of(BLOCKS, blocks_problem(number, duration=duration), STEP, simulator, JITTERS)
+        for each in gradients_of(BLOCKS, asked(blocks_problem(number)), STEP, simulator, JITTERS)
     ]
     if not quick:
         gradients += gradients_of(BAFFLES, read_problem(BAFFLES), BAFFLE_STEP, gns.load("obstacle3d"), BAFFLE_JITTERS)
     compared = []
     for name in [*LIMITS][: 1 if quick else None]:
-        problem = hundred_problem() if name == HUNDRED else read_problem(name)
-        if quick:
-            problem = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, duration=QUICK_S))
+        problem = asked(hundred_problem() if name == HUNDRED else read_problem(name))
         models, limit = Models.build(problem, simulator), QUICK_LIMIT if quick else LIMITS[name]
         searches = [search(by, models, limit) for by in tqdm(methods(problem), desc=name, unit="method")]
         compared.append(
@@ -207,18 +186,18 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     models = Models.build(problem, simulator)
     observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
-    chosen, own = sampled(unknowns), models.mpm.select(values)
+    # All, or some along the diagonal of the cuts.
+    chosen = np.unique(np.linspace(0, unknowns - 1, min(unknowns, MOST_COLUMNS)).round().astype(np.int64))
+    own = models.mpm.select(values)
 
     def reverse(*forwards: GnsForward | AdjointForward) -> list[Evaluation]:
-        found = []
-        # The first one compiles kernels.
-        for forward in (forwards[0], *forwards):
-            evaluate = by_reverse(forward, forward.select(values), observation.components)
-            found.append(evaluate(problem.initial))
-        return found[1:]
+        evaluates = [by_reverse(each, each.select(values), observation.components) for each in forwards]
+        # This one compiles kernels.
+        evaluates[0](problem.initial)
+        return [evaluate(problem.initial) for evaluate in evaluates]
 
     seeds = [problem.scene.seed, *range(20_003, 20_002 + jitters)]
-    seeded = [dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=seed)) for seed in seeds]
+    seeded = [replace(problem, scene=replace(problem.scene, seed=seed)) for seed in seeds]
     moves = step * np.eye(unknowns)[chosen]
     differences = [
         by_runs(MpmForward(each, observation, simulate_many), own, observation.components, moves)(problem.initial)
@@ -226,10 +205,10 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     ]
     runs, whole = (1 + 2 * count for count in (len(chosen), unknowns))
     adjoints = [AdjointForward(each, observation, simulate_many) for each in seeded]
-    expected = np.mean([slope_of(each) for each in differences], axis=0)
+    expected = np.mean([each.slope for each in differences], axis=0)
 
     def compared(method: Method, found: Sequence[Evaluation], share: float = 1.0) -> Gradient:
-        slopes = np.stack([slope_of(each) for each in found])
+        slopes = np.stack([each.slope for each in found])
         slopes = slopes if method is Method.DIFFERENCES else slopes[:, chosen]
         mean = slopes.mean(axis=0)
         length, off = float(np.linalg.norm(mean)), np.linalg.norm(slopes - mean, axis=1)
@@ -257,17 +236,13 @@ def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> l
     seconds = {method: {e.unknowns: e.seconds for e in of_blocks if e.method is method} for method in Method}
     numbers = sorted(seconds[Method.SURROGATE])
 
-    def listed(values: Sequence[str]) -> str:
-        return " / ".join(values)
-
-    prices = [f"{method} {listed([f'{seconds[method][n]:.2g} s' for n in numbers])}" for method in Method]
+    prices = [f"{method} {' / '.join(f'{seconds[method][n]:.2g} s' for n in numbers)}" for method in Method]
     cosines = [
-        f"{method} {listed([f'{e.cosine:.2f}' for e in of_blocks if e.method is method and e.unknowns > 1])}"
+        f"{method} {' / '.join(f'{e.cosine:.2f}' for e in of_blocks if e.method is method and e.unknowns > 1)}"
         for method in (Method.SURROGATE, Method.ADJOINT)
     ]
-    sentences = [f"A gradient in {listed([f'{n:,}' for n in numbers])} unknowns: {'; '.join(prices)}."]
-    if any(n > 1 for n in numbers):
-        many = listed([f"{n:,}" for n in numbers if n > 1])
+    sentences = [f"A gradient in {' / '.join(f'{n:,}' for n in numbers)} unknowns: {'; '.join(prices)}."]
+    if many := " / ".join(f"{n:,}" for n in numbers if n > 1):
         sentences.append(
             f"Cosine to the MPM's differences (means of {JITTERS} jitters) in {many}: {'; '.join(cosines)}."
         )
@@ -284,14 +259,8 @@ def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> l
 
 
 def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: bool) -> Page:
-    """The page."""
-    result = Page(
-        "What a gradient costs",
-        command="python -m validation.bench efficiency --out docs",
-        conclusion=conclusion(gradients, compared),
-        packages=MPM | GNS,
-        quick=quick,
-    )
+    said = conclusion(gradients, compared)
+    result = Page("What a gradient costs", "efficiency --out docs", said, packages=MPM | GNS, quick=quick)
     result.section("Over the unknowns")
     result.text(f"""
         The paper's sand of ten layers, cut into blocks between its particles; the velocity of each along x is unknown.
@@ -326,7 +295,6 @@ def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: 
 
 
 def gradient_row(each: Gradient) -> Row:
-    """A line of the first table."""
     return {
         "problem": each.problem,
         "unknowns": f"{each.unknowns:,}",
@@ -339,7 +307,6 @@ def gradient_row(each: Gradient) -> Row:
 
 
 def search_row(each: Searched, level: float) -> Row:
-    """A line of a problem."""
     there = each.seconds_to(level)
     return {
         "method": each.by,
@@ -373,7 +340,7 @@ def draw_line(path: Path, models: Models) -> None:
     seen = np.stack(models.mpm.observe([start + at * np.eye(len(start))[0] for at in along]))
     losses = models.target.observation.components * np.mean((seen - own) ** 2, axis=1)
     differences = (losses[-1] - losses[0]) / (along[-1] - along[0])
-    slopes = {Method.ADJOINT: slope_of(evaluate(start))[0], Method.DIFFERENCES: differences}
+    slopes = {Method.ADJOINT: evaluate(start).slope[0], Method.DIFFERENCES: differences}
     with figure(path, size=(6.0, 4.0)) as axes:
         axes[0, 0].plot(1000.0 * along, losses, "o-", color=INK, lw=0.8, markersize=3, label="one jitter")
         for method, slope in slopes.items():

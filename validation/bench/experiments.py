@@ -1,10 +1,9 @@
 """`python -m validation.bench experiments`: measured flows at angles of friction measured by themselves, and back."""
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from validation.experiments.experiment import (
     quantity,
     read_experiments,
 )
-from validation.report.page import Page, percent, rms, signed
+from validation.report.page import Page, emphasised, percent, rms, signed
 from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure
 from validation.runs import Run, RunStore
 
@@ -39,7 +38,8 @@ RECORDED = 5
 
 Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
 """Runs to their flows, as `validation.runs.RunStore.run`."""
-Flows = dict[tuple[str, str, Reading], Callable[[Measured], float]]
+Asked = tuple[Shipped, MeasuredScene, Reading]
+Flows = dict[Asked, Callable[[Measured], float]]
 """What is measured of a flow [m], by experiment, case and reading."""
 
 
@@ -60,7 +60,6 @@ class Score:
 
     @property
     def label(self) -> str:
-        """Experiment, case and quantity."""
         return f"{self.experiment}, {self.case.name}, {self.measured.quantity}"
 
     @property
@@ -71,7 +70,6 @@ class Score:
 
     @property
     def independent(self) -> bool:
-        """Whether the angle was measured by itself."""
         return self.name != INFERRED
 
     @property
@@ -113,8 +111,6 @@ class Inferred:
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """All that the page is made from."""
-
     shipped: tuple[Shipped, ...]
     scores: tuple[Score, ...]
     """At the first angle of each experiment, or at the inferred one where it has none."""
@@ -137,24 +133,17 @@ def bench(out: Path, *, quick: bool, keep: Path, experiments: Path = FOLDER) -> 
 def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
     """Run everything: every case over the ladder on its coarse cells, and once on its fine ones."""
     pairs = [(each, case) for each in shipped for case in each.experiment.cases]
-    asked = [
-        (each, case, reading)
-        for each, case in pairs
-        for reading in dict.fromkeys((*ladder(each), *each.experiment.readings))
-    ]
-    coarse = run(asked, 0, simulate)
+    readings = {each: dict.fromkeys((*ladder(each), *each.experiment.readings)) for each in shipped}
+    coarse = run([(each, case, reading) for each, case in pairs for reading in readings[each]], 0, simulate)
     crossings = {
-        (each.name, case.name): crossing(
-            {one.deg: coarse[each.name, case.name, one](case.extent) for one in ladder(each)}, case.extent.value
-        )
+        (each, case): crossing({r.deg: coarse[each, case, r](case.extent) for r in ladder(each)}, case.extent.value)
         for each, case in pairs
     }
     # On the fine cells at the first angle that was measured, else at the one that the coarse cells imply.
     firsts = [
         (each, case, reading)
         for each, case in pairs
-        for reading in each.experiment.readings[:1]
-        or [dataclasses.replace(ladder(each)[0], deg=crossings[each.name, case.name][0])]
+        for reading in each.experiment.readings[:1] or [replace(ladder(each)[0], deg=crossings[each, case][0])]
         if not math.isnan(reading.deg)
     ]
     fine = run(firsts, 1, simulate)
@@ -164,15 +153,15 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
             case=case,
             angles=each.experiment.angles,
             coarse_deg=coarse_deg,
-            deg=first.deg + (case.extent.value - fine[each.name, case.name, first](case.extent)) / slope,
+            deg=first.deg + (case.extent.value - fine[each, case, first](case.extent)) / slope,
             half_width_deg=abs(CLOSE * case.extent.spread / slope),
         )
         for each, case, first in firsts
-        for coarse_deg, slope in [crossings[each.name, case.name]]
+        for coarse_deg, slope in [crossings[each, case]]
     ]
     # Where no angle was measured, what else was is held against a run at the inferred one.
     again = [
-        (each, case, dataclasses.replace(first, deg=one.deg))
+        (each, case, replace(first, deg=one.deg))
         for (each, case, first), one in zip(firsts, inferred, strict=True)
         if not each.experiment.angles and case.measured[1:]
     ]
@@ -183,8 +172,8 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         angles = each.experiment.angles
         names = [angle.name for angle in angles] or [INFERRED]
         for reading, name in zip(each.experiment.readings or [first], names, strict=True):
-            known: Callable[[Measured], float] = coarse.get((each.name, case.name, reading), lambda _: math.nan)
-            best = fine[each.name, case.name, first] if reading == first else known
+            known: Callable[[Measured], float] = coarse.get((each, case, reading), lambda _: math.nan)
+            best = fine[each, case, first] if reading == first else known
             (scores if reading == first else others).extend(
                 Score(
                     experiment=each.name,
@@ -204,18 +193,17 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
 def ladder(shipped: Shipped) -> list[Reading]:
     """The readings over which the slope of a front is found: as the first of an experiment, at other angles."""
     known = [*shipped.experiment.readings, Reading(math.nan, rate=shipped.experiment.grains is not None)]
-    return [dataclasses.replace(known[0], deg=deg) for deg in LADDER_DEG]
+    return [replace(known[0], deg=deg) for deg in LADDER_DEG]
 
 
-def run(asked: Sequence[tuple[Shipped, MeasuredScene, Reading]], number: int, simulate: Simulate) -> Flows:
+def run(asked: Sequence[Asked], number: int, simulate: Simulate) -> Flows:
     """Cases on their coarse (0) or fine (1) cells, by readings."""
     runs = []
     for each, case, reading in asked:
         timed = any(measured.times for measured in case.measured)
-        record = dataclasses.replace(AT_REST, frames=RECORDED) if timed else AT_REST
+        record = replace(AT_REST, frames=RECORDED) if timed else AT_REST
         runs.append(Run(scene=each.scene(case.scene, each.cells(case)[number], reading), record=record))
-    flows = zip(asked, simulate(runs), strict=True)
-    return {(each.name, case.name, reading): partial(quantity, flow=flow) for (each, case, reading), flow in flows}
+    return dict(zip(asked, (partial(quantity, flow=flow) for flow in simulate(runs)), strict=True))
 
 
 def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float]:
@@ -231,14 +219,8 @@ def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float
     return (a + (target - fronts[a]) / (fronts[b] - fronts[a]) * (b - a) if inside else math.nan), slope
 
 
-def page(findings: Findings, *, quick: bool = False) -> Page:
-    """The page."""
-    text = Page(
-        "Measured experiments",
-        command="python -m validation.bench experiments",
-        conclusion=conclusion(findings),
-        quick=quick,
-    )
+def page(findings: Findings, *, quick: bool) -> Page:
+    text = Page("Measured experiments", "experiments", conclusion(findings), quick=quick)
     text.picture("experiments.png", "measured against computed")
     text.text(f"""
         Every experiment is a folder in `validation/experiments`: scene, numbers, spread, source, licence, and what the
@@ -261,7 +243,7 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
                 "measured [m]": f"{each.measured.value:.4f} ± {each.measured.spread:.4f}",
                 "coarse cells [m]": "-" if math.isnan(each.coarse) else f"{each.coarse:.4f}",
                 "fine cells [m]": f"{each.fine:.4f}",
-                "error [spreads]": f"{each.error:+.1f}" if each.agrees else f"**{each.error:+.1f}**",
+                "error [spreads]": emphasised(f"{each.error:+.1f}", each.agrees),
                 "at the other angle": ", ".join(
                     f"{other.error:+.1f} at {other.angle}"
                     for other in findings.others
@@ -299,7 +281,6 @@ def page(findings: Findings, *, quick: bool = False) -> Page:
 
 
 def conclusion(findings: Findings) -> list[str]:
-    """What was found, each sentence from its numbers."""
     scores = [each for each in findings.scores if each.independent]
     inferred = [each for each in findings.inferred if not math.isnan(each.difference_deg)]
     if not scores:
@@ -326,13 +307,12 @@ def conclusion(findings: Findings) -> list[str]:
         )
     if findings.others:
         cases = {(each.experiment, each.case.name) for each in findings.others}
-        same = [each for each in scores if (each.experiment, each.case.name) in cases]
-        first = rms([(each.coarse - each.measured.value) / each.measured.spread for each in same])
-        other = rms([each.error for each in findings.others])
+        same = [replace(each, fine=each.coarse) for each in scores if (each.experiment, each.case.name) in cases]
+        first, other = (rms([each.error for each in group]) for group in (same, findings.others))
         lines.append(
             f"Where there are two readings, on the coarse cells the first leaves {first:.1f} spreads rms and"
-            f" {sum(abs(each.coarse - each.measured.value) > CLOSE * each.measured.spread for each in same)} lengths"
-            f" beyond {CLOSE:g}, the other one {other:.1f} and {sum(not each.agrees for each in findings.others)}."
+            f" {sum(not each.agrees for each in same)} lengths beyond {CLOSE:g}, the other one {other:.1f} and"
+            f" {sum(not each.agrees for each in findings.others)}."
         )
     lines += [
         f"{each.label}: {each.error:+.1f} spreads at the angle that is inferred from its final extent."

@@ -1,9 +1,8 @@
 """`python -m validation.bench gns`: the shipped surrogates against the MPM on fine cells, on held-out scenes."""
 
-import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -70,20 +69,7 @@ class Model:
     """Of rollouts `TIMES` times as long as the first scenes whose reference comes to rest [mm/s]."""
 
     def of_kind(self, kind: str) -> list[Compared]:
-        """The scenes of a kind."""
         return [each for each in self.compared if kind in (ALL, each.kind)]
-
-    def fronts(self) -> list[float]:
-        """Errors of the fronts that no wall holds [-]."""
-        return [each.rollout.front for each in self.compared if each.free]
-
-    def scatter(self) -> list[float]:
-        """Those of the same fronts by the MPM, jittered anew [-]."""
-        return [each.jittered.front for each in self.compared if each.free]
-
-    def profiles(self) -> list[float]:
-        """Errors of the profiles [-]."""
-        return [each.rollout.profile for each in self.compared]
 
     @property
     def points(self) -> dict[int, tuple[float, float]]:
@@ -106,12 +92,8 @@ def bench(out: Path, *, quick: bool, keep: Path, model: tuple[Path, ...] = ()) -
 
     Parameters
     ----------
-    out
-        Folder for gns.md and its picture.
     quick
         Two scenes of each family, on coarse cells.
-    keep
-        Folder of the MPM's runs, which are not made again.
     model
         A model's file or the name of one that ships, once or more often; all that ship unless given.
     """
@@ -132,12 +114,10 @@ def bench(out: Path, *, quick: bool, keep: Path, model: tuple[Path, ...] = ()) -
 def measure(
     path: Path, family: str, scenes: Sequence[tuple[str, Scene]], keep: Path, *, cells: Sequence[int], long: int
 ) -> Model:
-    """Everything of one model on scenes of one family."""
     simulator = gns.load(path)
     store, fine = RunStore(keep / family), [scene for _, scene in scenes]
     references, again = (
-        store.run([Run(scene=dataclasses.replace(each, seed=each.seed + more), record=AT_REST) for each in fine])
-        for more in (0, 1)
+        store.run([Run(scene=replace(each, seed=each.seed + more), record=AT_REST) for each in fine]) for more in (0, 1)
     )
     # Kernels are compiled, or read from their cache, at a first call.
     gns.simulate(scenes[0][1], model=simulator)
@@ -167,7 +147,7 @@ def measure(
         )
     torch.set_num_threads(threads)
     resting = [scene for (_, scene), flow, _ in pairs if flow.summary["rest_time"] is not None]
-    longer = [dataclasses.replace(each, duration=TIMES * each.duration) for each in resting[:long]]
+    longer = [replace(each, duration=TIMES * each.duration) for each in resting[:long]]
     creeps = [creep(gns.simulate(each, model=simulator)) for each in tqdm(longer, desc=f"{family}, rest", unit="scene")]
     return Model(name=path.stem, family=family, compared=compared, creeps=creeps)
 
@@ -183,7 +163,7 @@ def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
 
 def point(runs: Sequence[Measured]) -> tuple[float, float]:
     """Mean seconds of a method, and the rms over the scenes of the larger error of front and profile."""
-    return float(np.mean([each.seconds for each in runs])), rms([each.largest for each in runs])
+    return float(np.mean([each.seconds for each in runs])), rms([max(abs(each.front), each.profile) for each in runs])
 
 
 def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | None:
@@ -201,25 +181,22 @@ def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | 
     return None
 
 
-def price_sentence(model: Model) -> str:
-    """What a rollout costs and how far it is off, beside the MPM's seconds for the same error."""
-    seconds, error = model.own
-    same = mpm_seconds(model.points.values(), error)
-    cheaper = "no coarse MPM is as good" if same is None else f"a coarse MPM takes {same:.2g} s for the same error"
-    return f"{model.family} off by {error:.1%} in {seconds:.2g} s, {cheaper}"
-
-
 def conclusion(found: Sequence[Model]) -> list[str]:
-    """At most five sentences, each over all models."""
-    fronts = [
-        f"{each.family} {mean(each.fronts()):.1%} on average, worst {signed(worst(each.fronts()))} of "
-        f"{len(each.fronts())} (the MPM, jittered anew, {mean(each.scatter()):.1%}), "
-        f"profiles {mean(each.profiles()):.1%}"
-        for each in found
-    ]
+    fronts, prices = [], []
+    for each in found:
+        free = [one for one in each.compared if one.free]
+        off, again = [one.rollout.front for one in free], [one.jittered.front for one in free]
+        fronts.append(
+            f"{each.family} {mean(off):.1%} on average, worst {signed(worst(off))} of {len(off)} (the MPM, jittered "
+            f"anew, {mean(again):.1%}), profiles {mean([one.rollout.profile for one in each.compared]):.1%}"
+        )
+        seconds, error = each.own
+        same = mpm_seconds(each.points.values(), error)
+        cheaper = "no coarse MPM is as good" if same is None else f"a coarse MPM takes {same:.2g} s for the same error"
+        prices.append(f"{each.family} off by {error:.1%} in {seconds:.2g} s, {cheaper}")
     sentences = [
         f"Fronts of held-out scenes, free of walls, over the extent: {'; '.join(fronts)}.",
-        f"One rollout: {'; '.join(map(price_sentence, found))}.",
+        f"One rollout: {'; '.join(prices)}.",
     ]
     if parts := [f"{sum(each.held)} of {len(each.held)} fronts ({each.family})" for each in found if each.held]:
         sentences.append(f"{LEVEL:.0%} bands hold {' and '.join(parts)}.")
@@ -231,15 +208,9 @@ def conclusion(found: Sequence[Model]) -> list[str]:
     return sentences
 
 
-def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
-    """The page."""
-    result = Page(
-        "The surrogate beside the MPM",
-        command=f"python -m validation.bench gns{flags} --out docs",
-        conclusion=conclusion(found),
-        packages=GNS | MPM,
-        quick=quick,
-    )
+def page(found: Sequence[Model], *, flags: str, quick: bool) -> Page:
+    bench = f"gns{flags} --out docs"
+    result = Page("The surrogate beside the MPM", bench, conclusion(found), packages=GNS | MPM, quick=quick)
     result.picture("gns.png", "errors of fronts by kind of scene; error over seconds")
     result.text(f"""
         Scenes drawn by the definitions that draw the training data, with seed {SEED}: of the paper's families
@@ -284,8 +255,6 @@ def page(found: Sequence[Model], *, flags: str = "", quick: bool) -> Page:
 
 
 def kind_row(model: Model, title: str, runs: Sequence[tuple[Compared, Measured]]) -> Row:
-    """Errors of runs of some scenes."""
-
     def both(values: Sequence[float]) -> str:
         return f"{mean(values):.1%} ({signed(worst(values))})" if values else "-"
 
@@ -302,7 +271,6 @@ def kind_row(model: Model, title: str, runs: Sequence[tuple[Compared, Measured]]
 
 
 def self_row(model: Model) -> Row:
-    """Bands, warnings and rest of a model."""
     widths = [each.band[1] / each.extent for each in model.compared if each.band]
     return {
         "model": f"`{model.name}`",
@@ -324,7 +292,6 @@ def draw(path: Path, found: Sequence[Model]) -> None:
 
 
 def draw_fronts(axis: Axes, model: Model) -> None:
-    """A point for each scene."""
     kinds = list(dict.fromkeys(each.kind for each in model.compared))
     for index, kind in enumerate(kinds):
         values = 100.0 * np.array([each.rollout.front for each in model.of_kind(kind) if each.free])
@@ -336,7 +303,6 @@ def draw_fronts(axis: Axes, model: Model) -> None:
 
 
 def draw_price(axis: Axes, model: Model) -> None:
-    """The coarse MPM's curve and the model."""
     points, (seconds, error) = model.points, model.own
     x, y = zip(*points.values(), strict=True)
     axis.loglog(x, [100.0 * each for each in y], "o-", color=BLUE, label="MPM")

@@ -4,10 +4,9 @@ The scenes are drawn by the definitions that draw the training data, with anothe
 shared. Variants of other scenes are left out.
 """
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
@@ -58,10 +57,10 @@ def coarse(scene: Scene, cells: int) -> Scene:
     decide which coarser ones fit.
     """
     length, height, *width = scene.domain.size
-    plan = dataclasses.replace(scene.domain, size=(length, length, *width))
+    plan = replace(scene.domain, size=(length, length, *width))
     cell = fitted_cell(plan, characteristic_length(scene) / cells)
     domain = Domain(size=(length, math.ceil(height / cell - ROUNDING) * cell, *width), cell=cell)
-    return dataclasses.replace(scene, domain=domain, particles_per_axis=2, step_fraction=0.9)
+    return replace(scene, domain=domain, particles_per_axis=2, step_fraction=0.9)
 
 
 def deposit_of(flow: Trajectory) -> Deposit:
@@ -88,17 +87,11 @@ class Measured:
 
     @staticmethod
     def of_flow(flow: Trajectory, reference: Deposit) -> "Measured":
-        """That of a flow of the same scene."""
         front, profile = reference.errors(flow.positions[-1], flow.volumes)
         shown = depths(flow.scene, flow.positions[-1], flow.volumes)
         known = depths(flow.scene, reference.positions, reference.volume)
         depth = float(np.linalg.norm(shown - known) / np.linalg.norm(known)) if known.any() else None
         return Measured(seconds=flow.summary["wall_s"], front=front, profile=profile, depth=depth)
-
-    @property
-    def largest(self) -> float:
-        """The larger of the two errors."""
-        return max(abs(self.front), self.profile)
 
 
 def depths(scene: Scene, positions: Positions, volume: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -82,7 +82,6 @@ def flow(cell: float, folder: Path) -> Found:
 
 
 def mapped(cell: float, folder: Path) -> Found:
-    """The maps of the run."""
     began, trajectory = time.perf_counter(), open_trajectory(folder / f"{cell:g}.h5")
     make_folder(folder / "maps")
     said = maps.write(trajectory, maps.maps_of(trajectory, cell, progress=True), folder / "maps")

@@ -1,13 +1,12 @@
 """`python -m validation.bench problems`: every shipped inverse problem, beside its criteria and the paper's figures."""
 
-import dataclasses
 import hashlib
 import math
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +32,14 @@ PICTURES = "pictures"
 
 @dataclass(frozen=True, kw_only=True)
 class Criteria(Record):
-    """What an outcome is compared with; None: not at all."""
+    """What an outcome is compared with."""
 
     verdict: Verdict = Verdict.CONFIRMED
-    front_error_pct: float | None = None
+    front_error_pct: float = math.inf
     """Largest relative error of the front in the MPM."""
-    unknown_error_pct: float | None = None
+    unknown_error_pct: float = math.inf
     """Largest relative error of a number, where its half-width is no wider."""
-    loss: float | None = None
+    loss: float = math.inf
     """Largest loss in the MPM [m^2]."""
     inside: bool = False
     """Whether every true value is to be within its half-width."""
@@ -48,8 +47,6 @@ class Criteria(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Family(Record):
-    """Problems of one kind."""
-
     title: str
     problems: tuple[str, ...]
     pictures: tuple[str, ...] = ()
@@ -65,7 +62,7 @@ class Family(Record):
             problem = read_problem(name)
             found.append((problem, name))
             if self.second is not None:
-                found.append((dataclasses.replace(problem, surrogate=self.second), f"{name}-{self.second}"))
+                found.append((replace(problem, surrogate=self.second), f"{name}-{self.second}"))
         return found
 
 
@@ -94,7 +91,6 @@ class Outcome:
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """Half-widths of the numbers."""
         return {name: self.result["certainty"][name] for name in self.problem.names}
 
     @property
@@ -105,11 +101,9 @@ class Outcome:
 
     @property
     def surrogate(self) -> bool:
-        """Whether a surrogate was asked."""
         return bool((self.result.get("surrogate") or {}).get("asked"))
 
     def text(self, name: str, value: float) -> str:
-        """A value of a number with its unit."""
         return self.problem.kinds[self.problem.names.index(name)].text(value)
 
     @property
@@ -125,21 +119,17 @@ class Outcome:
     @property
     def missed(self) -> list[str]:
         """Criteria that it does not meet, with what came out."""
-        asked, result, found = self.criteria, self.result, []
-        if result["verdict"] != asked.verdict:
-            found.append(f"verdict {asked.verdict}")
-        front, loss = result["error_pct"].get("front"), result["loss"].get("mpm")
-        if asked.front_error_pct is not None and front is not None and front > asked.front_error_pct:
-            found.append(f"front within {asked.front_error_pct:g} %: {front:.2f} %")
-        if asked.loss is not None and loss is not None and loss > asked.loss:
-            found.append(f"loss of {asked.loss:.0e} m²: {loss:.1e}")
-        if self.errors and (most := asked.unknown_error_pct) is not None:
-            error = self.percent(self.errors)
-            if error > most >= self.percent(self.half_widths):
-                found.append(f"number within {most:g} %: {error:.2f} %")
-        if asked.inside and self.inside < len(self.errors):
-            found.append(f"truth within the half-width: {self.inside} of {len(self.errors)}")
-        return found
+        asked, result, count = self.criteria, self.result, len(self.errors)
+        front, loss = result["error_pct"].get("front") or 0.0, result["loss"].get("mpm") or 0.0
+        error, most = self.percent(self.errors) if count else 0.0, asked.unknown_error_pct
+        checks = {
+            f"verdict {asked.verdict}": result["verdict"] == asked.verdict,
+            f"front within {asked.front_error_pct:g} %: {front:.2f} %": front <= asked.front_error_pct,
+            f"loss of {asked.loss:.0e} m²: {loss:.1e}": loss <= asked.loss,
+            f"number within {most:g} %: {error:.2f} %": error <= most or most < self.percent(self.half_widths),
+            f"truth within the half-width: {self.inside} of {count}": not asked.inside or self.inside == count,
+        }
+        return [text for text, met in checks.items() if not met]
 
 
 def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> str:
@@ -152,12 +142,8 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
 
     Parameters
     ----------
-    out
-        Folder for problems.md and its pictures.
     quick
         One problem.
-    keep
-        Folder of results.
     only
         Solve these alone; the page has all that there are.
     """
@@ -177,9 +163,8 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
             if is_current(problem, folder):
                 outcome = Outcome(problem=problem, criteria=family.criteria, result=read_json(folder / RESULT) or {})
                 found.setdefault(family.title, []).append(outcome)
-    pictures = [copied(keep, picture, out) for family in families for picture in family.pictures]
-    result = page(found, [each for each in pictures if each], shipped.paper, quick=quick)
-    conclusion = result.write(out / "problems.md")
+    pictures = [name for family in families for each in family.pictures if (name := copied(keep, each, out))]
+    conclusion = page(found, pictures, shipped.paper, quick=quick).write(out / "problems.md")
     if failed:
         raise WorkFailed(f"could not be run: {', '.join(failed)}")
     return conclusion
@@ -187,7 +172,7 @@ def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> 
 
 def made_of(problem: Problem) -> str:
     """Digest of the problem and of the weights of a surrogate that may be asked."""
-    text, asked = repr(dataclasses.replace(problem, folder=Path())), problem.surrogate is not Surrogate.NONE
+    text, asked = repr(replace(problem, folder=Path())), problem.surrogate is not Surrogate.NONE
     weights = library.shipped(problem.scene.dimension).read_bytes() if asked else b""
     return hashlib.sha256(text.encode() + weights).hexdigest()[:16]
 
@@ -227,13 +212,8 @@ def page(
 ) -> Page:
     """The page of all problems that were `found`, by their families' titles."""
     outcomes = [each for group in found.values() for each in group]
-    result = Page(
-        "The inverse problems",
-        command="python -m validation.bench problems --out docs",
-        conclusion=conclusion(outcomes),
-        packages=MPM | GNS,
-        quick=quick,
-    )
+    said = conclusion(outcomes)
+    result = Page("The inverse problems", "problems --out docs", said, packages=MPM | GNS, quick=quick)
     result.text("""
         Each problem is solved by one `python -m validation.loop`. Targets of twin experiments are runs of the MPM with
         another initial jitter than the inversion's. Loss and front are those of the MPM at the answer; ± are 95 %
@@ -289,7 +269,10 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
             f"Where both ways were gone, it takes {between(with_it, '.0f')} MPM runs with a surrogate that leads, "
             f"{between(without, '.0f')} without"
         )
-        if ratios := speed_up(outcomes):
+        dear = {each.problem.name for each in outcomes if each.surrogate and each.problem.surrogate is Surrogate.AUTO}
+        asked = [each for each in outcomes if each.problem.name in dear]
+        times = both_ways(asked, lambda result: result["seconds"]["total"])
+        if ratios := [each[True] / each[False] for each in times]:
             text += f"; where a run of the MPM is dear, {between(ratios, '.0%')} of the seconds"
         sentences.append(f"{text}.")
     return sentences
@@ -303,15 +286,7 @@ def both_ways(outcomes: Sequence[Outcome], figure: Callable[[dict[str, Any]], fl
     return [each for each in ways.values() if len(each) == len((True, False))]
 
 
-def speed_up(outcomes: Sequence[Outcome]) -> list[float]:
-    """Seconds with a surrogate over those without, of the problems that ask for one where a run of the MPM is dear."""
-    dear = {each.problem.name for each in outcomes if each.surrogate and each.problem.surrogate is Surrogate.AUTO}
-    some = [each for each in outcomes if each.problem.name in dear]
-    return [each[True] / each[False] for each in both_ways(some, lambda result: result["seconds"]["total"])]
-
-
 def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:
-    """The line of a problem of numbers."""
     result = outcome.result
     front, loss = result["error_pct"].get("front"), result["loss"].get("mpm")
     return {
@@ -366,7 +341,6 @@ def error_text(outcome: Outcome) -> str:
 
 
 def field_row(outcome: Outcome, field: Mapping[str, Any]) -> Row:
-    """The line of a field."""
     result, error = outcome.result, field["error"]
 
     def number(value: float | None) -> str:

@@ -7,8 +7,8 @@ Carlo computations, Ann. Statist. 37 (2009) 697-725). Runs fill the cells of a g
 large weight: q is a cell's number of runs over its area.
 """
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,22 +38,11 @@ MORE = 3
 """Times the runs of the loop, of a second search: what its emulator does not know is part of its widths."""
 
 
-def observed(problem: Problem) -> Problem:
-    """The problem with heights at gauges as its observation."""
-    return dataclasses.replace(problem, observations=(ObservationSettings(kind="height", x=GAUGES, noise=NOISE),))
-
-
-def without_prior(problem: Problem) -> Problem:
-    """The problem with uniform priors."""
-    numbers = tuple(dataclasses.replace(each, initial=each.start, prior=None) for each in problem.parameters)
-    return dataclasses.replace(problem, parameters=numbers, correlations=())
-
-
 def compare(
     problem: Problem, keep: Path, *, cells: int = CELLS, stages: Sequence[tuple[int, float]] = STAGES
 ) -> list[dict[str, Any]]:
     """Mean and deviation of each number by both, with the uniform and the stated prior; runs stay in `keep`."""
-    asked = observed(problem)
+    asked = replace(problem, observations=(ObservationSettings(kind="height", x=GAUGES, noise=NOISE),))
     store = RunStore(keep / "mpm", simulate_many)
     target = read_target(asked, lambda scene: store([scene], record=LAST)[0])
     rng = np.random.default_rng(0)
@@ -68,8 +57,9 @@ def compare(
         points, cell = np.concatenate([points, further]), np.concatenate([cell, chosen])
     likelihood = likelihood / np.bincount(cell)[cell]
     rows, budget = [], asked.loop.budget(len(asked.numbers))
-    free, more = without_prior(asked), LoopSettings(mpm_runs=MORE * budget)
-    for each in (free, asked, dataclasses.replace(free, loop=more)):
+    uniform = tuple(replace(each, initial=each.start, prior=None) for each in asked.parameters)
+    free, more = replace(asked, parameters=uniform, correlations=()), LoopSettings(mpm_runs=MORE * budget)
+    for each in (free, asked, replace(free, loop=more)):
         runs = each.loop.budget(len(each.numbers))
         path = keep / f"{'uniform' if each.prior is None else 'stated'}-{runs}.json"
         if (known := read_json(path)) is None:
@@ -105,7 +95,6 @@ def moments(points: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def compared(problem: Problem, points: Floats, likelihood: Floats, known: dict[str, Any]) -> list[dict[str, Any]]:
-    """A row for each number."""
     prior: JointPrior | None = problem.prior
     weights = likelihood if prior is None else likelihood * np.exp(prior(points))
     effective = float(weights.sum() ** 2 / (weights**2).sum())
@@ -132,7 +121,6 @@ def compared(problem: Problem, points: Floats, likelihood: Floats, known: dict[s
 
 
 def conclusion(rows: Sequence[dict[str, Any]]) -> str:
-    """The largest differences, in a sentence."""
     parts = []
     for runs in sorted({each["runs of the emulator"] for each in rows}):
         own = [each for each in rows if each["runs of the emulator"] == runs]
@@ -143,7 +131,6 @@ def conclusion(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def section(page: Page, rows: Sequence[dict[str, Any]]) -> None:
-    """The table on the page."""
     page.section("A posterior without an emulator")
     page.text(f"""
         Friction and cohesion of a column by heights at {len(GAUGES)} gauges to {100.0 * NOISE:g} cm, mean ± deviation:

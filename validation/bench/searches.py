@@ -4,11 +4,10 @@ Of the gradients SciPy's L-BFGS-B and least squares; the paper's descent; and Op
 'talus[efficiency]'`), which uses no gradient.
 """
 
-import dataclasses
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import accumulate
 
@@ -59,8 +58,8 @@ class Evaluation:
     """Shape [U]."""
     loss: float
     seconds: float
-    slope: Vector | None = None
-    """d(loss)/d(parameters), shape [U], or along k of them, shape [k]; None for a search without gradients."""
+    slope: Vector
+    """d(loss)/d(parameters), shape [U], or along k of them, shape [k]; k = 0 for a search without gradients."""
     residual: Values | None = None
     """Prediction less target, shape [m], where the Jacobian is known."""
     jacobian: NDArray[np.float64] | None = None
@@ -72,8 +71,6 @@ Evaluate = Callable[[Vector], Evaluation]
 
 @dataclass(frozen=True, kw_only=True)
 class Descent:
-    """The paper's descent on a problem."""
-
     optimiser: Callable[..., torch.optim.Optimizer]
     rate: float
     iterations: int
@@ -128,7 +125,6 @@ class Models:
 
     @staticmethod
     def build(problem: Problem, simulator: Simulator) -> "Models":
-        """Of a problem."""
         target = read_target(problem, simulate)
         return Models(
             problem=problem,
@@ -144,12 +140,12 @@ class Models:
         if by in (By.SURROGATE, By.PAPER, By.ADJOINT):
             forward = self.adjoint if by is By.ADJOINT else self.surrogate
             return by_reverse(forward, forward.select(self.target.values), components)
-        moves = np.diag(steps_of(self.problem)) if by is By.DIFFERENCES else None
+        moves = np.diag(steps_of(self.problem)) if by is By.DIFFERENCES else np.zeros((0, len(self.problem.numbers)))
         return by_runs(self.mpm, self.mpm.select(self.target.values), components, moves)
 
     def checked(self, numbers: Vector) -> float:
         """The loss that the MPM shows at `numbers` [U], with a jitter of its own."""
-        scene = dataclasses.replace(self.problem.scene_at(numbers), seed=CHECK_SEED)
+        scene = replace(self.problem.scene_at(numbers), seed=CHECK_SEED)
         return self.target.misfit(self.target.observation.observe(simulate(scene)))
 
     @property
@@ -174,18 +170,16 @@ def by_reverse(forward: Differentiable, target: Values, components: int) -> Eval
     return evaluate
 
 
-def by_runs(forward: Forward, target: Values, components: int, moves: NDArray[np.float64] | None) -> Evaluate:
-    """Loss against `target` [m] and, with `moves` [k, U], slope and Jacobian along each by central differences."""
+def by_runs(forward: Forward, target: Values, components: int, moves: NDArray[np.float64]) -> Evaluate:
+    """Loss against `target` [m], slope and Jacobian along each of `moves` [k, U] by central differences."""
 
     def evaluate(at: Vector) -> Evaluation:
         began = time.perf_counter()
-        some = np.zeros((0, len(at))) if moves is None else moves
-        first, *rows = forward.observe([at, *(at + some), *(at - some)])
-        seconds, residual, slope, jacobian = time.perf_counter() - began, first - target, None, None
-        if moves is not None:
-            ahead, behind = np.split(np.stack(rows, axis=1), 2, axis=1)
-            jacobian = (ahead - behind) / (2.0 * np.linalg.norm(moves, axis=1))
-            slope = 2.0 * components * residual @ jacobian / len(residual)
+        first, *rows = forward.observe([at, *(at + moves), *(at - moves)])
+        seconds, residual = time.perf_counter() - began, first - target
+        ahead, behind = np.split(np.reshape(rows, (2 * len(moves), len(first))).T.copy(), 2, axis=1)
+        jacobian = (ahead - behind) / (2.0 * np.linalg.norm(moves, axis=1))
+        slope = 2.0 * components * residual @ jacobian / len(residual)
         loss = components * float(np.mean(residual**2))
         return Evaluation(
             parameters=at.copy(), loss=loss, seconds=seconds, slope=slope, residual=residual, jacobian=jacobian
@@ -213,15 +207,8 @@ def search(by: By, models: Models, limit: float) -> Searched:
     evaluate(problem.initial)
     once = evaluate(problem.initial)
     most = max(1, int(limit / once.seconds))
-    match by:
-        case By.PAPER:
-            records = descend(evaluate, problem, PAPER[problem.name], most)
-        case By.OPTUNA:
-            records = explore(evaluate, problem, most)
-        case By.DIFFERENCES:
-            records = gauss_newton(evaluate, problem, most)
-        case _:
-            records = quasi_newton(evaluate, problem, most)
+    walks = {By.PAPER: descend, By.OPTUNA: explore, By.DIFFERENCES: gauss_newton}
+    records = walks.get(by, quasi_newton)(evaluate, problem, most)
     answer = min(records, key=lambda each: each.loss).parameters
     each_runs = {By.SURROGATE: 0, By.PAPER: 0, By.DIFFERENCES: 1 + 2 * len(problem.numbers)}.get(by, 1)
     return Searched(
@@ -242,14 +229,14 @@ def quasi_newton(evaluate: Evaluate, problem: Problem, most: int) -> list[Evalua
     """
     box, start = problem.box, problem.initial
     found = [evaluate(start)]
-    steep = slope_of(found[0]) * box.range
+    steep = found[0].slope * box.range
     length = min(2.0 * found[0].loss / float(np.linalg.norm(steep)), LONGEST_FIRST_STEP)
     unit, scale = box.range * length, float(np.linalg.norm(steep)) * length
 
     def scaled(x: Vector) -> tuple[float, Vector]:
         if x.any() or len(found) > 1:
             found.append(evaluate(box.clip(start + x * unit)))
-        return found[-1].loss / scale, slope_of(found[-1]) * unit / scale
+        return found[-1].loss / scale, found[-1].slope * unit / scale
 
     bounds = list(zip((box.lower - start) / unit, (box.upper - start) / unit, strict=True))
     # One line search may pass the limit.
@@ -283,21 +270,15 @@ def gauss_newton(evaluate: Evaluate, problem: Problem, most: int) -> list[Evalua
     return found
 
 
-def slope_of(evaluation: Evaluation) -> Vector:
-    """The gradient of an evaluation that has one."""
-    assert evaluation.slope is not None, "the method uses one"
-    return evaluation.slope
-
-
-def descend(evaluate: Evaluate, problem: Problem, descent: Descent, most: int) -> list[Evaluation]:
+def descend(evaluate: Evaluate, problem: Problem, most: int) -> list[Evaluation]:
     """The paper's descent, projected onto the bounds."""
-    at, found = torch.tensor(problem.initial), list[Evaluation]()
+    at, found, descent = torch.tensor(problem.initial), list[Evaluation](), PAPER[problem.name]
     optimiser = descent.optimiser([at], lr=descent.rate)
     while len(found) < min(descent.iterations, most):
         found.append(evaluate(at.numpy().copy()))
         if found[-1].loss < descent.stop_below:
             break
-        at.grad = torch.from_numpy(slope_of(found[-1]))
+        at.grad = torch.from_numpy(found[-1].slope)
         optimiser.step()
         at.copy_(torch.from_numpy(problem.box.clip(at.numpy())))
     return found

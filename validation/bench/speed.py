@@ -21,7 +21,7 @@ from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE
 from validation.bench import large
-from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, spread, turns
+from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
 from validation.report.page import GNS, MPM, Page, Row, between
 from validation.report.plots import BLUE, ORANGE, figure
 
@@ -86,7 +86,6 @@ class Price:
 
     @property
     def ratio(self) -> float:
-        """Runs per gradient."""
         return self.gradient / self.run
 
 
@@ -211,7 +210,7 @@ def network_rows(*, rounds: int, sizes: int) -> list[dict[str, str]]:
 
             forward()
             backward()
-            own, both = (spread(seconds_of(work) for _ in range(rounds)) for work in (forward, backward))
+            own, both = (Spread([seconds_of(work) for _ in range(rounds)]) for work in (forward, backward))
             rows.append(
                 {
                     "model": f"`{path.stem}`",
@@ -228,14 +227,12 @@ def network_rows(*, rounds: int, sizes: int) -> list[dict[str, str]]:
 def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     """Measure rates over sizes, the price of a gradient, a step of the network, a large terrain; needs a quiet machine.
 
+    KEEP has the stages of the large terrain; other times are of one command.
+
     Parameters
     ----------
-    out
-        Folder for speed.md and its picture.
     quick
         A single frame of two small cases, one small gradient, a coarse terrain.
-    keep
-        Where the stages of the large terrain stay; other times are of one command.
     rounds
         How often everything is measured, in turn; the tables give the median and the range.
     """
@@ -246,13 +243,12 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in cases for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
-    rates = {key: spread(found) for key, found in timed.items()}
+    rates = {key: Spread(found) for key, found in timed.items()}
     prices = [isolated(price, enlarged(*each), rounds) for each in (((0.5, 0.1),) if quick else SCALES)]
     networks = network_rows(rounds=rounds, sizes=1 if quick else 3)
     terrain = large.measured(keep, quick=quick)
     draw(out / "speed.png", rates, prices)
-    command = f"python -m validation.bench speed --rounds {rounds}"
-    return page(rates, prices, networks, terrain, command=command, quick=quick).write(out / "speed.md")
+    return page(rates, prices, networks, terrain, rounds=rounds, quick=quick).write(out / "speed.md")
 
 
 def page(
@@ -261,12 +257,11 @@ def page(
     networks: Sequence[Mapping[str, str]],
     terrain: Mapping[str, large.Found],
     *,
-    command: str,
-    quick: bool = False,
+    rounds: int,
+    quick: bool,
 ) -> Page:
-    """The page, from what was measured."""
     said = [*conclusion(rates, prices, networks), large.sentence(terrain)]
-    text = Page("Speed", command=command, conclusion=said, packages=MPM | GNS, quick=quick)
+    text = Page("Speed", f"speed --rounds {rounds}", said, packages=MPM | GNS, quick=quick)
     text.picture("speed.png", "rate of the MPM over particles; a run and its gradient")
     text.section("Million particle-steps a second of the MPM")
     text.text(f"""
@@ -309,22 +304,20 @@ def page(
 
 def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping[str, str]]) -> list[str]:
     """Rates by dimension, the price of a gradient, the network's step."""
-    found = []
-    for dimension in dict.fromkeys(case.dimension for case, _ in rates):
-        best = best_rates(rates, dimension)
-        found.append(
-            f"In {dimension}D the MPM makes {between(best.values(), '.0f')} million particle-steps a second, at"
-            f" {between(best, ',')} particles."
-        )
+    best = {dimension: best_rates(rates, dimension) for dimension in dict.fromkeys(case.dimension for case, _ in rates)}
     large = max(prices, key=lambda each: each.memory)
     runs = between([each.ratio for each in prices], ".1f")
-    found.append(
-        f"A gradient by the adjoint takes {runs} runs, for any number of unknowns, and at most"
-        f" {large.memory / 2**20:.0f} MiB ({large.particles:,} particles, {large.steps:,} steps)."
-    )
     steps = between([float(each["µs per node"]) for each in networks], ".0f")
-    found.append(f"A step of the shipped networks takes {steps} µs for each node with its gradient, on one thread.")
-    return found
+    return [
+        *(
+            f"In {dimension}D the MPM makes {between(own.values(), '.0f')} million particle-steps a second, at"
+            f" {between(own, ',')} particles."
+            for dimension, own in best.items()
+        ),
+        f"A gradient by the adjoint takes {runs} runs, for any number of unknowns, and at most"
+        f" {large.memory / 2**20:.0f} MiB ({large.particles:,} particles, {large.steps:,} steps).",
+        f"A step of the shipped networks takes {steps} µs for each node with its gradient, on one thread.",
+    ]
 
 
 def best_rates(rates: Rates, dimension: int) -> dict[int, float]:

@@ -3,9 +3,8 @@
 minimise c . d    subject to    P(y(d, u, e) < L) >= p,    u ~ prior or posterior, e the jitter of the particles
 """
 
-import dataclasses
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -61,7 +60,7 @@ class Uncertain(Variable):
     @property
     def parameter(self) -> Parameter:
         """The same of an inversion."""
-        return dataclasses.replace(super().parameter, prior=self.prior)
+        return replace(super().parameter, prior=self.prior)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +78,6 @@ class Limit(Record):
 
     @property
     def force(self) -> bool:
-        """Whether it is one."""
         return self.quantity == "impact_force"
 
     @property
@@ -95,7 +93,7 @@ class Limit(Record):
         peaks = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
         largest = max(peaks[name] for name in ([self.solid] if self.solid else solid_names(flow.scene)))
         last: dict[str, Any] = {name: getattr(flow, name)[-1:] for name in ("positions", "time", "solid_impulse")}
-        return dataclasses.replace(flow, **last, summary=flow.summary | {self.quantity: largest})
+        return replace(flow, **last, summary=flow.summary | {self.quantity: largest})
 
     def scatter(self, scene: Scene) -> float:
         """Expected standard deviation from flow to flow before repeated runs show it."""
@@ -188,7 +186,6 @@ class DesignProblem(_Keys):
 
     @cached_property
     def kinds(self) -> list[Kind]:
-        """What they are."""
         return [each.parameter.kind for each in self.numbers]
 
     @cached_property
@@ -255,7 +252,7 @@ class DesignProblem(_Keys):
 
     def scene_at(self, values: Row, seed: int) -> Scene:
         """The scene with all numbers [K + Q] and a jitter seed."""
-        return dataclasses.replace(with_kinds(self.scene, self.kinds, values), seed=seed)
+        return replace(with_kinds(self.scene, self.kinds, values), seed=seed)
 
 
 def read_design(name: str | Path) -> DesignProblem:
@@ -263,7 +260,7 @@ def read_design(name: str | Path) -> DesignProblem:
     path = find(str(name), DESIGNS, "design problem")
     with naming(path):
         file = from_mapping(_File, read_toml(path))
-        own = {each.name: getattr(file, each.name) for each in dataclasses.fields(file)}
+        own = {each.name: getattr(file, each.name) for each in fields(file)}
         if (posterior := own.pop("posterior")) is not None:
             own["samples"], learned = read_posterior(path.parent / posterior)
             own["uncertain"] += learned

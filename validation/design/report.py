@@ -16,7 +16,6 @@ STATIONS = 25
 
 
 def save(found: Design, folder: Path) -> None:
-    """Write the files of a design."""
     write_json(folder / "design.json", record(found))
     draw(found, folder / "design.png")
     write_text(folder / "report.md", report(found))

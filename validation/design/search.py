@@ -22,10 +22,9 @@ Biometrika 26 (1934) 404-413), rather too wide than too narrow for draws that fi
 (Hoeffding, On the distribution of the number of successes in independent trials, Ann. Math. Stat. 27 (1956) 713-721).
 """
 
-import dataclasses
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -182,7 +181,7 @@ class Search:
     def with_runs(self, points: Matrix, responses: Row, *, spent: int = 0) -> "Search":
         """With runs at points [n, K + Q] that responded so; spent: how many are part of the budget."""
         points, responses = np.vstack([self.points, points]), np.concatenate([self.responses, responses])
-        return dataclasses.replace(self, points=points, responses=responses, spent=self.spent + spent)
+        return replace(self, points=points, responses=responses, spent=self.spent + spent)
 
     def searched(self) -> "Search":
         """With waves of runs until two in a row decide little and change little, or the budget is spent."""

@@ -1,7 +1,7 @@
 """A robust design by the MPM, from a problem to the files of its result."""
 
-import dataclasses
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +58,7 @@ def find_design(
         remarks = [lines[0] for lines in mpm.remarks[-asked.budget.checks :] if lines]
         # On deposits, which a force does not depend on.
         if remarks and not asked.limit.force:
-            found = dataclasses.replace(found, remark=f"of {len(remarks)} flows of the check, such as: {remarks[0]}")
+            found = replace(found, remark=f"of {len(remarks)} flows of the check, such as: {remarks[0]}")
         if out is not None:
             save(found, folder)
     return found

@@ -4,17 +4,16 @@ Every number was read in a source, or worked out from such numbers; `status` say
 is listed with the choice made for it.
 """
 
-import dataclasses
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, require
+from datasets.errors import naming, require
 from datasets.library import read_scene
 from datasets.measures import Positions, front, height_profile, profile_stations
 from datasets.particles import particle_volumes
@@ -149,14 +148,14 @@ class Measured(Record):
 
     def __post_init__(self) -> None:
         require(self.spread > 0.0, "spread", "a positive length in m", f"{self.spread:g}")
-        if self.quantity is Quantity.HEIGHT and self.within is None:
-            raise InputError("expected a value, a height needs one", key="within")
-        if self.quantity is Quantity.PROFILE and not len(self.x) == len(self.heights) > 1:
-            raise InputError(f"expected as many heights as x, {len(self.x)}, and two or more", key="heights")
-        if self.quantity is Quantity.RADII and not len(self.times) == len(self.radii) > 1:
-            raise InputError(f"expected as many radii as times, {len(self.times)}, and two or more", key="radii")
-        if any(later <= earlier for earlier, later in itertools.pairwise(self.x)):
-            raise InputError("expected lengths that ascend", key="x")
+        missing = self.quantity is Quantity.HEIGHT and self.within is None
+        require(not missing, "within", "a value, a height needs one", "none")
+        for kind, at, values in ((Quantity.PROFILE, "x", "heights"), (Quantity.RADII, "times", "radii")):
+            count, known = len(getattr(self, at)), len(getattr(self, values))
+            ok = self.quantity is not kind or count == known > 1
+            require(ok, values, f"as many {values} as {at}, {count}, and two or more", known)
+        ascending = all(earlier < later for earlier, later in itertools.pairwise(self.x))
+        require(ascending, "x", "lengths that ascend", list(self.x))
         require(not self.single or self.value > 0.0, "value", "a positive length in m", f"{self.value:g}")
 
 
@@ -173,8 +172,8 @@ class MeasuredScene(Record):
     """The first one is a front or a radius: an angle is inferred from it."""
 
     def __post_init__(self) -> None:
-        if not self.measured or self.measured[0].quantity not in (Quantity.FRONT, Quantity.RADIUS):
-            raise InputError("expected a front or a radius first", key="measured")
+        extent = bool(self.measured) and self.extent.quantity in (Quantity.FRONT, Quantity.RADIUS)
+        require(extent, "measured", "a front or a radius first", "another")
 
     @property
     def extent(self) -> Measured:
@@ -235,26 +234,24 @@ class Shipped:
     def scene(self, file: str, cell: float, reading: Reading) -> Scene:
         """The scene of `file` on another cell [m], of grains of the friction of `reading`."""
         scene = read_scene(str(self.folder / file))
-        material = dataclasses.replace(scene.material, friction_deg=reading.deg, angle=reading.angle)
+        material = replace(scene.material, friction_deg=reading.deg, angle=reading.angle)
         if reading.rate and (grains := self.experiment.grains) is not None:
             limit = math.tan(math.radians(reading.deg)) + grains.friction_growth
-            material = dataclasses.replace(
+            material = replace(
                 material,
                 friction_limit_deg=math.degrees(math.atan(limit)),
                 inertial_number=grains.inertial_number,
                 grain_diameter=grains.grain_diameter,
                 grain_density=grains.grain_density,
             )
-        return dataclasses.replace(scene, domain=Domain(size=scene.domain.size, cell=cell), material=material)
+        return replace(scene, domain=Domain(size=scene.domain.size, cell=cell), material=material)
 
 
 def read_experiment(folder: Path) -> Shipped:
     """Read `folder`/experiment.toml. Raises InputError, which names the file and the key."""
     path = folder / "experiment.toml"
-    try:
+    with naming(path):
         return Shipped(name=folder.name, folder=folder, experiment=from_mapping(Experiment, read_toml(path)))
-    except InputError as error:
-        raise error if error.where else error.at(str(path)) from None
 
 
 def read_experiments(folder: Path = FOLDER) -> list[Shipped]:
@@ -271,13 +268,14 @@ def quantity(measured: Measured, flow: Trajectory) -> float:
         computed = np.interp(measured.times, flow.time, [radius(each, flow.volumes) for each in flow.positions])
         return float(np.sqrt(np.mean((computed - measured.radii) ** 2)))
     if measured.quantity is Quantity.HEIGHT:
-        assert measured.within is not None, "a measured height has been checked"
-        return surface_at_wall(scene, positions, measured.within)
+        strip = positions[positions[:, 0] < measured.within, 1].astype(np.float64)
+        return float(np.quantile(strip, SURFACE_QUANTILE)) + 0.5 * scene.particle_spacing
+    stations = profile_stations(scene, STATION * scene.domain.cell)
     if measured.quantity is Quantity.PROFILE:
-        return profile_difference(np.array(measured.x), np.array(measured.heights), scene, positions)
+        computed = np.interp(measured.x, stations, mean_profile(scene, positions, stations))
+        return float(np.sqrt(np.mean((computed - measured.heights) ** 2)))
     if measured.thicker_than is None:
         return front(positions, flow.volumes)
-    stations = profile_stations(scene, STATION * scene.domain.cell)
     return edge(stations, mean_profile(scene, positions, stations, measured.beside_walls), measured.thicker_than)
 
 
@@ -315,17 +313,3 @@ def edge(stations: Floats, heights: Floats, thickness: float) -> float:
         return float(stations[top])
     share = (heights[right - 1] - thickness) / (heights[right - 1] - heights[right])
     return float(stations[right - 1] + share * (stations[right] - stations[right - 1]))
-
-
-def surface_at_wall(scene: Scene, positions: Positions, within: float) -> float:
-    """Height of the deposit's surface [m] over the strip x < `within` [m]."""
-    strip = positions[positions[:, 0] < within, 1].astype(np.float64)
-    half = 0.5 * scene.particle_spacing
-    return float(np.quantile(strip, SURFACE_QUANTILE)) + half
-
-
-def profile_difference(x: Floats, heights: Floats, scene: Scene, positions: Positions) -> float:
-    """Root mean square difference [m] of the deposit's heights from measured `heights` at `x` [m], shape [R] each."""
-    stations = profile_stations(scene, STATION * scene.domain.cell)
-    computed = np.interp(x, stations, mean_profile(scene, positions, stations))
-    return float(np.sqrt(np.mean((computed - heights) ** 2)))

@@ -48,8 +48,8 @@ def main(
         instead: the runs of a wave side by side.
     """
     # Imported here: torch takes seconds to load, and help has no use for it.
-    import dataclasses
     from contextlib import nullcontext
+    from dataclasses import replace
 
     from datasets.processes import processors
     from inverse.problem import read_problem
@@ -61,7 +61,7 @@ def main(
 
     asked = read_problem(problem)
     if surrogate is not None:
-        asked = dataclasses.replace(asked, surrogate=surrogate)
+        asked = replace(asked, surrogate=surrogate)
     if not asked.fields:
         print(estimate(asked, model, out), flush=True)
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:

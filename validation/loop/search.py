@@ -5,8 +5,7 @@ all runs around the posterior so far, its posterior, and runs where the emulator
 (`inverse.posterior`). A wave costs seconds, so that none is too many.
 """
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -81,11 +80,11 @@ class Search:
     def ran(self, points: Matrix, purpose: Purpose) -> "Search":
         """With runs at points [S, U] of the unit box, as far as the budget goes."""
         more = self.task.run(points[: self.left], len(self.runs), purpose)
-        return dataclasses.replace(self, runs=(*self.runs, *more))
+        return replace(self, runs=(*self.runs, *more))
 
     def inferred(self, region: Region | None = None, **changes: Any) -> "Search":
         """With the posterior by all runs so far; region: that of the runs that count, in place of `region`."""
-        state = dataclasses.replace(self, **changes)
+        state = replace(self, **changes)
         points, numbers = state.points, state.numbers
         guide, many = state.guide, points.shape[1] > CONSTANTS.few_parameters
         found = posterior(
@@ -110,7 +109,7 @@ class Search:
             "emulator_share": found.emulator_share,
             "with_surrogate": found.emulator.trend is not linear,
         }
-        return dataclasses.replace(state, found=found, waves=(*state.waves, wave))
+        return replace(state, found=found, waves=(*state.waves, wave))
 
     def region(self, points: Matrix) -> Region | None:
         """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there."""
@@ -154,7 +153,7 @@ class Search:
         if not self.task.problem.target.minimise:
             return self.task.target
         expected = self.numbers if self.found is None else self.found.expected(self.points)
-        return dataclasses.replace(self.task.target, values=expected.min(axis=0))
+        return replace(self.task.target, values=expected.min(axis=0))
 
     @property
     def at_edge(self) -> bool:
@@ -176,7 +175,7 @@ class Search:
     def wider(self) -> "Search":
         """With the surrogate's region twice as wide."""
         assert self.guide is not None, "only its region has an edge"
-        return self.inferred(guide=dataclasses.replace(self.guide, factor=2.0 * self.guide.factor))
+        return self.inferred(guide=replace(self.guide, factor=2.0 * self.guide.factor))
 
 
 def first(task: Task, runs: tuple[MpmRun, ...] = (), known: tuple[MpmRun, ...] = ()) -> Search:

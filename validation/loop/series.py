@@ -6,13 +6,13 @@ checks. Each deposit's own runs have jitter seeds of their own.
 """
 
 import csv
-import dataclasses
 import io
 import itertools
 import json
 import sys
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import numpy as np
 from tabulate import tabulate
 
 from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.files import make_folder, write_json, write_text
 from datasets.trajectory import SUFFIXES, Trajectory
 from inverse.forward import Simulate
@@ -81,32 +81,26 @@ def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
             raise InputError(f"expected a name of its own, it is that of {path.name}", where=str(other))
     found = {}
     for path in files:
-        try:
+        with naming(path):
             found[path.stem] = each = of_deposit(problem, path)
             # Nothing is simulated: a deposit is a file.
             read_target(each, simulate)
-        except InputError as error:
-            raise error if str(path) in error.where else error.at(str(path)) from None
     return found
 
 
 def of_deposit(problem: Problem, path: Path) -> Problem:
     """The problem with the deposit in a file as its target, and jitter seeds of its own."""
     target, observations = TargetSettings(trajectory=str(path.absolute())), problem.observations
-    unmeasured = [dataclasses.replace(each, value=None, values=None, csv=None) for each in observations]
+    unmeasured = [replace(each, value=None, values=None, csv=None) for each in observations]
     if path.suffix == ".csv":
         if len(observations) > 1 or "csv" not in KINDS[observations[0].kind].sources:
             message = f"expected a trajectory: the problem observes {', '.join(each.kind for each in observations)}"
             raise InputError(message)
         target = TargetSettings()
-        unmeasured = [dataclasses.replace(unmeasured[0], csv=str(path.absolute()))]
+        unmeasured = [replace(unmeasured[0], csv=str(path.absolute()))]
     seed = int(np.random.SeedSequence([problem.scene.seed, zlib.crc32(path.stem.encode())]).generate_state(1)[0])
-    return dataclasses.replace(
-        problem,
-        name=path.stem,
-        scene=dataclasses.replace(problem.scene, seed=seed),
-        observations=tuple(unmeasured),
-        target=target,
+    return replace(
+        problem, name=path.stem, scene=replace(problem.scene, seed=seed), observations=tuple(unmeasured), target=target
     )
 
 

@@ -1,11 +1,11 @@
 """The loop: runs of the MPM narrow the posterior over the whole box, confirm its answers, and give the verdict."""
 
-import dataclasses
 import math
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,22 +62,19 @@ def solve(
     stands, WorkFailed where a run of the MPM blows up or another process writes into `out`.
     """
     asked = read_problem(problem) if isinstance(problem, str) else problem
-    if out is None:
-        with tempfile.TemporaryDirectory() as folder:
-            return _solve(asked, Path(folder), model, simulate, known)
-    with locked(Path(out)):
-        result = _solve(asked, Path(out), model, simulate, known)
-        result.save(out)
+    with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
+        result = _solve(asked, folder / RUNS, model, simulate, known)
+        if out is not None:
+            result.save(out)
     return result
 
 
-def _solve(asked: Problem, out: Path, model: Path | None, simulate: Simulate, known: Sequence[Known]) -> Result:
+def _solve(asked: Problem, folder: Path, model: Path | None, simulate: Simulate, known: Sequence[Known]) -> Result:
     if asked.fields:
         # By the MPM itself, with its word: it has an adjoint, and fields are too many for an emulator.
         from inverse.inversion import invert
 
         return invert(asked)
-    folder = out / RUNS
     recorded = ALL if any(each.observation.over_time for each in read_each(asked)) else LAST
     target = read_target(asked, lambda scene: RunStore(folder, simulate, label=TWIN)([scene], record=recorded)[0])
     made = [] if model is None or target.observation.over_time else adapted_runs(model, asked)
@@ -109,7 +106,7 @@ def run(
         outcome = concluded(searched(first(task, known=before)))
     elif not outcome.verdict.confirms:
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
-        tried = tuple(dataclasses.replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
+        tried = tuple(replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
         outcome = nearer(outcome.state, concluded(searched(first(task, tried, before))))
     state, answer = outcome.state, outcome.answers[0]
     runs = (*state.runs, *state.cells)

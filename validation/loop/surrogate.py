@@ -5,10 +5,10 @@ No run is made beyond the surrogate's region unless the MPM contradicts: where i
 the region is so much wider, and twice as wide wherever the posterior comes to its edge.
 """
 
-import dataclasses
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -65,7 +65,7 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | Non
     if problem.target.minimise:
         return None, "a design is looked for by the MPM alone"
     if requested is Surrogate.COARSE:
-        problem = dataclasses.replace(problem, scene=task.on_cells(problem.scene, 2.0))
+        problem = replace(problem, scene=task.on_cells(problem.scene, 2.0))
         store = RunStore(task.folder, task.simulate, label="coarse-")
         # Off by about a cell of the scene, four times the scatter of its flows.
         coarse = MpmForward(problem, task.target.observation, store, band=4.0 * task.scatter)
@@ -107,7 +107,7 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forwa
         return None, f"it does not predict {observation.label}"
     weights = model_path(model or shipped(problem.scene.dimension))
     # Of another jitter its flow is none that the MPM runs, and the same for every target.
-    problem = dataclasses.replace(problem, scene=dataclasses.replace(problem.scene, seed=JITTER))
+    problem = replace(problem, scene=replace(problem.scene, seed=JITTER))
     stamp = weights.stat().st_mtime_ns if weights.exists() else 0
     simulator, flows = loaded(weights, stamp, problem.scene, tuple(problem.names))
     scene = problem.scene_at(problem.initial)
@@ -146,7 +146,7 @@ def guided(task: Task, found: Inversion, known: tuple[MpmRun, ...] = ()) -> tupl
         state = state.ran(np.repeat(answers, CONSTANTS.first_checks, axis=0), Purpose.CHECK)
         found = found.compared(state.points, state.numbers)
         state = state.ran(found.around(size, task.generator(0)), Purpose.WAVE)
-    state = dataclasses.replace(state, guide=found).inferred()
+    state = replace(state, guide=found).inferred()
     while True:
         while state.at_edge:
             state = state.wider()

@@ -1,9 +1,8 @@
 """From the posterior to its answers, each checked by runs of the MPM there, and the verdict on them."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -71,7 +70,7 @@ def nearer(led: Search, whole: Outcome) -> Outcome:
 
     By all runs of both. What is excluded over the whole box remains excluded.
     """
-    outcome = judged(dataclasses.replace(led, runs=(*led.runs, *whole.state.runs[len(led.runs) :])).inferred())
+    outcome = judged(replace(led, runs=(*led.runs, *whole.state.runs[len(led.runs) :])).inferred())
     ratios = [math.inf if each.answers[0].fit is None else each.answers[0].fit.ratio for each in (outcome, whole)]
     return outcome if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
 
@@ -168,7 +167,7 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
         return ()
     try:
         scene = task.on_cells(scene, OTHER_CELLS[scene.dimension])
-        scenes = [dataclasses.replace(scene, seed=each.trajectory.scene.seed) for each in answer.checks]
+        scenes = [replace(scene, seed=each.trajectory.scene.seed) for each in answer.checks]
     except InputError:
         return ()
     return task.compared([answer.parameters] * len(scenes), scenes, Purpose.CELLS)

@@ -5,7 +5,7 @@ import gc
 import re
 import statistics
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -26,25 +26,20 @@ RESET_PEAK = "5"
 """Written into CLEAR, it begins the record of the peak anew."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Spread:
-    """Minimum, median and maximum of some measurements."""
+    """Of at least one measurement."""
 
-    minimum: float
-    median: float
-    maximum: float
+    values: Sequence[float]
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.values)
 
     def written(self, digits: int) -> str:
         """The median, and the range where there is one."""
-        middle = f"{self.median:.{digits}f}"
-        low, high = f"{self.minimum:.{digits}f}", f"{self.maximum:.{digits}f}"
+        low, middle, high = (f"{each:.{digits}f}" for each in (min(self.values), self.median, max(self.values)))
         return middle if low == high else f"{middle} ({low}-{high})"
-
-
-def spread(values: Iterable[float]) -> Spread:
-    """The spread of at least one value."""
-    values = list(values)
-    return Spread(minimum=min(values), median=statistics.median(values), maximum=max(values))
 
 
 def seconds_of(action: Callable[[], object]) -> float:

@@ -40,6 +40,11 @@ def between(values: Collection[float], form: str) -> str:
     return low if low == high else f"{low} to {high}"
 
 
+def emphasised(text: str, ok: bool) -> str:
+    """Bold where it is not."""
+    return text if ok else f"**{text}**"
+
+
 def rms(values: Collection[float]) -> float:
     """Root mean square; nan of none."""
     return math.sqrt(sum(value**2 for value in values) / len(values)) if values else math.nan
@@ -52,15 +57,9 @@ class Page:
     """
 
     def __init__(
-        self,
-        title: str,
-        *,
-        command: str,
-        conclusion: Sequence[str],
-        packages: Mapping[str, str] = MPM,
-        quick: bool = False,
+        self, title: str, bench: str, conclusion: Sequence[str], *, packages: Mapping[str, str] = MPM, quick: bool
     ) -> None:
-        """command: what measured the page, today and here. packages: those whose version matters.
+        """bench: name and flags of what measured the page, today and here. packages: those whose version matters.
 
         quick: the figures are of coarse cells or few runs, and the page says so.
         """
@@ -68,12 +67,11 @@ class Page:
             raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
         self.conclusion = "\n".join(f"- {sentence}" for sentence in conclusion)
         self._parts = [f"# {title}", self.conclusion]
-        self.text(f"`{command}`, {date.today().isoformat()}, on {machine(packages)}.")
+        self.text(f"`python -m validation.bench {bench}`, {date.today().isoformat()}, on {machine(packages)}.")
         if quick:
             self.text("**Measured with `--quick`: the figures show that the command works, and little else.**")
 
     def section(self, title: str, *, level: int = 2) -> None:
-        """Begin a section."""
         self._parts.append(f"{'#' * level} {title}")
 
     def text(self, text: str) -> None:

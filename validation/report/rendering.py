@@ -61,10 +61,8 @@ class Picture:
         marks = _marks(0.0, float(np.max(upper - lower)), 10)
         self.step = float(marks[1] - marks[0])
         """Distance between two numbers of a scale [m]."""
-        self.lower, self.upper = (
-            self.step * np.floor(lower / self.step + 1e-6),
-            self.step * np.ceil(upper / self.step - 1e-6),
-        )
+        self.lower = self.step * np.floor(lower / self.step + 1e-6)
+        self.upper = self.step * np.ceil(upper / self.step - 1e-6)
         eye = np.array(EYE[trajectory.scene.dimension]) / np.linalg.norm(EYE[trajectory.scene.dimension])
         right = np.cross((0.0, 1.0, 0.0), eye) / np.linalg.norm(np.cross((0.0, 1.0, 0.0), eye))
         corners = np.array([*product(*zip(self.lower, self.upper, strict=True))])
@@ -253,14 +251,12 @@ def write_picture(path: Path, trajectory: Trajectory, colour: Colour, frame: int
         imsave(part, image)
 
 
-def write_movie(
-    path: Path, trajectory: Trajectory, colour: Colour, frames: Sequence[int], *, rate: int, progress: bool = False
-) -> None:
+def write_movie(path: Path, trajectory: Trajectory, colour: Colour, frames: Sequence[int], *, rate: int) -> None:
     """Draw `frames` into an MP4 of `rate` frames a second. Raises InputError and WorkFailed."""
     with Picture(trajectory, colour) as picture, replacing(path) as part, av.open(str(part), "w") as file:
         stream = file.add_stream("libx264", rate=rate)
         stream.width, stream.height = picture.plotter.window_size
         stream.pix_fmt = "yuv420p"
-        for frame in tqdm(frames, desc="movie", unit="frame", disable=not progress):
+        for frame in tqdm(frames, desc="movie", unit="frame"):
             file.mux(stream.encode(av.VideoFrame.from_ndarray(picture.at(frame), format="rgb24")))
         file.mux(stream.encode())

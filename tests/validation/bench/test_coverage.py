@@ -1,6 +1,6 @@
 """`python -m validation.bench coverage`: twins are solved once, counted right, and uneven ranks are named."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -43,7 +43,7 @@ def test_where_a_twin_has_its_truth(mpm: FakeMpm) -> None:
     made = len(mpm.scenes)
     assert made > 5
     again = solve_twin(FAMILY, 0)
-    assert dataclasses.replace(again, seconds=found.seconds) == found
+    assert replace(again, seconds=found.seconds) == found
     assert len(mpm.scenes) == 2 * made
 
 
@@ -60,7 +60,7 @@ def test_even_ranks_pass_and_uneven_ones_are_named() -> None:
     assert max(uniformity(narrow), ranks(narrow)) < 1e-4
     assert row(FAMILY, even)["in the 95% region"] == "95%"
     other = Family(title="Too narrow", problem="wedge")
-    text = page({FAMILY: even, other: narrow}, quick=False).conclusion
+    text = page({FAMILY: even, other: narrow}, [], flags="", quick=False).conclusion
     assert "outside of 30% to 70%: Too narrow." in text
     assert "Ranks are not uniform (p below 0.01) for Too narrow." in text
 
@@ -68,8 +68,8 @@ def test_even_ranks_pass_and_uneven_ones_are_named() -> None:
 def test_a_posterior_by_runs_alone_is_that_of_their_likelihood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A Gaussian likelihood over the unit square, and a normal prior of the first number that is as wide."""
     centre, width, asked = np.array([0.5, 0.6]), 0.1, stated(coverage.FAMILIES["prior-correlated"])
-    friction = dataclasses.replace(asked.parameters[0], prior=Prior(kind="normal", mean=30.5, deviation=2.9))
-    asked = dataclasses.replace(asked, parameters=(friction, *asked.parameters[1:]), correlations=())
+    friction = replace(asked.parameters[0], prior=Prior(kind="normal", mean=30.5, deviation=2.9))
+    asked = replace(asked, parameters=(friction, *asked.parameters[1:]), correlations=())
 
     def answered(problem: Problem, out: Path) -> Any:
         deviations = np.array([width if problem.prior is None else width / 2**0.5, width])
@@ -89,7 +89,7 @@ def test_a_posterior_by_runs_alone_is_that_of_their_likelihood(tmp_path: Path, m
         assert each["difference of means over the width"] == pytest.approx(0.0, abs=0.2)
     again = reference.compare(asked, tmp_path)
     assert again == rows
-    text = page({FAMILY: [twin(0.3, 0.4)]}, rows, quick=False)
+    text = page({FAMILY: [twin(0.3, 0.4)]}, rows, flags="", quick=False)
     assert "by 192 runs means differ" in text.conclusion
     assert "A posterior without an emulator" in str(text)
 

@@ -1,7 +1,7 @@
 """`python -m validation.bench efficiency`: cuts of one column, gradients, searches, a page whose words are numbers."""
 
-import dataclasses
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,6 @@ import pytest
 
 from inverse.parameters import Vector
 from inverse.problem import read_problem
-from validation.bench import efficiency, searches
-from validation.bench.__main__ import main
 from validation.bench.efficiency import Compared, Gradient, Method, draw_gradients, draw_searches, page
 from validation.bench.searches import PAPER, By, Evaluation, Searched, by_runs, descend, explore
 from validation.report import plots
@@ -46,12 +44,16 @@ def test_differences_of_some_columns_are_those_of_the_whole_gradient() -> None:
 
 def test_the_paper_s_descent_is_a_step_of_its_rate_within_the_bounds() -> None:
     problem = read_problem("friction-tall-42")
-    slow = dataclasses.replace(PAPER[problem.name], rate=0.1, stop_below=0.0)
-    found = descend(evaluation, problem, slow, 3)
-    assert [float(each.parameters[0]) for each in found] == pytest.approx([30.0, 31.0, 31.8])
-    far = dataclasses.replace(slow, rate=1e3)
-    assert descend(evaluation, problem, far, 2)[1].parameters[0] == problem.box.upper[0]
-    assert len(descend(evaluation, problem, dataclasses.replace(slow, stop_below=1e3), 3)) == 1
+
+    def descended(**changes: float) -> list[float]:
+        slow = replace(PAPER[problem.name], **{"rate": 0.1, "stop_below": 0.0} | changes)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(PAPER, problem.name, slow)
+            return [float(each.parameters[0]) for each in descend(evaluation, problem, 3)]
+
+    assert descended() == pytest.approx([30.0, 31.0, 31.8])
+    assert descended(rate=1e3)[1] == problem.box.upper[0]
+    assert len(descended(stop_below=1e3)) == 1
 
 
 def test_optuna_begins_at_the_start_and_finds_the_minimum() -> None:
@@ -94,11 +96,3 @@ def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypa
     draw_gradients(tmp_path / "gradients.png", gradients)
     draw_searches(tmp_path / "searches.png", compared)
     assert len(list(tmp_path.glob("*.png"))) == 2
-
-
-@pytest.mark.slow
-def test_gradients_of_a_short_flow_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(searches, "PAPER", {})
-    monkeypatch.setattr(efficiency, "JITTERS", 2)
-    assert main(["efficiency", "--quick", "--out", str(tmp_path)]) == 0
-    assert "adjoint" in (tmp_path / "efficiency.md").read_text()

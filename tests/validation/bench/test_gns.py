@@ -1,7 +1,7 @@
 """`python -m validation.bench gns`: errors of known deposits, a page whose words are its numbers, the quick command."""
 
-import dataclasses
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ from datasets.scene import Baffle, Mass, Scene
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from tests.scenes import scene_of
-from validation.bench.__main__ import main
 from validation.bench.gns import Compared, Model, draw, mpm_seconds, page
 from validation.bench.held_out import Measured, at_wall, deposit_of, depths
 from validation.report import plots
@@ -44,7 +43,7 @@ def test_errors_of_deposits_of_known_length() -> None:
 
 
 def test_the_depth_before_a_baffle() -> None:
-    scene = dataclasses.replace(BLOCK, baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),))
+    scene = replace(BLOCK, baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),))
     flow, short = (stretched(scene, by) for by in (1.0, 0.4))
     assert depths(scene, flow.positions[0], flow.volumes) == pytest.approx([0.2], rel=0.01)
     assert Measured.of_flow(flow, deposit_of(flow)).depth == 0.0
@@ -69,7 +68,7 @@ def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Mod
         warned=False,
         jittered=measured(2.0, 0.005),
     )
-    second = dataclasses.replace(first, free=False, rollout=measured(0.5, 0.04), band=None, warned=True)
+    second = replace(first, free=False, rollout=measured(0.5, 0.04), band=None, warned=True)
     return Model(name="tiny", family="flow2d", compared=[first, second], creeps=[-0.2])
 
 
@@ -82,22 +81,17 @@ def test_the_price_of_an_error_is_read_off_the_curve() -> None:
 
 
 def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = str(page([model()], quick=False))
+    text, far, without = (
+        str(page([each], flags="", quick=False)) for each in (model(), model(resolutions=(5,)), model(bands=False))
+    )
     sentences = [line for line in text.splitlines() if line.startswith("- ")]
     assert "flow2d 4.0% on average, worst -4.0 % of 1 (the MPM, jittered anew, 0.5%), profiles 1.0%." in sentences[0]
     assert "flow2d off by 4.0% in 0.5 s, a coarse MPM takes 0.25 s for the same error." in sentences[1]
     assert "95% bands hold 1 of 1 fronts (flow2d)." in sentences[2]
     assert "warn of 1 of 2 (flow2d) of these scenes, which" in sentences[3]
     assert "creep by at most 0.2 mm/s (flow2d)." in sentences[4]
-    assert "no coarse MPM is as good" in str(page([model(resolutions=(5,))], quick=False))
-    assert "bands hold" not in str(page([model(bands=False)], quick=False))
+    assert "no coarse MPM is as good" in far
+    assert "bands hold" not in without
     monkeypatch.setattr(plots, "DPI", 30)
     draw(tmp_path / "gns.png", [model(), model()])
     assert (tmp_path / "gns.png").stat().st_size > 1000
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:masses:UserWarning")  # the MPM beside it is coarse on purpose
-def test_the_command(tmp_path: Path) -> None:
-    assert main(["gns", "--quick", "--out", str(tmp_path), "--model", "flow2d"]) == 0
-    assert "--quick" in (tmp_path / "gns.md").read_text()

@@ -1,7 +1,7 @@
 """Robust designs: exact ones of a response that is known, what the MPM says, mistakes in a line."""
 
-import dataclasses
 import json
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -109,12 +109,12 @@ def test_flows_of_a_failed_check_inform_a_second_design() -> None:
 
 def test_draws_are_those_of_the_prior() -> None:
     lognormal = Prior(kind="lognormal", mean=0.4, deviation=0.05)
-    floor = dataclasses.replace(FLOOR, lower=0.05, upper=2.0, prior=lognormal)
+    floor = replace(FLOOR, lower=0.05, upper=2.0, prior=lognormal)
     problem = problem_of(uncertain=(FRICTION, floor, Uncertain(name="wall_friction", lower=0.1, upper=0.3)))
     drawn = problem.box.lower[2:] + problem.box.range[2:] * problem.draws(4000, np.random.default_rng(0))
     np.testing.assert_allclose(drawn.mean(axis=0), [30.0, 0.4, 0.2], rtol=2e-3)
     np.testing.assert_allclose(drawn.std(axis=0), [3.0, 0.05, 0.2 / np.sqrt(12.0)], rtol=1e-2)
-    narrow = dataclasses.replace(FRICTION, lower=29.0, upper=33.0)
+    narrow = replace(FRICTION, lower=29.0, upper=33.0)
     cut = narrow.parameter.marginal.at(np.linspace(0.0, 1.0, 5))
     assert (cut[0], cut[-1]) == (29.0, 33.0)
     pair = Correlation(between=("friction_deg", "floor_friction"), coefficient=-0.6)
@@ -205,7 +205,7 @@ def test_every_key_is_on_the_page_of_formats() -> None:
     section = page.split("\n## A design problem\n")[1].split("\n## ")[0]
     problem = problem_of(budget=Budget(runs=30, checks=20))
     written = record(designed(problem, Known(problem)))
-    read = [each.name for kind in (Uncertain, Limit, Budget, problem_file) for each in dataclasses.fields(kind)]
+    read = [each.name for kind in (Uncertain, Limit, Budget, problem_file) for each in fields(kind)]
     for name in (*read, *written, *written["probability"], *written["waves"][0], *written["checks"][0]):
         assert f"`{name}`" in section or f"[{name}]" in section, name
 

@@ -23,14 +23,7 @@ def flow(*positions: NDArray[np.floating]) -> Trajectory:
 
 def number(kind: Quantity, **other: object) -> Measured:
     """A measured number of a kind."""
-    return Measured(
-        quantity=kind,
-        value=0.1,
-        spread=0.01,
-        status=Status.READ,
-        source="",
-        **other,  # type: ignore[arg-type]
-    )
+    return Measured(quantity=kind, value=0.1, spread=0.01, status=Status.READ, source="", **other)
 
 
 def test_height_of_the_surface_and_front_by_share_and_by_thickness() -> None:
@@ -59,14 +52,7 @@ def test_radius_is_about_the_vertical_axis() -> None:
 
 
 def test_profile_is_held_against_the_rows() -> None:
-    measured = Measured(
-        quantity=Quantity.PROFILE,
-        spread=0.01,
-        status=Status.READ,
-        source="",
-        x=(0.1, 0.2, 0.3, 0.6),
-        heights=(0.1, 0.12, 0.1, 0.0),
-    )
+    measured = number(Quantity.PROFILE, x=(0.1, 0.2, 0.3, 0.6), heights=(0.1, 0.12, 0.1, 0.0))
     # One row of four is 20 mm off.
     assert quantity(measured, flow(AT_START)) == pytest.approx(0.01, rel=1e-3)
 
@@ -74,4 +60,4 @@ def test_profile_is_held_against_the_rows() -> None:
 @pytest.mark.parametrize(("x", "heights"), [((0.1,), (0.1,)), ((0.1, 0.2), (0.1,)), ((0.2, 0.1), (0.1, 0.1))])
 def test_a_wrong_profile_is_refused(x: tuple[float, ...], heights: tuple[float, ...]) -> None:
     with pytest.raises(InputError):
-        Measured(quantity=Quantity.PROFILE, spread=0.01, status=Status.READ, source="", x=x, heights=heights)
+        number(Quantity.PROFILE, x=x, heights=heights)

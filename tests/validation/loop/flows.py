@@ -1,8 +1,7 @@
 """Flows by a formula in place of the MPM: what loops are tested on."""
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +66,7 @@ class FakeMpm:
         for scene in scenes:
             flow = self.run(scene)
             frames = record.kept(len(flow.time))
-            flows.append(dataclasses.replace(flow, positions=flow.positions[frames], time=flow.time[frames]))
+            flows.append(replace(flow, positions=flow.positions[frames], time=flow.time[frames]))
         return flows
 
     def run(self, scene: Scene) -> Trajectory:
@@ -219,8 +218,8 @@ class Case:
 
     def led(self, surrogate: Formula) -> "Case":
         """The same where this surrogate is asked."""
-        asked = dataclasses.replace(self.problem, surrogate=Surrogate.GNS)
-        return dataclasses.replace(self, problem=asked, surrogate=surrogate)
+        asked = replace(self.problem, surrogate=Surrogate.GNS)
+        return replace(self, problem=asked, surrogate=surrogate)
 
     def solve(self, out: Path) -> Result:
         return run(self.task(out), load=lambda *asked: (self.surrogate, "it was not trained on it"))

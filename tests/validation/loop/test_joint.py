@@ -1,7 +1,7 @@
 """The loop on joint observations."""
 
-import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +28,11 @@ JOINT = (
 
 
 def alone(problem: Problem, mpm: FakeMpm, out: Path) -> Result:
-    return solve(dataclasses.replace(problem, surrogate=Surrogate.NONE), out, simulate=mpm)
+    return solve(replace(problem, surrogate=Surrogate.NONE), out, simulate=mpm)
 
 
 def joint(case: Case, observations: tuple[ObservationSettings, ...], **changes: Any) -> Problem:
-    return dataclasses.replace(case.problem, observations=observations, **changes)
+    return replace(case.problem, observations=observations, **changes)
 
 
 def test_joint_observations_find_it_together(tmp_path: Path) -> None:
@@ -70,10 +70,10 @@ def test_a_ridge_of_answers_is_one_ambiguous_answer(tmp_path: Path) -> None:
     names = ["masses[0].friction_deg", "masses[1].friction_deg"]
     masses = tuple(Mass(lower=(0.0, 0.1 * row), size=(0.3, 0.1)) for row in range(2))
     one = wedge(tmp_path, kind="profile").problem
-    problem = dataclasses.replace(
+    problem = replace(
         one,
         name="twins",
-        scene=dataclasses.replace(one.scene, masses=masses),
+        scene=replace(one.scene, masses=masses),
         parameters=tuple(Parameter(name=name, initial=30.0, lower=12.0, upper=52.0) for name in names),
         target=TargetSettings(twin=True, seed=7, truth=dict.fromkeys(names, 25.0)),
     )

@@ -1,10 +1,10 @@
 """A measured profile of 25 rows, 3 % noise, truth 24.2 degrees, however it is written down: inverted by our MPM."""
 
-import dataclasses
 import json
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +37,7 @@ BOTH = (
 def rows() -> Rows:
     """Of a deposit that our MPM makes, its profile at 5 mm: rows that scatter by four times the stated noise."""
     scene = read_scene(str(find("column-tall-42", SCENES, "scene")))
-    (flow,) = simulate_many([dataclasses.replace(scene.with_friction_deg(TRUTH), seed=77)], record=LAST)
+    (flow,) = simulate_many([replace(scene.with_friction_deg(TRUTH), seed=77)], record=LAST)
     deposit = flow.positions[-1]
     stations = measures.profile_stations(scene, 0.005)
     heights = measures.height_profile(deposit, particle_volumes(scene, len(deposit)), stations)

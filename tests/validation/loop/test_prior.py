@@ -1,10 +1,10 @@
 """A stated prior in the loop: half-widths, files, reports; `posterior.nc` as HDF5 and in ArviZ."""
 
-import dataclasses
 import importlib.util
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -22,8 +22,8 @@ NOISE, SLOPE = 0.06, 0.0164
 def case_of(folder: Path, prior: Prior, **changes: float) -> Case:
     case = wedge(folder, truth=27.0, scatter=0.002, **changes)
     (known,) = case.problem.parameters
-    parameters = (dataclasses.replace(known, initial=None, prior=prior),)
-    return dataclasses.replace(case, problem=dataclasses.replace(case.problem, parameters=parameters))
+    parameters = (replace(known, initial=None, prior=prior),)
+    return replace(case, problem=replace(case.problem, parameters=parameters))
 
 
 def test_a_prior_counts_as_much_as_a_measurement(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """A series of deposits: each in its place, the runs of the MPM known to all, and wrong files named before any work."""
 
 import csv
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,7 @@ def mpm() -> FakeMpm:
 @pytest.fixture
 def problem(tmp_path: Path) -> Problem:
     """The friction angle of a wedge by its front, without a surrogate."""
-    return dataclasses.replace(wedge(tmp_path).problem, surrogate=Surrogate.NONE)
+    return replace(wedge(tmp_path).problem, surrogate=Surrogate.NONE)
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def targets(problem: Problem, mpm: FakeMpm, tmp_path: Path) -> Path:
 def adaptation(problem: Problem, folder: Path, *, steep: float = 0.002) -> Path:
     """A folder with the runs of an adaptation, 48 over the range of angles; steep: their scatter above 32 deg [m]."""
     for number, angle in enumerate(np.linspace(12.2, 51.8, 48)):
-        scene = dataclasses.replace(problem.scene_at(np.array([angle]), 2000 + number), frame_dt=0.02)
+        scene = replace(problem.scene_at(np.array([angle]), 2000 + number), frame_dt=0.02)
         mpm = FakeMpm(scatter=0.002 if angle < 32.0 else steep)
         mpm([scene], record=LAST)[0].save(folder / "data" / "deposits" / f"{number:04d}.npz")
     write_json(folder / PROBLEM, identity(problem))
@@ -108,7 +108,7 @@ def test_a_wrong_file_is_named_before_any_work(
 
 def test_profiles_in_csv(targets: Path, mpm: FakeMpm, tmp_path: Path) -> None:
     case = wedge(tmp_path, kind="profile", truth=24.0, noise=0.005)
-    problem = dataclasses.replace(case.problem, surrogate=Surrogate.NONE)
+    problem = replace(case.problem, surrogate=Surrogate.NONE)
     x = np.linspace(0.0, 1.2, 61)
     heights = 0.2 * np.maximum(1.0 - x / 0.6, 0.0)
     folder = tmp_path / "profiles"

@@ -1,8 +1,8 @@
 """The loop on flows whose truth is a formula: every answer, how certain each is, or that there is none."""
 
-import dataclasses
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,10 +52,7 @@ def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None
     inside = 0
     for seed in range(30):
         case = wedge(tmp_path, seed=1000 + seed, truth=14.0 + 1.2 * seed, scatter=0.002)
-        case = dataclasses.replace(
-            case,
-            problem=dataclasses.replace(case.problem, scene=dataclasses.replace(case.problem.scene, seed=5000 + seed)),
-        )
+        case = replace(case, problem=replace(case.problem, scene=replace(case.problem.scene, seed=5000 + seed)))
         inside += len(case.solve(tmp_path / str(seed)).inside)
     assert inside >= 26
 

@@ -3,10 +3,9 @@
 `--ship` measures what --tolerance reads, `mpm/resolution.toml`, on other scenes; it takes longer.
 """
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from datasets.trajectory import Trajectory
 from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
 from validation.bench.accuracy import columns
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
-from validation.report.page import Page, percent
+from validation.report.page import Page, emphasised, percent
 from validation.report.plots import BLUE, GREY, ORANGE, figure
 from validation.runs import SHARE, Run, RunStore
 
@@ -35,22 +34,11 @@ SEED = 7
 """Of what is tried: not one of those that were measured."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Study:
-    """What `mpm/resolution.toml` is measured on, in one dimension."""
-
-    cells: tuple[float, ...]
-    """Across the smallest side."""
-    checked: tuple[float, ...]
-    """Where another step, 0.4, and other particles per axis, 3, are tried too."""
-    reference: float
-    seeds: int
-
-
-STUDIES = {
-    2: Study(cells=(5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), checked=(7.0, 14.0), reference=80.0, seeds=3),
-    3: Study(cells=(4.0, 5.0, 7.0, 10.0, 14.0, 18.0), checked=(5.0,), reference=24.0, seeds=2),
-}
+SHIPPED = {2: (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), 3: (4.0, 5.0, 7.0, 10.0, 14.0, 18.0)}
+"""Cells across the smallest side with which `mpm/resolution.toml` is measured, by dimension, as all that follow."""
+CHECKED = {2: (7.0, 14.0), 3: (5.0,)}
+"""Where another step, 0.4, and other particles per axis, 3, are tried too."""
+SHIPPED_REFERENCE, SHIPPED_SEEDS = {2: 80.0, 3: 24.0}, {2: 3, 3: 2}
 
 
 def error(flow: Trajectory, reference: Trajectory) -> float:
@@ -92,7 +80,7 @@ def errors_of(
 
     def runs(scene: Scene, resolution: Resolution, seeds: Sequence[int]) -> list[Run]:
         fine = with_resolution(scene, resolution)
-        return [Run(scene=dataclasses.replace(fine, seed=seed), precision=resolution.precision) for seed in seeds]
+        return [Run(scene=replace(fine, seed=seed), precision=resolution.precision) for seed in seeds]
 
     exact = {name: runs(scene, own(reference), (0,)) for name, scene in scenes.items()}
     coarse = {(each, name): runs(scene, each, seeds) for each in tried for name, scene in scenes.items()}
@@ -114,6 +102,11 @@ def rms(errors: Mapping[str, Error]) -> float:
     return float(np.sqrt(np.mean([np.mean(np.square(each.errors)) for each in errors.values()])))
 
 
+def mean_seconds(errors: Mapping[str, Error]) -> float:
+    """Of a run, over the scenes."""
+    return float(np.mean([each.seconds for each in errors.values()]))
+
+
 def prediction_limit(errors: Sequence[float]) -> float:
     """A bound on the error of one more scene with probability COVERAGE, from the errors of the measured scenes.
 
@@ -121,12 +114,10 @@ def prediction_limit(errors: Sequence[float]) -> float:
     the mean and standard deviation of n errors and t Student's quantile for n - 1 degrees of freedom; and no less than
     the largest of them, which a share n / (n + 1) of further scenes stays within whatever the distribution.
     """
-    count = len(errors)
-    if count < 2:
+    if (count := len(errors)) < 2:
         return max(errors)
-    t = float(stdtrit(count - 1, COVERAGE))
-    limit = float(np.mean(errors)) + t * float(np.std(errors, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
-    return max(limit, *errors)
+    deviation = float(np.std(errors, ddof=1)) * math.sqrt(1.0 + 1.0 / count)
+    return max(float(np.mean(errors)) + float(stdtrit(count - 1, COVERAGE)) * deviation, *errors)
 
 
 def bound(found: Errors, resolution: Resolution) -> float:
@@ -134,8 +125,7 @@ def bound(found: Errors, resolution: Resolution) -> float:
 
     Where errors of both signs cancel, one is small by chance; on finer grids it is not.
     """
-    alike = dataclasses.replace
-    finer = [r for r in found if r.cells >= resolution.cells and alike(r, cells=resolution.cells) == resolution]
+    finer = [r for r in found if r.cells >= resolution.cells and replace(r, cells=resolution.cells) == resolution]
     names = found[resolution]
     return prediction_limit([max(max(found[each][name].errors) for each in finer) for name in names])
 
@@ -160,7 +150,7 @@ def toml(known: Sequence[Measured]) -> str:
         "# What resolutions promise and cost, for --tolerance. By `python -m validation.bench accuracy --ship`.\n"
         "# expected, promised: errors over the extent, rms over scenes and jitters, and the bound for nine of ten\n"
         "# scenes; particle_steps: mean over the scenes.\n\n"
-    ) + tomli_w.dumps({"measured": [dataclasses.asdict(each) for each in known]})
+    ) + tomli_w.dumps({"measured": [asdict(each) for each in known]})
 
 
 def selected(dimension: int, tolerance: float, known: Sequence[Measured]) -> Measured | None:
@@ -180,12 +170,12 @@ def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False) -> str:
     store = RunStore(keep)
     if ship:
         every: list[Measured] = []
-        for dimension, study in STUDIES.items():
-            tried = [own(cells) for cells in study.cells]
-            for cells in study.checked:
+        for d, sizes in SHIPPED.items():
+            tried = [own(cells) for cells in sizes]
+            for cells in CHECKED[d]:
                 tried += [own(cells, step_fraction=0.4), own(cells, particles_per_axis=3)]
-            scenes = read_flows(dimension, unseen=False)
-            every += measured(dimension, errors_of(scenes, tried, study.reference, range(study.seeds), store))
+            scenes, seeds = read_flows(d, unseen=False), range(SHIPPED_SEEDS[d])
+            every += measured(d, errors_of(scenes, tried, SHIPPED_REFERENCE[d], seeds, store))
         write_text(MEASURED, toml(every))
         return f"{len(every)} resolutions are in {MEASURED}."
     known = read_measured()
@@ -197,8 +187,7 @@ def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False) -> str:
         trials[dimension] = errors_of(scenes, tried, 14.0 if quick else reference, (SEED,), store)
     paper = columns.paper_columns(store, 1 if quick else 3)
     fronts = columns.collapse(store, quick=quick)
-    promised = {(each.dimension, each.resolution): each.promised for each in known}
-    draw(out / "accuracy.png", trials, promised, fronts)
+    draw(out / "accuracy.png", trials, known, fronts)
     return page(trials, known, paper, fronts, quick=quick).write(out / "accuracy.md")
 
 
@@ -208,17 +197,11 @@ def page(
     paper: columns.PaperColumns,
     fronts: columns.Fronts,
     *,
-    quick: bool = False,
+    quick: bool,
 ) -> Page:
-    """The page, from what was measured."""
-    promised = {(each.dimension, each.resolution): each.promised for each in known}
-    held = [trial_text(dimension, found, promised) for dimension, found in trials.items()]
-    text = Page(
-        "Accuracy of the MPM",
-        command="python -m validation.bench accuracy",
-        conclusion=[*held, str(paper), columns.aspect_text(fronts)],
-        quick=quick,
-    )
+    limits = {dimension: promises(dimension, known) for dimension in trials}
+    held = [trial_text(dimension, found, limits[dimension]) for dimension, found in trials.items()]
+    text = Page("Accuracy of the MPM", "accuracy", [*held, str(paper), columns.aspect_text(fronts)], quick=quick)
     text.picture("accuracy.png", "error over seconds; fronts of columns over their aspect ratio")
     text.section("What `--tolerance` selects")
     text.text(f"""
@@ -253,44 +236,40 @@ def page(
         share of the time of all that ran beside it.
     """)
     for dimension, found in trials.items():
-        text.table(trial_rows(dimension, found, promised))
+        text.table(trial_rows(dimension, found, limits[dimension]))
     paper.table(text)
     columns.aspect_tables(text, fronts)
     return text
 
 
-def trial_rows(dimension: int, found: Errors, promised: Mapping[tuple[int, Resolution], float]) -> list[dict[str, str]]:
+def promises(dimension: int, known: Sequence[Measured]) -> dict[Resolution, float]:
+    """The bound of each measured resolution of a dimension."""
+    return {each.resolution: each.promised for each in known if each.dimension == dimension}
+
+
+def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> list[dict[str, str]]:
     """A line per scene, and one of the seconds."""
-    heads = {r: f"{r.cells:g} cells (bound {percent(promised[dimension, r])})" for r in found}
-    rows = []
-    for name in next(iter(found.values())):
-        row = {f"{dimension}D": name}
-        for resolution, errors in found.items():
-            (error,) = errors[name].errors
-            text = percent(error)
-            row[heads[resolution]] = f"**{text}**" if error > promised[dimension, resolution] else text
-        rows.append(row)
-    seconds = {heads[r]: f"{np.mean([each.seconds for each in errors.values()]):.2g}" for r, errors in found.items()}
+    heads = {r: f"{r.cells:g} cells (bound {percent(limits[r])})" for r in found}
+    rows = [
+        {f"{dimension}D": name}
+        | {heads[r]: emphasised(percent(error), error <= limits[r]) for r in found for error in found[r][name].errors}
+        for name in next(iter(found.values()))
+    ]
+    seconds = {heads[r]: f"{mean_seconds(errors):.2g}" for r, errors in found.items()}
     return [*rows, {f"{dimension}D": "seconds of a run, mean"} | seconds]
 
 
-def trial_text(dimension: int, found: Errors, promised: Mapping[tuple[int, Resolution], float]) -> str:
+def trial_text(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> str:
     """How many scenes are within the bound, and what it takes, one sentence."""
-    parts = []
-    for resolution, errors in found.items():
-        limit = promised[dimension, resolution]
-        within = sum(each.errors[0] <= limit for each in errors.values())
-        seconds = np.mean([each.seconds for each in errors.values()])
-        parts.append(
-            f"{within} of {len(errors)} other scenes are within {percent(limit)} on {resolution.cells:g} cells"
-            f" ({percent(rms(errors))} rms, {seconds:.2g} s)"
-        )
+    parts = [
+        f"{sum(each.errors[0] <= limits[r] for each in errors.values())} of {len(errors)} other scenes are within"
+        f" {percent(limits[r])} on {r.cells:g} cells ({percent(rms(errors))} rms, {mean_seconds(errors):.2g} s)"
+        for r, errors in found.items()
+    ]
     return f"**{dimension}D**: {', '.join(parts)}."
 
 
-def draw(
-    path: Path, trials: Mapping[int, Errors], promised: Mapping[tuple[int, Resolution], float], fronts: columns.Fronts
-) -> None:
+def draw(path: Path, trials: Mapping[int, Errors], known: Sequence[Measured], fronts: columns.Fronts) -> None:
     """Error over seconds, a pane per dimension; fronts over the aspect ratio."""
     with figure(path, columns=len(trials) + 1, size=(4.2, 3.8)) as axes:
         for number, (dimension, found) in enumerate(trials.items()):
@@ -298,19 +277,21 @@ def draw(
             for name in next(iter(found.values())):
                 points = [(each[name].seconds, 100.0 * each[name].errors[0]) for each in found.values()]
                 axis.plot(*zip(*points, strict=True), ".-", color=GREY, linewidth=0.5, markersize=3)
-            seconds = [float(np.mean([each.seconds for each in errors.values()])) for errors in found.values()]
+            seconds, limits = [mean_seconds(errors) for errors in found.values()], promises(dimension, known)
             axis.plot(seconds, [100.0 * rms(errors) for errors in found.values()], "o-", color=BLUE, label="rms")
-            bounds = [100.0 * promised[dimension, each] for each in found]
+            bounds = [100.0 * limits[each] for each in found]
             axis.plot(seconds, bounds, "s--", color=ORANGE, label="bound for nine of ten")
             for resolution, x, y in zip(found, seconds, bounds, strict=True):
                 axis.annotate(f"{resolution.cells:g} cells", (x, y), xytext=(3, 4), textcoords="offset points", size=7)
-            axis.set(xscale="log", yscale="log", title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
-            axis.set_ylabel("error over the extent [%]")
+            axis.set(title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
+            axis.set(xscale="log", yscale="log", ylabel="error over the extent [%]")
             axis.legend()
         last = axes[0, len(trials)]
-        known = {**fronts, **columns.laws(), **columns.codes()}
-        for name in dict.fromkeys(name for dimension, name, _ in known if dimension == 2):
-            points = sorted((a, value) for (dimension, who, a), value in known.items() if (dimension, who) == (2, name))
+        others = {**fronts, **columns.laws(), **columns.codes()}
+        for name in dict.fromkeys(name for dimension, name, _ in others if dimension == 2):
+            points = sorted(
+                (a, value) for (dimension, who, a), value in others.items() if (dimension, who) == (2, name)
+            )
             ours = name in (columns.OURS, columns.APIC)
             last.plot(*zip(*points, strict=True), "o-" if ours else "--", linewidth=0.8, markersize=4, label=name)
         last.set(xscale="log", yscale="log", title="columns in 2D", xlabel="H / L", ylabel="front, (d - L) / L")

@@ -5,14 +5,12 @@ comes near the far walls. They differ in their aspect ratio a = H / L alone: the
 E = 150 rho g H, so lengths and times scale with L and sqrt(H / g).
 """
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.files import read_toml
@@ -23,7 +21,7 @@ from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import AT_REST
 from validation.experiments.experiment import radius
-from validation.report.page import Page, Row, percent, signed
+from validation.report.page import Page, Row, percent, rms, signed
 from validation.runs import Run, RunStore
 
 DAMPINGS = (0.12, 0.05, 0.0)
@@ -85,7 +83,7 @@ def collapse(store: RunStore, *, quick: bool) -> Fronts:
     kinds = [(2, OURS, None), (2, APIC, 0.0), (3, OURS, None)]
     runs = {
         (dimension, name, aspect): Run(
-            scene=dataclasses.replace(column(dimension, aspect, CELLS[dimension]), relaxation_time=time), record=AT_REST
+            scene=replace(column(dimension, aspect, CELLS[dimension]), relaxation_time=time), record=AT_REST
         )
         for dimension, name, time in kinds[: 2 if quick else 3]
         for aspect in ASPECTS[dimension][1 : 3 if quick else None]
@@ -105,7 +103,6 @@ def laws() -> Fronts:
 
 
 def codes() -> Fronts:
-    """Fronts by other codes."""
     return {
         (2, code["name"], aspect): value
         for code in read_toml(PUBLISHED)["codes"]
@@ -114,7 +111,6 @@ def codes() -> Fronts:
 
 
 def aspect_tables(page: Page, found: Fronts) -> None:
-    """The tables of columns over their aspect ratio."""
     page.section("Columns over their aspect ratio")
     page.text(f"""
         Columns of length (in 3D: cylinders of radius) L and height H = a L, dry sand of {FRICTION_DEG:g}° on a floor as
@@ -151,23 +147,19 @@ class PaperColumns:
     found: Mapping[tuple[float, str], Sequence[float]]
     stated: Mapping[str, float]
 
-    def deviations(self, damping: float) -> NDArray[np.float64]:
+    def deviations(self, damping: float) -> list[float]:
         """Of the mean runouts, relative, one per column."""
-        return np.array([np.mean(self.found[damping, name]) / value - 1.0 for name, value in self.stated.items()])
-
-    def rms(self, damping: float) -> float:
-        """Root mean square of the deviations."""
-        return float(np.sqrt(np.mean(self.deviations(damping) ** 2)))
+        return [float(np.mean(self.found[damping, name])) / value - 1.0 for name, value in self.stated.items()]
 
     def __str__(self) -> str:
-        best = min(DAMPINGS, key=self.rms)
+        off = {damping: rms(self.deviations(damping)) for damping in DAMPINGS}
+        best = min(off, key=off.__getitem__)
         return (
-            f"The paper's runouts come out within {percent(self.rms(best))} rms with a damping of {best:g} that it does"
-            f" not state, {signed(float(self.deviations(0.0).mean()))} on average without damping."
+            f"The paper's runouts come out within {percent(off[best])} rms with a damping of {best:g} that it does"
+            f" not state, {signed(float(np.mean(self.deviations(0.0))))} on average without damping."
         )
 
     def table(self, page: Page) -> None:
-        """The section of a page."""
         scene = read_scene("column-tall-42")
         page.section("The paper's columns")
         page.text(f"""
@@ -182,18 +174,16 @@ class PaperColumns:
         ]
         for damping in DAMPINGS:
             cells = {name: f"{np.mean(self.found[damping, name]):.4f}" for name in self.stated}
-            mean = signed(float(self.deviations(damping).mean()))
-            rows.append({"damping": f"{damping:g}"} | cells | {"mean": mean, "rms": percent(self.rms(damping))})
+            off = self.deviations(damping)
+            ends = {"mean": signed(float(np.mean(off))), "rms": percent(rms(off))}
+            rows.append({"damping": f"{damping:g}"} | cells | ends)
         page.table(rows)
 
 
 def paper_columns(store: RunStore, seeds: int) -> PaperColumns:
-    """Run the paper's columns."""
     stated = read_toml(PUBLISHED)["paper"]
     keys = [(damping, name, seed) for damping in DAMPINGS for name in stated for seed in range(seeds)]
-    flows = store.run(
-        [Run(scene=dataclasses.replace(read_scene(f"column-{n}"), damping=d, seed=seed)) for d, n, seed in keys]
-    )
+    flows = store.run([Run(scene=replace(read_scene(f"column-{n}"), damping=d, seed=seed)) for d, n, seed in keys])
     found: dict[tuple[float, str], list[float]] = {}
     for (damping, name, _), flow in zip(keys, flows, strict=True):
         found.setdefault((damping, name), []).append(runout(flow.positions[-1]))

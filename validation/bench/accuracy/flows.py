@@ -33,7 +33,6 @@ class Flow(Record):
     aspect: float
     """Height over length."""
     friction_deg: float
-    """Of the grains [deg]."""
     floor: float = 0.385
     """Coulomb coefficient of the floor, and of the baffles."""
     wall: float = 0.0
@@ -64,7 +63,6 @@ class Flow(Record):
 
     @property
     def dimension(self) -> int:
-        """2 or 3."""
         return 3 if self.depth else 2
 
     def scene(self) -> Scene:

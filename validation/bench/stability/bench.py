@@ -1,10 +1,9 @@
 """`python -m validation.bench stability`: hard cases, a flume, factors of safety, fronts over stiffness and step."""
 
-import dataclasses
 import difflib
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ from validation.bench.accuracy.flows import Flow
 from validation.bench.stability import slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
 from validation.bench.stability.quantities import QUANTITIES
-from validation.report.page import Page, percent
+from validation.report.page import Page, emphasised, percent
 from validation.report.plots import BLUE, INK, ORANGE, figure
 
 FOLDER = Path(__file__).parent
@@ -53,9 +52,8 @@ class Check(Record):
     maximum: float | None = None
 
     def finding(self, flow: Trajectory) -> Finding:
-        """What it is in `flow`."""
         found = QUANTITIES[self.quantity](flow)
-        return dataclasses.replace(
+        return replace(
             found,
             minimum=found.minimum if self.minimum is None else self.minimum,
             maximum=found.maximum if self.maximum is None else self.maximum,
@@ -83,7 +81,6 @@ class Row(Record):
 
     @property
     def scene(self) -> Scene:
-        """The scene, read from its file."""
         return read_scene(str(FOLDER / "hard_cases" / f"{self.name}.toml"))
 
 
@@ -120,7 +117,7 @@ def run(rows: Sequence[Row], precision: Precision) -> dict[str, Trajectory | Wor
     flows: dict[str, Trajectory | WorkFailed] = {}
     for ends in (False, True):
         group = {row.name: row.scene for row in rows if row.until_rest is ends}
-        record = dataclasses.replace(WITH_FIELDS, until_rest=ends)
+        record = replace(WITH_FIELDS, until_rest=ends)
         if group:
             outcomes = simulate_each(list(group.values()), precision=precision, record=record, progress=True)
             flows.update(zip(group, outcomes, strict=True))
@@ -137,7 +134,7 @@ def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFai
     if row.rings:
         kept = [each for each in kept if each.check != "energy"]
     if row.energy is not None:
-        kept = [dataclasses.replace(each, maximum=row.energy) if each.check == "energy" else each for each in kept]
+        kept = [replace(each, maximum=row.energy) if each.check == "energy" else each for each in kept]
     own = [check.finding(flow) for check in row.checks]
     if isinstance(other, Trajectory):
         value = front(flow.positions[-1], flow.volumes) / front(other.positions[-1], other.volumes)
@@ -155,18 +152,18 @@ def fronts(dimensions: Sequence[int] = (2, 3)) -> Fronts:
     scenes = {}
     for dimension, transfer, stiffness, step in itertools.product(dimensions, TRANSFERS, STIFFNESSES, STEPS):
         flow, cells = RELEASED[dimension]
-        stiff = dataclasses.replace(flow, stiffness=stiffness * flow.stiffness).scene()
+        stiff = replace(flow, stiffness=stiffness * flow.stiffness).scene()
         chosen = Resolution(cells=cells, particles_per_axis=2, step_fraction=step, precision="f32")
-        scene = dataclasses.replace(with_resolution(stiff, chosen), relaxation_time=TRANSFERS[transfer])
+        scene = replace(with_resolution(stiff, chosen), relaxation_time=TRANSFERS[transfer])
         scenes[dimension, transfer, stiffness, step] = scene
     flows = simulate_many(list(scenes.values()), record=LAST, progress=True)
     return {key: front(flow.positions[-1], flow.volumes) for key, flow in zip(scenes, flows, strict=True)}
 
 
-def spread(found: Fronts, dimension: int, transfer: str) -> float:
-    """Largest less smallest front over their mean [-]."""
+def spread(found: Fronts, dimension: int, transfer: str) -> str:
+    """Largest less smallest front over their mean."""
     some = [value for (*kind, _, _), value in found.items() if kind == [dimension, transfer]]
-    return (max(some) - min(some)) / float(np.mean(some))
+    return percent((max(some) - min(some)) / float(np.mean(some)))
 
 
 def bench(out: Path, *, quick: bool, keep: Path, rows: tuple[str, ...] = (), precision: Precision = "f32") -> str:
@@ -194,16 +191,9 @@ def bench(out: Path, *, quick: bool, keep: Path, rows: tuple[str, ...] = (), pre
     return text.conclusion
 
 
-def page(
-    verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, precision: str, quick: bool = False
-) -> Page:
-    """The page, but for its picture."""
-    text = Page(
-        "Stability of the MPM",
-        command=f"python -m validation.bench stability --precision {precision}",
-        conclusion=conclusion(verdicts, found, safety),
-        quick=quick,
-    )
+def page(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, precision: str, quick: bool) -> Page:
+    said = conclusion(verdicts, found, safety)
+    text = Page("Stability of the MPM", f"stability --precision {precision}", said, quick=quick)
     text.section("Hard cases")
     text.text(f"""
         {len(verdicts)} scenes (`validation/bench/stability/rows.toml`) in {precision}. **Required** is the row's own;
@@ -238,40 +228,34 @@ def page(
 
 
 def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors) -> list[str]:
-    """What the page comes to."""
     red = [each.row.name for each in verdicts if each.failures]
-    exact = [each for each in verdicts if each.row.exact]
-    agreed = sum(not each.failures for each in exact)
-    sentences = [
-        f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases hold{'; **red**: ' + ', '.join(red) if red else ''}."
-        f" Of {len(exact)} with an exact solution {agreed} agree with it."
-    ]
+    exact = [not each.failures for each in verdicts if each.row.exact]
     sliding = [each.own[0].value for each in verdicts if each.row.checks and each.row.checks[0].quantity == "slides"]
-    if sliding:
-        off = max(abs(each - 1.0) for each in sliding)
-        sentences.append(f"Blocks slide down inclines as far as the closed form within {percent(off)}.")
-    rises = [found.value for each in verdicts for found in each.kept if found.check == "energy"]
-    balances = [found.value for each in verdicts for found in each.kept if found.check == "momentum"]
-    sentences.append(
-        f"No flow gains more than {percent(max(rises))} of its energy; momentum balances with the impulses on walls and"
-        f" solids within {max(balances):.0e}."
+    off = max((abs(each - 1.0) for each in sliding), default=0.0)
+    rise, balance = (
+        max(found.value for each in verdicts for found in each.kept if found.check == check)
+        for check in ("energy", "momentum")
     )
-    moved = []
-    for dimension in dict.fromkeys(dimension for dimension, *_ in found):
-        own, other = (percent(spread(found, dimension, transfer)) for transfer in TRANSFERS)
-        moved.append(f"{own} in {dimension}D (by APIC {other})")
-    sentences.append(
-        f"Over {STIFFNESSES[-1]:g} times the stiffness and a third of the step a front moves by {', '.join(moved)}."
-    )
-    sentences.append(slopes.conclusion(safety))
-    return sentences
+    own, other = TRANSFERS
+    moved = [
+        f"{spread(found, dimension, own)} in {dimension}D (by APIC {spread(found, dimension, other)})"
+        for dimension in dict.fromkeys(dimension for dimension, *_ in found)
+    ]
+    return [
+        f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases hold{'; **red**: ' + ', '.join(red) if red else ''}."
+        f" Of {len(exact)} with an exact solution {sum(exact)} agree with it.",
+        *([f"Blocks slide down inclines as far as the closed form within {percent(off)}."] if sliding else []),
+        f"No flow gains more than {percent(rise)} of its energy; momentum balances with the impulses on walls and"
+        f" solids within {balance:.0e}.",
+        f"Over {STIFFNESSES[-1]:g} times the stiffness and a third of the step a front moves by {', '.join(moved)}.",
+        slopes.conclusion(safety),
+    ]
 
 
 def row_of(each: Verdict) -> dict[str, object]:
-    """A row of the table."""
     known = {finding.check: finding for finding in each.kept}
     own = "; ".join(f"{found.check} {found.range} {found.unit}".strip() for found in each.own)
-    value = ", ".join(emphasised(f"{found.value:.4g}", found) for found in each.own)
+    value = ", ".join(emphasised(f"{found.value:.4g}", found.ok) for found in each.own)
     cells = {head: written(known[check]) if check in known else "" for check, head in COLUMNS.items()}
     rest = [str(found) for found in each.kept if not found.ok and found.check not in COLUMNS]
     wrong = [f"**{text}**" for text in (each.blown_up, *rest) if text]
@@ -287,12 +271,7 @@ def row_of(each: Verdict) -> dict[str, object]:
 def written(found: Finding) -> str:
     """A cell of what every flow keeps."""
     forms = {"volume": f"{100.0 * found.value:+.1f} %", "slope": f"{found.value:.1f}"}
-    return emphasised(forms.get(found.check, f"{found.value:.0e}"), found)
-
-
-def emphasised(text: str, found: Finding) -> str:
-    """Bold where it is wrong."""
-    return text if found.ok else f"**{text}**"
+    return emphasised(forms.get(found.check, f"{found.value:.0e}"), found.ok)
 
 
 def draw(path: Path, flow: Trajectory, found: Fronts) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 
 from datasets.particles import initial_particles, initial_volumes
 from datasets.scene import TOLERANCE
@@ -198,8 +199,7 @@ def core_volumes(flow: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool
     for axis, count in enumerate([counts[0], *counts[2:]]):
         parts = np.split(np.take(surface, range(count * CUBE), axis=axis), count, axis=axis)
         surface = np.stack([part.min(axis=axis) for part in parts], axis=axis)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(surface, 1), (3,) * surface.ndim)
-    level = np.expand_dims(around.min(axis=tuple(range(surface.ndim, 2 * surface.ndim))), 1)
+    level = np.expand_dims(minimum_filter(surface, 3, mode="constant"), 1)
     cover = (np.arange(counts[1]) + 2.0) * edge
     return sand, np.asarray(level >= cover.reshape(1, -1, *(1,) * (surface.ndim - 1)))
 

@@ -1,16 +1,15 @@
 """Slopes whose factor of safety is known (`slopes.toml`), and the one that `mpm.safety_factor` finds over it."""
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from datasets.material import Material
 from datasets.records import Record, from_mapping, read_toml
 from datasets.scene import Domain, Mass, Scene
 from mpm.safety import Safety, safety_factor
-from validation.report.page import percent
+from validation.report.page import Row, percent
 
 HEIGHT, DENSITY = 10.0, 2000.0
 WEIGHT = DENSITY * 9.81 * HEIGHT
@@ -56,9 +55,7 @@ class KnownSlope(Record):
 KNOWN = tuple(from_mapping(KnownSlope, each) for each in read_toml(Path(__file__).with_suffix(".toml"))["slopes"])
 TAYLOR, _, BISHOP, SAND = KNOWN
 WITHOUT_DILATION = tuple(
-    dataclasses.replace(
-        each, name=each.name.replace("φ = ψ", "ψ = 0, φ"), source=f"{each.source} for ψ = φ", dilates=False
-    )
+    replace(each, name=each.name.replace("φ = ψ", "ψ = 0, φ"), source=f"{each.source} for ψ = φ", dilates=False)
     for each in (BISHOP, SAND)
 )
 
@@ -71,14 +68,14 @@ def factors(slopes: Sequence[KnownSlope], cells: Sequence[int]) -> Factors:
     return {slope: {count: safety_factor(slope.scene(count)) for count in cells} for slope in slopes}
 
 
-def rows(found: Factors) -> list[dict[str, object]]:
+def rows(found: Factors) -> list[Row]:
     """Found over known factors, and seconds, by cells."""
-    table: list[dict[str, object]] = []
-    for slope, by_cells in found.items():
-        over = {f"{count} cells": f"{each.factor / slope.factor:.3f}" for count, each in by_cells.items()}
-        seconds = ", ".join(f"{each.seconds:.0f}" for each in by_cells.values())
-        table.append({"slope": slope.name, "known": f"{slope.factor:.3f}", "of": slope.source, **over, "s": seconds})
-    return table
+    return [
+        {"slope": slope.name, "known": f"{slope.factor:.3f}", "of": slope.source}
+        | {f"{count} cells": f"{each.factor / slope.factor:.3f}" for count, each in by_cells.items()}
+        | {"s": ", ".join(f"{each.seconds:.0f}" for each in by_cells.values())}
+        for slope, by_cells in found.items()
+    ]
 
 
 def conclusion(found: Factors) -> str:
