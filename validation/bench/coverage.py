@@ -202,7 +202,8 @@ def bench(
         compared = reference.compare(drawn(FAMILIES["prior-correlated"], 0), keep / REFERENCE, **few)
         write_json(keep / REFERENCE / ROWS, {"rows": compared})
     rows = (read_json(keep / REFERENCE / ROWS) or {}).get("rows", [])
-    draw(out / "coverage.png", found)
+    if found:
+        draw(out / "coverage.png", found)
     flags = "" if twins is None else f" --twins {twins}"
     flags += "" if only == DEFAULT else "".join(f" --only {name}" for name in only)
     flags += "" if model is None else " --model RUN"
@@ -282,7 +283,7 @@ def page(found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]],
     }
     uneven = [family.title for family, each in found.items() if uniformity(each) < SIGNIFICANT]
     every = [each for twins_of_one in found.values() for each in twins_of_one]
-    conclusion = [
+    about_twins = [
         f"{len(every)} twin experiments of {len(found)} kinds, truths drawn from the prior.",
         *(
             f"{level:.0%} regions hold {held(every, level):.0%} of the truths; outside of {WITHIN[level][0]:.0%} "
@@ -290,11 +291,12 @@ def page(found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]],
             for level, names in tested.items()
         ),
         f"Ranks are not uniform (p below {SIGNIFICANT:g}) for {', '.join(uneven) or 'none'}.",
-        *([reference.conclusion(rows)] if rows else []),
     ]
+    conclusion = [*(about_twins if every else []), *([reference.conclusion(rows)] if rows else [])]
     bench = f"coverage{flags} --out docs"
     result = Page("Coverage of the posterior", bench, conclusion, packages=MPM | GNS, quick=quick)
-    result.picture("coverage.png", "share of the truths that a region holds over the region's share")
+    if every:
+        result.picture("coverage.png", "share of the truths that a region holds over the region's share")
     result.text(f"""
         A truth is drawn from the prior, its flow by the MPM with a jitter seed of its own is observed, and the loop
         solves for it. A region of highest density holds the truth where less than its share of the posterior is denser.
