@@ -19,7 +19,7 @@ from mpm.arrays.access import lane_sum, no_overflow
 from mpm.arrays.layout import Offset, Property, Setting
 from mpm.physics.boundary import is_wall
 from mpm.physics.channel import side_friction
-from mpm.physics.contact import prepare_contact
+from mpm.physics.contact import touches
 from mpm.physics.transfer import contributions, prepare_contributions, property_of, volume_of, weights_of
 
 
@@ -128,8 +128,10 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     size = ti.static(features.dimension)
     first, own = no_overflow(block * features.block), block * layout.width
     prepare_contributions(scene, block, scratch, arrays)
-    if ti.static(features.contact):
-        prepare_contact(block, scratch, arrays)
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+        if not touches(block, arrays):
+            for k in ti.static(range(2 * size)):
+                arrays.scratch[scratch + features.push + k] = 0.0 * arrays.state[first]
     prepare_weights(scene, block, scratch, arrays)
     transfer_reverse(grid, block, scratch, False, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]

@@ -132,10 +132,16 @@ class Tape:
         count = len(self.batch.workers)
         self.batch.scratch = aligned((count * self.layout.scratch, features.lanes), self.batch.state.dtype)
         self.batch.workers[:, Worker.SCRATCH] = np.arange(count) * self.layout.scratch
+        self.changing = [*range(features.properties), *range(features.remainder, features.block)]
+        """The vectors of a block that change from step to step."""
         self.start = self.checkpoint()
         self.barriers = self.batch.retained.copy(), self.batch.settling.copy()
         self.released: set[int] = set()
-        self.memory_mib, self.outputs = memory_mib, outputs
+        self.memory_mib, vector = memory_mib, self.batch.state[:, 0].nbytes
+        self.state_bytes, self.step_bytes = len(self.changing) * vector, self.layout.history * vector
+        """Of a checkpoint, and of the states before one step."""
+        self.fixed_bytes = 2 * self.batch.grid.nbytes + outputs * self.layout.width * vector
+        """Of bars and of the nodes that a reverse step keeps."""
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
         self.boundaries = self.plan(usual, SPARE * usual)
         self.run()
@@ -172,30 +178,6 @@ class Tape:
         """The frames before `last` after which a barrier was open."""
         frames = self.batch.retained[:, Retained.OPENED] if self.features.barriers else np.zeros(0, np.int32)
         return {int(frame) for frame in frames if 0 < frame < last}
-
-    @property
-    def state_bytes(self) -> int:
-        """Of a checkpoint."""
-        return int(self.batch.state[:, self.changing].nbytes)
-
-    @property
-    def step_bytes(self) -> int:
-        """Of the states before one step."""
-        state = self.batch.state
-        return int(state.shape[0] * self.layout.history * state.shape[2] * state.itemsize)
-
-    @property
-    def fixed_bytes(self) -> int:
-        """Of bars and of the nodes that a reverse step keeps."""
-        state = self.batch.state
-        adjoints = self.outputs * state.shape[0] * self.layout.width * state.shape[2] * state.itemsize
-        return int(2 * self.batch.grid.nbytes + adjoints)
-
-    @property
-    def changing(self) -> list[int]:
-        """The vectors of a block that change from step to step."""
-        features = self.features
-        return [*range(features.properties), *range(features.remainder, features.block)]
 
     def bytes(self) -> int:
         """Of everything beside the arrays of the run itself."""

@@ -61,16 +61,14 @@ class Features(Record):
     """Barriers rise when they open."""
     until_rest: bool = False
     """A scene ends when its deposit has come to rest."""
-    register: int = REGISTER
-    """Bytes of a vector of lanes."""
 
     _data_oriented: ClassVar[bool] = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""
 
     @property
     def lanes(self) -> int:
-        """Particles in a block: what `register` bytes hold; one on a GPU."""
-        return 1 if self.gpu else self.register // (4 if self.precision == "f32" else 8)
+        """Particles in a block: what REGISTER bytes hold; one on a GPU."""
+        return 1 if self.gpu else REGISTER // (4 if self.precision == "f32" else 8)
 
     @property
     def stresses(self) -> int:
@@ -209,7 +207,6 @@ def features_of(
         shared=shared,
         prefetch=not gpu and any(s.dimension == 3 and particle_count(s) >= PREFETCHED for s in scenes),
         gpu=gpu,
-        register=REGISTER,
     )
 
 

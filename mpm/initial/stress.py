@@ -153,7 +153,7 @@ class Equilibrium:
         self.gravity: Floats = self.mass[:, None] * np.array(scene.gravity_vector)
         self.friction = coefficient(scene.floor_friction)
         self.contact = ContactOperator(scene, particles, positions[chosen], chosen, weights, self.slopes)
-        self.free, self.walls, self.rough = self.boundaries(scene, weights, particles.mass[chosen])
+        self.hold(scene, weights, particles.mass[chosen])
         direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
         self.direct = np.flatnonzero(direct)
         self.theta = np.ones(len(chosen))
@@ -162,34 +162,28 @@ class Equilibrium:
         touches = len(self.contact.touching) > 0
         self.inertia = INERTIA * slowest**2 * self.mass[:, None] if touches else np.zeros((len(self.mass), 1))
 
-    def boundaries(
-        self, scene: Scene, weights: Any, mass: NDArray[np.int32]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.int8], NDArray[np.bool_]]:
-        """Which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -, [n, D];
+    def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
+        """Find which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -,
 
-        and which nodes a rough floor holds altogether, [n].
+        and barriers hold, [n, D]; and which nodes a rough floor holds altogether, [n].
         """
-        free = np.ones(self.nodes.shape, bool)
-        walls = np.zeros(self.nodes.shape, np.int8)
+        self.walls = walls = np.zeros(self.nodes.shape, np.int8)
         self.behind_barriers = np.zeros(self.nodes.shape, bool)
         for axis, length in enumerate(scene.domain.size):
             if DOMAIN_SIDES[2 * axis] not in scene.open_sides:
                 walls[self.nodes[:, axis] <= PADDING, axis] = 1
             if DOMAIN_SIDES[2 * axis + 1] not in scene.open_sides:
                 walls[self.nodes[:, axis] >= PADDING + round(length / scene.domain.cell), axis] = -1
-        free[walls != 0] = False
-        rough = np.zeros(len(self.nodes), bool)
+        self.rough = np.zeros(len(self.nodes), bool)
         for number, each in enumerate(scene.masses):
             if clings(each) and self.friction > 0.0:
-                rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
+                self.rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
             if each.k0 is not None and (each.release is not None or not clings(each)):
                 for axis, (low, high) in barriers(scene, each):
                     inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
                     self.behind_barriers[inside, axis] = True
-        free[self.behind_barriers] = False
-        free[rough] = False
-        free[self.contact.fixed_components(scene, self.nodes)] = False
-        return free, walls, rough
+        held = (walls != 0) | self.behind_barriers | self.rough[:, None]
+        self.free = ~(held | self.contact.fixed_components(scene, self.nodes))
 
     def solution(self, stress: Floats) -> Floats:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3]; a warning where there is none."""

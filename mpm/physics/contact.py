@@ -158,19 +158,8 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def prepare_contact(block, scratch, arrays: ti.template()):
-    """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
-    features = arrays.features
-    if touches(block, arrays):
-        push(block, scratch, arrays)
-    else:
-        for k in ti.static(range(2 * features.dimension)):
-            arrays.scratch[scratch + features.push + k] = 0.0 * arrays.state[block * features.block]
-
-
-@ti.func
 def push(block, scratch, arrays: ti.template()):
-    """As `prepare_contact`, of a block that touches."""
+    """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
     features = arrays.features
     first = block * features.block + features.stress
     stress = [arrays.state[first + k] for k in ti.static(range(features.stresses))]
@@ -231,24 +220,17 @@ def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.templat
 
 
 @ti.func
-def apply_solids(v, mass, n, worker, arrays: ti.template()):
-    """Velocity `v` [m/s] after the holds of the node with the `mass` [kg] and the entry `n` in `node_holds`, [D]."""
+def apply_solids(v, mass, n, worker, recorded: ti.template(), arrays: ti.template()):
+    """Velocity `v` [m/s] after the holds of the node with the `mass` [kg] and the entry `n` in `node_holds`, [D].
+
+    recorded: whether what they take is added to the impulses of their solids.
+    """
     after = v
     for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
         face, removed = removed_by(hold, v, arrays)
         after = after - removed
-        for k in ti.static(range(arrays.features.dimension)):
+        for k in ti.static(range(arrays.features.dimension if recorded else 0)):
             add_impulse(solid_of(face, arrays), k, mass * removed[k], 0, worker, arrays)
-    return after
-
-
-@ti.func
-def after_solids(v, n, arrays: ti.template()):
-    """Velocity `v` [m/s] as `apply_solids` leaves it, without its impulse."""
-    after = v
-    for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
-        _, removed = removed_by(hold, v, arrays)
-        after = after - removed
     return after
 
 

@@ -32,6 +32,7 @@ a particle gives to a node is linear in the node's position: its value at the lo
 import taichi as ti
 
 from mpm.arrays.access import add, magnitude, no_overflow
+from mpm.arrays.features import REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import push, touches
@@ -296,7 +297,7 @@ def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
     A processor computes on while it waits for a few, not while it waits for all of a block's at once.
     """
     features, lanes = arrays.features, arrays.features.lanes
-    lines = ti.static(-(-features.block * features.register // (features.lanes * CACHE_LINE)))
+    lines = ti.static(-(-features.block * REGISTER // (features.lanes * CACHE_LINE)))
     last = arrays.offsets[scene, Offset.BLOCK] + (arrays.offsets[scene, Offset.PARTICLES] - 1) // lanes
     at = no_overflow((ti.min(block + 1, last) * lanes + lane) * features.block)
     found = arrays.lanes[at]
@@ -353,21 +354,37 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, arrays: ti.templa
 def hold_affine(first, scratch, kappa, arrays: ti.template()):
     """Leave C of the particles of a block, that of those which are open or not yet loaded held back."""
     features = arrays.features
-    bears = 0.0 * arrays.state[first]
+    count = ti.static(features.dimension**2)
+    slopes = [arrays.scratch[scratch + features.gradient + k] for k in ti.static(range(count))]
+    changes = [arrays.scratch[scratch + features.changes + k] for k in ti.static(range(count))]
+    affine = [arrays.state[first + features.affine + k] for k in ti.static(range(count))]
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(3))]
+    held = held_affine(slopes, changes, affine, kappa, stress, arrays.state[first + features.gap], features.dimension)
+    for k in ti.static(range(count)):
+        arrays.state[first + features.affine + k] = held[k]
+
+
+@ti.func
+def held_affine(
+    slopes: ti.template(),
+    changes: ti.template(),
+    affine: ti.template(),
+    kappa,
+    stress: ti.template(),
+    gap,
+    dimension: ti.template(),
+):
+    """C [1/s] from the slopes of the grid's velocity and of its change, and C, stress and gap before the step."""
+    bears = 0.0 * gap
     before_squared, now_squared = bears, bears
     for k in ti.static(range(3)):
-        bears = bears + magnitude(arrays.state[first + features.stress + k])
-    for k in ti.static(range(features.dimension**2)):
-        old = kappa * arrays.state[first + features.affine + k]
-        new = arrays.scratch[scratch + features.gradient + k] - arrays.scratch[scratch + features.changes + k]
+        bears = bears + magnitude(stress[k])
+    for k in ti.static(range(dimension**2)):
+        old, new = kappa * affine[k], slopes[k] - changes[k]
         before_squared, now_squared = before_squared + old * old, now_squared + new * new
-    held = ((arrays.state[first + features.gap] > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
-    # Where nothing is held back the root is 1.
-    excess = 1.0 - ti.sqrt(ti.select(held, before_squared, 1.0) / ti.select(held, now_squared, 1.0))
-    for k in ti.static(range(features.dimension**2)):
-        slope = arrays.scratch[scratch + features.gradient + k]
-        new = slope - arrays.scratch[scratch + features.changes + k]
-        arrays.state[first + features.affine + k] = slope - excess * new
+    held = ((gap > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
+    excess = ti.select(held, 1.0 - ti.sqrt(before_squared / ti.select(held, now_squared, 1.0)), 0.0)
+    return [slopes[k] - excess * (slopes[k] - changes[k]) for k in ti.static(range(dimension**2))]
 
 
 @ti.func

@@ -4,8 +4,8 @@ Cells and nodes are numbered alike, as `mpm.arrays.access.node_strides` numbers 
 
 **Lists.** A point p of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face
 F. So F can be the nearest one of a point at a distance of at most `cutoff` only where d(c, F) <= min(smallest + 2 h,
-cutoff + h), `smallest` being the distance of c from its nearest face, and a segment of length `travel` that starts in
-the cell can cut F only where d(c, F) <= h + travel.
+cutoff + h), `smallest` being the distance of c from its nearest face, and a displacement of at most a cell `dx` that
+starts in the cell can cut F only where d(c, F) <= h + dx.
 
 **Holds.** A node in a solid is held by every face that it lies behind and that is nearly the nearest, each with a share
 that is continuous in the place of the solid. With d_k the distance of face k, N_k its normal and n_k the direction from
@@ -151,23 +151,20 @@ def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float
     return np.cumsum(counts).astype(np.int32), np.stack([face, friction, share], axis=1)[kept]
 
 
-def faces_near(
-    domain: Domain, surface: Surface, *, cutoff: float, travel: float = 1.0
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def faces_near(domain: Domain, surface: Surface, *, cutoff: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Where the list of each cell begins among the faces of `surface` that are near cells, and these.
 
-    cutoff: largest distance from the surface that is listed [cells]; travel: longest displacement of a step [cells].
+    cutoff: largest distance from the surface that is listed [cells]; a displacement of a step is at most a cell.
     """
     cell = domain.cell
     half = 0.5 * cell * np.sqrt(len(domain.size))
-    cells, faces, distance = near_pairs(domain, surface, max(cutoff * cell + half, travel * cell + half))
+    cells, faces, distance = near_pairs(domain, surface, max(cutoff, 1.0) * cell + half)
     groups = np.flatnonzero(np.diff(cells, prepend=-1))
     smallest = np.minimum.reduceat(distance, groups) if len(groups) else distance
     smallest = np.repeat(smallest, np.diff(groups, append=len(cells)))
     slack = 1.0e-9 * cell
-    kept = (distance <= np.minimum(smallest + 2.0 * half, cutoff * cell + half) + slack) | (
-        distance <= half + travel * cell + slack
-    )
+    nearest_one = distance <= np.minimum(smallest + 2.0 * half, cutoff * cell + half) + slack
+    kept = nearest_one | (distance <= half + cell + slack)
     listed = np.bincount(cells[kept] + 1, minlength=int(np.prod(node_shape(domain))) + 1)
     return np.cumsum(listed).astype(np.int32), faces[kept].astype(np.int32)
 
