@@ -13,6 +13,7 @@ taken as 0.
 
 from collections.abc import Callable, Sequence
 from functools import cache
+from operator import eq, ge, gt, le, lt
 from types import CodeType, FunctionType, SimpleNamespace
 from typing import Any
 
@@ -22,6 +23,11 @@ from taichi.lang.impl import expr_init
 
 Rule = Callable[[Any], Any]
 """What an operand takes of the bar of a result."""
+
+
+def compared(relation: Callable[[Any, Any], Any]) -> Any:
+    """A comparison as a method of `Number`; what it finds has no bar."""
+    return lambda number, other: expr_init(relation(number.value, plain(other)))
 
 
 class Number:
@@ -71,20 +77,7 @@ class Number:
 
     __hash__ = object.__hash__
 
-    def __eq__(self, other: Any) -> Any:
-        return expr_init(self.value == plain(other))
-
-    def __gt__(self, other: Any) -> Any:
-        return expr_init(self.value > plain(other))
-
-    def __ge__(self, other: Any) -> Any:
-        return expr_init(self.value >= plain(other))
-
-    def __lt__(self, other: Any) -> Any:
-        return expr_init(self.value < plain(other))
-
-    def __le__(self, other: Any) -> Any:
-        return expr_init(self.value <= plain(other))
+    __eq__, __gt__, __ge__, __lt__, __le__ = map(compared, (eq, gt, ge, lt, le))
 
 
 def plain(number: Any) -> Any:

@@ -145,7 +145,8 @@ class Tape:
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
         self.boundaries = self.plan(usual, SPARE * usual)
         self.run()
-        if missing := self.opened(self.frames[-1]) - set(self.boundaries):
+        opened = {frame for frame in self.batch.retained[:, Retained.OPENED].tolist() if 0 < frame < self.frames[-1]}
+        if missing := opened - set(self.boundaries):
             # Barriers are open or closed over a whole segment.
             self.released = missing
             self.boundaries = self.plan(usual, SPARE * usual)
@@ -173,11 +174,6 @@ class Tape:
                 key="memory_mib",
             )
         return best
-
-    def opened(self, last: int) -> set[int]:
-        """The frames before `last` after which a barrier was open."""
-        frames = self.batch.retained[:, Retained.OPENED] if self.features.barriers else np.zeros(0, np.int32)
-        return {int(frame) for frame in frames if 0 < frame < last}
 
     def bytes(self) -> int:
         """Of everything beside the arrays of the run itself."""
@@ -229,8 +225,7 @@ class Tape:
 
     def solids(self, index: int) -> tuple[slice, slice]:
         """Where the faces of scene `index`, and its holds of nodes, lie among those of all scenes."""
-        obstacles = [obstacles_in(scene) for scene in self.batch.scenes] if self.features.contact else []
-        counts = np.array([(len(each.faces), len(each.holds)) for each in obstacles] or [(0, 0)] * (index + 1))
+        counts = np.array([(len(each.faces), len(each.holds)) for each in map(obstacles_in, self.batch.scenes)])
         first, last = counts[:index].sum(axis=0), counts[: index + 1].sum(axis=0)
         return slice(int(first[0]), int(last[0])), slice(int(first[1]), int(last[1]))
 

@@ -174,9 +174,9 @@ def affine_reverse(block, scratch, per_dx, kappa, arrays: ti.template()):
         affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
         stress = [arrays.state[first + features.stress + k] for k in ti.static(range(3))]
         constants = ti.static((stress, arrays.state[first + features.gap], size))
-        held = ti.static([Pullback(held_affine, (slopes, changes, affine, kappa), constants)])[0]
-        slopes_bar, changes_bar, affine_bar, kappa_bar = ti.static(held(bar))
-        return slopes_bar, changes_bar, affine_bar, kappa_bar
+        held = ti.static([Pullback(held_affine, ((slopes, changes), affine, kappa), constants)])[0]
+        moved_bar, affine_bar, kappa_bar = ti.static(held(bar))
+        return moved_bar[0], moved_bar[1], affine_bar, kappa_bar
     else:
         zero = [0.0 * bar[0] for _ in ti.static(range(size * size))]
         return bar, zero, zero, 0.0 * bar[0]

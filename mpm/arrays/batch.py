@@ -224,14 +224,11 @@ class Batch:
         kept = 1 if self.file is not None else len(self.kept(index))
         if self.in_kernel:
             first = self.offsets[index, Offset.RECORD] * features.dimension
-            found = {"positions": self.positions[first:][: kept * count * features.dimension].reshape(kept, count, -1)}
-        else:
-            found = {"positions": np.zeros((kept, count, features.dimension), np.float32)}
+            return {"positions": self.positions[first:][: kept * count * features.dimension].reshape(kept, count, -1)}
+        shapes: dict[str, tuple[int, ...]] = {"positions": (features.dimension,)}
         if self.recording.fields:
-            found["velocities"] = np.zeros((kept, count, features.dimension), np.float32)
-            found["stress"] = np.zeros((kept, count, features.stresses), np.float32)
-            found["plastic_strain"] = np.zeros((kept, count), np.float32)
-        return found
+            shapes |= {"velocities": (features.dimension,), "stress": (features.stresses,), "plastic_strain": ()}
+        return {name: np.zeros((kept, count, *shape), np.float32) for name, shape in shapes.items()}
 
     def store(self, index: int, slot: int) -> None:
         """Record the present state of one scene as kept frame `slot`, or as the next one of the file."""

@@ -62,6 +62,8 @@ class Features(Record):
     until_rest: bool = False
     """A scene ends when its deposit has come to rest."""
 
+    node: ClassVar[int] = 8
+    """Numbers in a node, momentum, mass and force: a short vector, a power of two long."""
     _data_oriented: ClassVar[bool] = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""
 
@@ -101,11 +103,6 @@ class Features(Record):
     def impulses(self) -> bool:
         """The momentum that solids take is recorded."""
         return self.contact or self.walls_recorded
-
-    @property
-    def node(self) -> int:
-        """Numbers in a node, momentum, mass and force: a short vector, a power of two long."""
-        return 8
 
     def __getattr__(self, name: str) -> int:
         """Where the part `name` begins of a block, a face, a node or the scratch; see `parts`."""

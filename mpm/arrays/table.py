@@ -79,7 +79,7 @@ def arguments(arrays: Mapping[str, Kind], memory: Mapping[str, Any], lanes: int)
     found = {}
     for name, kind in arrays.items():
         array = memory[VIEWS.get(name, name)]
-        if kind is Kind.BLOCKS:
+        if kind is Kind.BLOCKS and lanes > 1:
             array = array.reshape(-1, lanes)
         elif kind is not Kind.NODES and kind.value[1] == 1:
             array = array.reshape(-1)

@@ -151,7 +151,10 @@ def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating]
         return f"the simulation blew up at {when}; try a step_fraction below {scene.step_fraction:g}"
     stiffest = max(particles.materials, key=lambda material: material.wave_speed)
     wave_speed = stiffest.wave_speed
-    young = _rounded_up(stiffest.young * (max(speed, possible) / (RUNAWAY * wave_speed)) ** 2)
+    young = stiffest.young * (max(speed, possible) / (RUNAWAY * wave_speed)) ** 2
+    # The next larger number of two digits.
+    unit = 10.0 ** (math.floor(math.log10(young)) - 1)
+    young = math.ceil(1.001 * young / unit) * unit
     return (
         f"a particle moves at {speed:.3g} m/s at {when}, more than {RUNAWAY:g} times the wave speed of "
         f"{wave_speed:.3g} m/s: a shorter step does not help; "
@@ -162,9 +165,3 @@ def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating]
 def _fastest(velocities: NDArray[np.floating]) -> float:
     """The largest speed [m/s] of velocities [N, D]; nan where one is."""
     return float(np.linalg.norm(velocities.astype(np.float64), axis=1).max())
-
-
-def _rounded_up(value: float) -> float:
-    """The next larger number of two digits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return math.ceil(1.001 * value / unit) * unit

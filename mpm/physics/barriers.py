@@ -20,6 +20,7 @@ import taichi as ti
 
 from mpm.arrays.access import add
 from mpm.arrays.layout import PADDING, Barrier, Offset, Retained, Setting, Settling
+from mpm.physics.transfer import particles_in
 
 ENERGY = 1.0e-6
 """Kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed."""
@@ -69,12 +70,9 @@ def measure_retained(scene, block, arrays: ti.template()):
     lanes = ti.static(features.lanes)
     velocity = (block * features.block + features.velocity) * lanes
     first = arrays.offsets[scene, Offset.RETAINED]
-    count = ti.min(
-        lanes, arrays.offsets[scene, Offset.PARTICLES] - (block - arrays.offsets[scene, Offset.BLOCK]) * lanes
-    )
     for line in range(first, first + arrays.offsets[scene, Offset.RETAINED_COUNT]):
         if arrays.retained[line, Retained.OPENED] == 0:
-            for lane in range(count):
+            for lane in range(particles_in(scene, block, arrays)):
                 particle = arrays.order[block * lanes + lane]
                 if arrays.retained[line, Retained.FIRST] <= particle < arrays.retained[line, Retained.LAST]:
                     mass = arrays.settling[line, Settling.PARTICLE]

@@ -169,13 +169,6 @@ def push(block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def strain_at_contact(block, scratch, modulus, dt, arrays: ti.template()):
-    """The `jump_at_contact` of each particle of a block."""
-    motion, stress = motion_and_stress(block, scratch, arrays)
-    return jump_at_contact(motion, contact_of(block, arrays), stress, modulus, dt, arrays.features.dimension)
-
-
-@ti.func
 def shear_traction_step(block, scratch, dt, shear, arrays: ti.template()):
     """Bring the shear tractions q of a block forward by a step."""
     dimension = ti.static(arrays.features.dimension)

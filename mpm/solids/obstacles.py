@@ -104,26 +104,19 @@ def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles
     """The solids with `surface` in a box, listed up to `cutoff` cells from it; runs of one geometry share them."""
     cell_faces, near_faces = faces_near(domain, surface, cutoff=cutoff)
     node_holds, holds = holds_of(domain, surface, np.flatnonzero(np.diff(cell_faces)), cutoff=cutoff)
+    # From another cell the way to a face leads into a listed one, and from there it is still `cutoff` cells long.
+    apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(node_shape(domain))).ravel()
+    beyond = np.maximum(apart - np.sqrt(len(domain.size)), 0.0)
     count, normals = len(surface.corners), (surface.normals, surface.corner_normals, surface.edge_normals)
     described = surface.corners, *normals, np.minimum(surface.friction, NO_SLIP), surface.solid
     return Obstacles(
         faces=np.concatenate([each.reshape(count, -1) for each in described], axis=1),
         cell_faces=cell_faces,
         near_faces=near_faces,
-        cell_distance=free_distance(domain, np.diff(cell_faces) > 0, cutoff),
+        cell_distance=np.append((cutoff + beyond) * domain.cell, 0.0),
         node_holds=node_holds,
         holds=holds,
     )
-
-
-def free_distance(domain: Domain, listed: NDArray[np.bool_], cutoff: float) -> Floats:
-    """`Obstacles.cell_distance` where cells with faces are `listed`, shape [C]: the way from another cell to a face
-
-    leads into a listed one, and from there it is still `cutoff` cells long at least.
-    """
-    apart = distance_transform_edt(~listed.reshape(node_shape(domain))).ravel()
-    beyond = np.maximum(apart - np.sqrt(len(domain.size)), 0.0)
-    return np.append((cutoff + beyond) * domain.cell, 0.0)
 
 
 def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float) -> tuple[NDArray[np.int32], Floats]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from datasets.material import Material
 from datasets.scene import Mass, Scene
 from mpm import LAST, runtime, simulate
-from mpm.arrays.batch import Batch
+from mpm.arrays.batch import Batch, put_vectors
 from mpm.kernel import Phase, kernel
 from tests.mpm.element import XX, XY, YY, ZZ, follow_states
 from tests.scenes import COLUMN, SAND, box, scene_of
@@ -53,17 +53,14 @@ class EndlessLayer:
         )
         runtime.start("f64", 1)
         self.batch = Batch([self.scene], precision="f64", record=LAST)
-        features, numbers = self.batch.features, self.numbers()
+        features = self.batch.features
+        numbers = self.batch.numbers(0, 0, features.block)
         self.copies = [np.flatnonzero(np.floor(numbers[0] / self.length) == k) for k in range(3)]
         self.state = numbers[:, self.copies[1]]
         along, down = self.scene.gravity_vector
         weight = material.density * (DEPTH - self.state[1])
         for k, gravity in enumerate((down, down, down, along)):
             self.state[features.stress + k] = gravity * weight
-
-    def numbers(self) -> Floats:
-        """The state of all particles, shape [vectors, N], a copy."""
-        return np.moveaxis(self.batch.state_of(0), 1, 0).reshape(self.batch.features.block, -1).copy()
 
     def throw(self, velocity: Callable[[Floats], Floats]) -> None:
         """Let it move at `velocity` [m/s] of the height y [m]."""
@@ -77,13 +74,13 @@ class EndlessLayer:
         frames = 10 * max(1, round(seconds / self.frame_dt / 10.0))
         for frame in range(1, frames + 1):
             self.state[0] %= self.length
-            numbers = self.numbers()
+            numbers = self.batch.numbers(0, 0, features.block)
             for k, own in enumerate(self.copies):
                 numbers[:, own] = self.state
                 numbers[0, own] += k * self.length
-            self.batch.state_of(0)[:] = np.moveaxis(numbers.reshape(features.block, -1, features.lanes), 0, 1)
+            put_vectors(self.batch.state_of(0), 0, numbers.T)
             step(*self.batch.arguments.values(), 1, 2, Phase.FRAMES)
-            self.state = self.numbers()[:, self.copies[1]]
+            self.state = self.batch.numbers(0, 0, features.block)[:, self.copies[1]]
             if frame % (frames // 10) == 0:
                 means.append(float(self.state[features.velocity].mean()))
         rows = np.clip(self.state[1] / self.scene.domain.cell, 0, CELLS - 1).astype(int)

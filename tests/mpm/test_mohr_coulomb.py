@@ -99,7 +99,7 @@ def test_the_return_does_not_know_the_axes(dilation_deg: float) -> None:
     principal[:6, 1] = principal[:6, 0]
     principal[6:12, 1] = principal[6:12, 2]
     principal[12:14] = principal[12:14, :1]
-    expected = returned(sand, principal)
+    expected, _ = returned(sand, principal)
     for values, rotated_result, turn in zip(principal, expected, rotations(60), strict=True):
         start = components(turn @ np.diag(values) @ turn.T)
         result = follow(sand, np.zeros((1, 3, 3)), start)[0]

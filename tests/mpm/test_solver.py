@@ -33,42 +33,37 @@ FIRM = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson
 
 
 @pytest.mark.double
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_a_body_in_the_air_falls_on_a_parabola(dimension: int) -> None:
-    thrown = {
-        2: box(Mass(lower=(0.2, 0.6), size=(0.2, 0.2), velocity=(1.0, 0.5)), volume_correction=False),
-        3: room(
-            Mass(lower=(0.2, 0.5, 0.3), size=(0.16, 0.16, 0.16), velocity=(1.0, 0.5, -0.4)), volume_correction=False
-        ),
-    }
-    flow = simulate(thrown[dimension], precision="f64", record=WITH_FIELDS)
+@pytest.mark.parametrize(
+    "scene",
+    [
+        box(Mass(lower=(0.2, 0.6), size=(0.2, 0.2), velocity=(1.0, 0.5))),
+        room(Mass(lower=(0.2, 0.5, 0.3), size=(0.16, 0.16, 0.16), velocity=(1.0, 0.5, -0.4))),
+    ],
+    ids=["2D", "3D"],
+)
+def test_a_body_in_the_air_falls_on_a_parabola(scene: Scene) -> None:
+    flow = simulate(dataclasses.replace(scene, volume_correction=False), precision="f64", record=WITH_FIELDS)
     exact = FreeFlight.of_flow(flow).displacement(flow.time)
     np.testing.assert_allclose(centre_displacement(flow), exact, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("dimension", "slope_deg", "friction"),
-    [(2, 30.0, 0.2), (2, 15.0, 0.0), pytest.param(3, 30.0, 0.2, marks=pytest.mark.slow)],
+    ("block", "slope_deg", "friction"),
+    [
+        (box(Mass(lower=(0.1, 0.0), size=(0.2, 0.1))), 30.0, 0.2),
+        (box(Mass(lower=(0.1, 0.0), size=(0.2, 0.1))), 15.0, 0.0),
+        pytest.param(room(Mass(lower=(0.08, 0.0, 0.3), size=(0.2, 0.12, 0.2))), 30.0, 0.2, marks=pytest.mark.slow),
+    ],
 )
-def test_a_block_slides_down_an_incline(dimension: int, slope_deg: float, friction: float) -> None:
+def test_a_block_slides_down_an_incline(block: Scene, slope_deg: float, friction: float) -> None:
     """The displacement of a rigid block with Coulomb friction; ours is elastic and stiff."""
-    incline = {
-        "material": dataclasses.replace(FIRM, young=1.0e7),
-        "slope_deg": slope_deg,
-        "floor_friction": friction,
-        "duration": 0.4,
-        "jitter": 0.0,
-    }
-    blocks = {
-        2: box(Mass(lower=(0.1, 0.0), size=(0.2, 0.1)), **incline),  # type: ignore[arg-type]
-        3: room(Mass(lower=(0.08, 0.0, 0.3), size=(0.2, 0.12, 0.2)), **incline),  # type: ignore[arg-type]
-    }
-    scene = blocks[dimension]
+    incline = {"slope_deg": slope_deg, "floor_friction": friction, "duration": 0.4, "jitter": 0.0}
+    scene = dataclasses.replace(block, material=dataclasses.replace(FIRM, young=1.0e7), **incline)
     slid = centre_displacement(simulate(scene))[-1]
     # It bounces elastically on the floor: an impulse of its last bounce is still to come or to be given back.
-    tolerance = {2: 0.005, 3: 0.01}[dimension] * 0.5 * 9.81 * 0.4**2
+    tolerance = {2: 0.005, 3: 0.01}[scene.dimension] * 0.5 * 9.81 * 0.4**2
     assert slid[0] == pytest.approx(SlidingBlock.of_scene(scene).displacement(scene.duration), abs=tolerance)
-    assert dimension == 2 or abs(slid[2]) < 1e-4
+    assert scene.dimension == 2 or abs(slid[2]) < 1e-4
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mpm import runtime
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import plastic_return_reverse
-from mpm.arrays.batch import aligned
+from mpm.arrays.batch import aligned, put_vectors
 from mpm.arrays.features import Features
 from mpm.physics.stress import midpoint_increment, plastic_return, trial_stress
 
@@ -62,8 +62,9 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             elastic = ti.static([Pullback(trial_after, (old, a, p[6], p[7]), (dimension,))])[0]
             bar = [y[e * stresses + k] for k in ti.static(range(stresses))]
             strengths = [p[k] for k in ti.static(range(count))]
+            others = [bar[0], bar[0]]
             trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
-                bar, elastic.values, strengths, p[6], p[7], bar[0], bar[0], features
+                bar + others, elastic.values, strengths, p[6], p[7], features
             )
             found = ti.static(elastic(trial_bar))
             for k in ti.static(range(stresses)):
@@ -88,7 +89,7 @@ def call(function: Callable[..., None], features: Features, inputs: Array, *othe
 
     def packed(columns: Array) -> Array:
         memory = aligned((blocks, len(columns), lanes), real)
-        memory[:] = np.moveaxis(columns[:, source].reshape(len(columns), blocks, lanes), 0, 1)
+        put_vectors(memory, 0, columns[:, source].T)
         return memory.reshape(-1, lanes)
 
     result = aligned((blocks * rows, lanes), real)
