@@ -63,14 +63,8 @@ def command(
     """
     if scheduler is not None and jobs is not None:
         raise InputError("expected none with --scheduler, whose workers are the jobs", key="--jobs")
-    generate(
-        read_definition(definition),
-        out,
-        seed=seed,
-        count=count,
-        jobs=processors() if jobs is None else jobs,
-        scheduler=scheduler,
-    )
+    jobs = processors() if jobs is None else jobs
+    generate(read_definition(definition), out, seed=seed, count=count, jobs=jobs, scheduler=scheduler)
 
 
 def generate(

@@ -124,28 +124,16 @@ class Gradient:
             particles = initial_particles(scene)
             if len(particles.positions) != len(self.positions):
                 raise InputError("expected scenes with as many particles, a change of their number has no derivative")
-            parts = (
-                particles.positions,
-                particles.velocities,
-                particles.velocity_gradients,
-                initial_tractions(scene, particles)[0],
-                properties_of(particles)[:, : self.properties.shape[1]],
-                np.array(settings_row(scene, particles)),
-                *(solids_of(scene, self.scene) if len(self.faces) else ()),
-            )
-            return np.concatenate([part.ravel() for part in parts])
+            motion = particles.positions, particles.velocities, particles.velocity_gradients
+            stress, properties = initial_tractions(scene, particles)[0], properties_of(particles)
+            own = stress, properties[:, : self.properties.shape[1]], np.array(settings_row(scene, particles))
+            solids = solids_of(scene, self.scene) if len(self.faces) else ()
+            return np.concatenate([part.ravel() for part in (*motion, *own, *solids)])
 
-        adjoints = (
-            self.positions,
-            self.velocities,
-            self.velocity_gradients,
-            self.stress,
-            self.properties,
-            self.settings,
-            *((self.faces, self.holds) if len(self.faces) else ()),
-        )
+        bars = self.positions, self.velocities, self.velocity_gradients, self.stress, self.properties, self.settings
+        solids = (self.faces, self.holds) if len(self.faces) else ()
         slopes = differences(inputs, at, "the path", step)
-        flat = np.concatenate([bar.ravel() for bar in adjoints])
+        flat = np.concatenate([bar.ravel() for bar in (*bars, *solids)])
         # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
         return float(flat[flat != 0.0] @ slopes[flat != 0.0])
 

@@ -47,10 +47,8 @@ def apply_barriers(v, node, scene, dt, arrays: ti.template()):
         if closed:
             among = 1
             for k in ti.static(range(features.dimension)):
-                if (
-                    node[k] < arrays.barriers[line, Barrier.LOW_X + k]
-                    or node[k] >= arrays.barriers[line, Barrier.HIGH_X + k]
-                ):
+                low, high = arrays.barriers[line, Barrier.LOW_X + k], arrays.barriers[line, Barrier.HIGH_X + k]
+                if node[k] < low or node[k] >= high:
                     among = 0
             if among == 1:
                 axis = arrays.barriers[line, Barrier.AXIS]

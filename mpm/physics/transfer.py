@@ -45,13 +45,13 @@ def spline(f):
 
 
 @ti.func
-def property_of(scene, block, stride_y: ti.template(), arrays: ti.template()):
+def property_of(scene, block, column: ti.template(), arrays: ti.template()):
     """A property of the particles: one number per scene, or one per lane where the scene is heterogeneous."""
     features = arrays.features
     if ti.static(features.heterogeneous):
-        return arrays.state[block * features.block + features.properties + stride_y]
+        return arrays.state[block * features.block + features.properties + column]
     else:
-        return arrays.properties[scene, stride_y]
+        return arrays.properties[scene, column]
 
 
 @ti.func
@@ -231,11 +231,9 @@ def contributions(
 @ti.func
 def particles_in(scene, block, arrays: ti.template()):
     """Lanes of a block that hold a particle: all, but in a scene's last block. The others mirror the last particle."""
-    features = arrays.features
-    return ti.min(
-        features.lanes,
-        arrays.offsets[scene, Offset.PARTICLES] - (block - arrays.offsets[scene, Offset.BLOCK]) * features.lanes,
-    )
+    lanes = arrays.features.lanes
+    before = (block - arrays.offsets[scene, Offset.BLOCK]) * lanes
+    return ti.min(lanes, arrays.offsets[scene, Offset.PARTICLES] - before)
 
 
 @ti.func

@@ -20,14 +20,7 @@ WALLED = Baffle(lower=(0.3, 0.0), size=(0.1, 0.1))
 
 @pytest.mark.parametrize(
     ("frames", "kept"),
-    [
-        ("all", [0, 1, 2, 3, 4, 5, 6]),
-        ("last", [6]),
-        (1, [0, 1, 2, 3, 4, 5, 6]),
-        (4, [0, 4, 6]),
-        (6, [0, 6]),
-        (9, [0, 6]),
-    ],
+    [("all", [*range(7)]), ("last", [6]), (1, [*range(7)]), (4, [0, 4, 6]), (6, [0, 6]), (9, [0, 6])],
 )
 def test_the_frames_that_are_kept(frames: object, kept: list[int]) -> None:
     record = Recording(frames=frames)  # type: ignore[arg-type]

@@ -1,5 +1,6 @@
 """The return of all yield surfaces together: against enumeration, and continuous everywhere."""
 
+import dataclasses
 import itertools
 from collections.abc import Iterator
 
@@ -81,13 +82,8 @@ def materials() -> Iterator[Material]:
         if cohesion == 0.0 and cutoff > 0.0:
             continue
         apex = cohesion / np.tan(np.radians(friction)) if friction > 0.0 else 4.0 * cohesion
-        yield Material(
-            friction_deg=friction,
-            dilation_deg=share * friction,
-            cohesion=cohesion,
-            tension_cutoff=cutoff * apex,
-            poisson=poisson,
-        )
+        soil = Material(friction_deg=friction, cohesion=cohesion, tension_cutoff=cutoff * apex, poisson=poisson)
+        yield dataclasses.replace(soil, dilation_deg=share * friction)
 
 
 MATERIALS = list(materials())
