@@ -99,7 +99,6 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
 @ti.func
 def depends(then, scene, arrays: ti.template()):
     """Whether a lane, whose first number in the history is `then`, depends on its solid: within the width of contact;
-
     with volume correction out to where a solid hides mass.
     """
     lanes = arrays.features.lanes

@@ -72,7 +72,6 @@ class ContactOperator:
 
     def gradient(self, displacements: Floats) -> Floats:
         """What contact adds to the displacement gradient of the touching particles [-], shape [M, 3, 3], by nodal
-
         displacements [m], shape [n, D].
         """
         strain = self.delta * (self.normal * (self.foot @ displacements)).sum(axis=1)
@@ -104,7 +103,6 @@ class ContactOperator:
 
     def fixed_components(self, scene: Scene, nodes: Integers) -> NDArray[np.bool_]:
         """Which components of `nodes`, indices of shape [n, D], solids hold by half, shape [n, D]: across faces along
-
         an axis that component; else all, for such a node lies deep and is in the support of the first row alone.
         """
         solids, surface = obstacles_in(scene), surface_of(scene)

@@ -82,7 +82,6 @@ MOST_STEPS = 600
 
 def initial_tractions(scene: Scene, particles: Particles, positions: Floats | None = None) -> tuple[Floats, Floats]:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
-
     the shear traction of the solid that it touches [Pa], shape [N, D]. Zero in masses without `k0`. `positions` [m],
     shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
     equilibrium within the yield surface was found.
@@ -164,7 +163,6 @@ class Equilibrium:
 
     def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
         """Find which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -,
-
         and barriers hold, [n, D]; and which nodes a rough floor holds altogether, [n].
         """
         self.walls = walls = np.zeros(self.nodes.shape, np.int8)

@@ -240,7 +240,6 @@ def removed_by(hold, v, arrays: ti.template()):
 @ti.func
 def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
-
     `mass` [kg] of each lane. A particle whose distance was d and that has moved by s has one of at least d - s now: as
     long as that is beyond the contact no face is searched, nor where the nearest one is known to be (`free_path`).
     """

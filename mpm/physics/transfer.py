@@ -203,7 +203,6 @@ def contributions(
     carried: ti.template(), mass, volume, pushed: ti.template(), f: ti.template(), dx, features: ti.template()
 ):
     """What a particle gives to the node that lies `f` cells below it: momentum, D x D slopes of it per cell row by row,
-
     and the force and its slopes. carried: its velocity, C and stress; pushed: `surface_force` of solids, nothing where
     none is near.
     """

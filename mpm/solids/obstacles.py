@@ -164,7 +164,6 @@ def faces_near(domain: Domain, surface: Surface, *, cutoff: float) -> tuple[NDAr
 
 def near_pairs(domain: Domain, surface: Surface, limit: float) -> tuple[Integers, Integers, Floats]:
     """Cells and faces whose centre lies within `limit` [m] of the face, and the distance of the centre [m], all [P];
-
     in the order of the cells, then of the faces.
     """
     shape = np.array(node_shape(domain))

@@ -51,9 +51,6 @@ def test_where_all_directions_open_all_carry_the_limit() -> None:
         np.testing.assert_allclose(history[-1, [XX, YY, ZZ]], 100.0 / np.tan(np.radians(30.0)), rtol=1e-9)
 
 
-# Three dimensions: the same law, its axes anywhere.
-
-
 def rotations(count: int) -> np.ndarray:
     """Random proper rotations, shape [count, 3, 3]."""
     turned, _ = np.linalg.qr(np.random.default_rng(11).normal(size=(count, 3, 3)))

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from datasets.material import Material
 from tests.mpm.element import returned
 
+pytestmark = pytest.mark.double
+
 Vector = NDArray[np.float64]
 
 
@@ -67,11 +69,6 @@ def lcp_return(material: Material, trial: Vector) -> tuple[Vector, Vector]:
     return best, np.where(np.isfinite(low[:, 0]), (high - low).max(axis=1), np.inf)
 
 
-pytestmark = pytest.mark.double
-
-Array = np.ndarray
-
-
 def materials() -> Iterator[Material]:
     """Friction, dilation, cohesion, cutoff from none to the apex, and Poisson's ratio, each with each."""
     for friction, share, cohesion, cutoff, poisson in itertools.product(
@@ -101,7 +98,7 @@ def unit(material: Material) -> float:
     return max(material.cohesion, 1.0e3)
 
 
-def trials(material: Material, random: np.random.Generator, count: int) -> Array:
+def trials(material: Material, random: np.random.Generator, count: int) -> Vector:
     """Sorted trial stresses [Pa], shape [about `count`, 3], at many scales: anywhere, about the corner of the tension
     limit, and about the returned ones, that is faces, edges and corners."""
     size = unit(material) * 10.0 ** random.uniform(-2.0, 2.0, (count // 2, 1))
@@ -113,7 +110,7 @@ def trials(material: Material, random: np.random.Generator, count: int) -> Array
     return -np.sort(-np.concatenate([anywhere, corner, landed]), axis=1)
 
 
-def scale_of(material: Material, stresses: Array) -> Array:
+def scale_of(material: Material, stresses: Vector) -> Vector:
     """The stresses that a difference is to be small against [Pa], shape [E]."""
     return np.abs(stresses).max(axis=1) + surfaces(material)[2].max()
 
