@@ -133,9 +133,8 @@ def simulate_all(
 ) -> float:
     """Simulate `entries`, of `total` in the dataset; the seconds of all of them, of one after the other.
 
-    A failed one does not stop the others; WorkFailed names it.
-
-    Raises OSError where the disk is full or read-only: the others would fail too.
+    A failed one does not stop the others; WorkFailed names it. Raises OSError where the disk is full or read-only: the
+    others would fail too.
     """
     failures, seconds = [], 0.0
     tasks = [(entry.scene, trajectory_path(entry, out), storage) for entry in entries]

@@ -6,9 +6,7 @@
 
 Many scenes: a scene runs on one thread from the first step of a call to the last: no atomics, no waiting, and the
 result is the same to the bit on any number of threads. One large scene: each thread has its own part of the particles
-and its own grid, and where the grids overlap they are summed; the last bits then depend on the number of threads. A
-call costs Taichi a third of a millisecond, as much as a step of 10,000 particles, so the threads wait for each other
-inside it.
+and its own grid, and where the grids overlap they are summed; the last bits then depend on the number of threads.
 """
 
 from collections.abc import Callable

@@ -245,9 +245,8 @@ class Tape:
         """Bars of what the run began with for each of any number of objectives; segments are replayed once for all.
 
         flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
-        settings of each scene (`settings`), faces (`face_adjoints`) and holds of nodes
-        (`hold_adjoints`), and the share of the bars of each scene that were cut (`cut`). Raises WorkFailed
-        where a gradient grows without bound.
+        settings of each scene (`settings`), faces (`face_adjoints`) and holds of nodes (`hold_adjoints`), and the share
+        of the bars of each scene that were cut (`cut`). Raises WorkFailed where a gradient grows without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes

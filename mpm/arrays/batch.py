@@ -50,10 +50,9 @@ PORTION = 2**18
 class Batch:
     """The state of several scenes and what is recorded of it.
 
-    `workers` threads share one scene; with several scenes each has one. `record` says what is recorded and
-    whether a scene ends when its deposit has come to rest. `particles` are those of each scene at the start. The
-    positions of one scene can be kept in a `file`. Raises InputError for more particles times frames than can be
-    counted.
+    `workers` threads share one scene; with several scenes each has one. `record` says what is recorded and whether a
+    scene ends when its deposit has come to rest. `particles` are those of each scene at the start. The positions of one
+    scene can be kept in a `file`. Raises InputError for more particles times frames than can be counted.
 
     The kernel itself records positions where every frame keeps them in memory, and nothing else; what is kept of few
     frames, in a file or beside the positions is taken from the state between two calls of the kernel (`keep`).

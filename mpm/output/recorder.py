@@ -144,11 +144,7 @@ def record_impulses(scene, frame, arrays: ti.template()):
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Set the frame of rest once a deposit has rested over a window of frames (`mpm.output.request`) without barriers.
-
-    In every frame of the window the kinetic energy was below REST of the largest so far, and over all of it the mean
-    unbalanced force was below BALANCED of the weight.
-    """
+    """Set the frame of rest once a deposit without barriers has rested over a window of frames; `mpm.output.request`."""
     line, window = arrays.offsets[scene, Offset.ENERGY], arrays.offsets[scene, Offset.WINDOW]
     since = 0
     if ti.static(arrays.features.barriers):

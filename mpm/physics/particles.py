@@ -120,8 +120,8 @@ def remove_outflow(block, scene, arrays: ti.template()):
 def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     """Stress, and plastic strain where it is needed, of a block after its new velocity gradient.
 
-    near: whether it touches a solid.
-    Where the material softens, the strength of the step is that of the plastic strain at its start: explicit.
+    near: whether it touches a solid. Where the material softens, the strength of the step is that of the plastic strain
+    at its start: explicit.
     """
     features = arrays.features
     first = no_overflow(block * features.block)
@@ -153,10 +153,7 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
 
 @ti.func
 def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
-    """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids.
-
-    modulus: M [Pa].
-    """
+    """G [-] of a block, row by row: of its velocity gradient and the jump of velocity at solids; `modulus`: M [Pa]."""
     features = arrays.features
     first = no_overflow(block * features.block)
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
