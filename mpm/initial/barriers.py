@@ -98,15 +98,3 @@ def barrier_tables(
 def retained_masses(scene: Scene) -> dict[int, Mass]:
     """The masses that begin behind barriers, by their index."""
     return {index: mass for index, mass in enumerate(scene.masses) if mass.release is not None}
-
-
-def release_times(scene: Scene, opened: NDArray[np.int32]) -> list[float | None] | None:
-    """When each mass was let go [s]: 0 where it never was retained, None where it still is; None without barriers.
-
-    opened: the frames in which the barriers of the retained masses opened, 0 where they did not.
-    """
-    retained = retained_masses(scene)
-    if not retained:
-        return None
-    frames = dict(zip(retained, opened.tolist(), strict=True))
-    return [(frames[k] * scene.frame_dt or None) if k in frames else 0.0 for k in range(len(scene.masses))]

@@ -14,7 +14,7 @@ from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Energy, Offset, Retained
-from mpm.initial.barriers import release_times
+from mpm.initial.barriers import retained_masses
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
@@ -60,10 +60,10 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
 
     Its summary: lengths in metres; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
     scene; `rest_time` [s], when the deposit came to rest, where the run may end there, and `end_time` [s], until when
-    it was computed; `release_time` [s], when each mass was let go, where barriers hold one; `stage_time` [s], when each
-    stage began, None where it did not; where asked for the momentum that the sides of the box and the barriers have
-    taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`; `outflow` [kg] through each open
-    side; `wall_s` of all scenes that ran together, compilation apart.
+    it was computed; `release_time` [s], when each mass was let go, where barriers hold one, None where it still is;
+    `stage_time` [s], when each stage began, None where it did not; where asked for the momentum that the sides of the
+    box and the barriers have taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`;
+    `outflow` [kg] through each open side; `wall_s` of all scenes that ran together, compilation apart.
     """
     if (failed := failure(batch, index)) is not None:
         return failed
@@ -99,9 +99,10 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         "arch": arch,
         "precision": batch.features.precision,
     }
-    opened = batch.retained[offset[Offset.RETAINED] :, Retained.OPENED][: offset[Offset.RETAINED_COUNT]]
-    if (released := release_times(scene, opened)) is not None:
-        summary["release_time"] = released
+    if retained := retained_masses(scene):
+        opened = batch.retained[offset[Offset.RETAINED] :, Retained.OPENED][: len(retained)]
+        times = dict(zip(retained, (opened * scene.frame_dt).tolist(), strict=True))
+        summary["release_time"] = [(times[k] or None) if k in times else 0.0 for k in range(len(scene.masses))]
     if batch.recording.wall_forces:
         walls = impulses[:, solids:]
         names = DOMAIN_SIDES[: 2 * scene.dimension]

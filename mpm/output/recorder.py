@@ -144,7 +144,7 @@ def record_impulses(scene, frame, arrays: ti.template()):
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Set the frame of rest once a deposit without barriers has rested over a window of frames; `mpm.output.request`."""
+    """Set the frame of rest where a deposit without barriers rested over a window of frames (`mpm.output.request`)."""
     line, window = arrays.offsets[scene, Offset.ENERGY], arrays.offsets[scene, Offset.WINDOW]
     since = 0
     if ti.static(arrays.features.barriers):
