@@ -39,18 +39,10 @@ class EndlessLayer:
         cell = DEPTH / CELLS
         self.length = PERIOD * cell
         self.frame_dt = 0.999 * STEPS * 0.4 * cell / material.wave_speed
-        self.scene = scene_of(
-            Mass(lower=(0.0, 0.0), size=(3.0 * self.length, DEPTH)),
-            size=(3.0 * self.length, 1.5 * DEPTH),
-            cell=cell,
-            material=material,
-            slope_deg=slope_deg,
-            floor_friction="rough",
-            frame_dt=self.frame_dt,
-            duration=2.0 * self.frame_dt,
-            jitter=0.0,
-            **settings,
-        )
+        size, body = (3.0 * self.length, 1.5 * DEPTH), Mass(lower=(0.0, 0.0), size=(3.0 * self.length, DEPTH))
+        settings |= {"slope_deg": slope_deg, "floor_friction": "rough", "jitter": 0.0}
+        settings |= {"frame_dt": self.frame_dt, "duration": 2.0 * self.frame_dt}
+        self.scene = scene_of(body, size=size, cell=cell, material=material, **settings)
         runtime.start("f64", 1)
         self.batch = Batch([self.scene], precision="f64", record=LAST)
         features = self.batch.features
@@ -106,11 +98,6 @@ def mu(inertial: float) -> float:
     """mu(I) of `BEADS` (Jop, Forterre & Pouliquen 2006)."""
     slow, fast = math.tan(math.radians(20.9)), math.tan(math.radians(32.8))
     return slow + (fast - slow) / (1.0 + 0.279 / inertial)
-
-
-def slope_of(inertial: float) -> float:
-    """Slope [deg] down which `BEADS` flow steadily at this inertial number."""
-    return math.degrees(math.atan(mu(inertial)))
 
 
 @pytest.mark.double
@@ -191,7 +178,7 @@ def test_without_growth_and_at_rest_it_is_mohr_coulomb_to_the_bit(limit_deg: flo
 @pytest.mark.parametrize("inertial", [0.01, 0.05, 0.3])
 def test_a_layer_on_an_incline_has_bagnolds_profile(inertial: float) -> None:
     """Thrown 10 % too fast it comes to u(y) = (2/3) (I / d) sqrt(...) (h^1.5 - (h - y)^1.5), within 3 % at 20 cells."""
-    layer = EndlessLayer(BEADS, slope_of(inertial))
+    layer = EndlessLayer(BEADS, math.degrees(math.atan(mu(inertial))))
     exact = bagnold(layer.scene, inertial)
     layer.throw(lambda y: 1.1 * exact(y))
     rows, means = layer.run(1.0 if inertial < 0.1 else 3.0)
