@@ -104,10 +104,8 @@ def generate(
         seconds = simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
         if scheduler is None and missing:
             learn(kind, work, seconds, start=time.perf_counter() - begun - seconds / jobs)
-        statistics = statistics_of(
-            workers, [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
-        )
-        described = metadata(definition.name, entries, seed=seed, statistics=statistics)
+        paths = [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
+        described = metadata(definition.name, entries, seed=seed, statistics=statistics_of(workers, paths))
         write_json(out / "metadata.json", described)
 
 

@@ -104,13 +104,11 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
         for scene in range(arrays.offsets.shape[0]):
             arrays.step_control[scene, StepControl.SPEED] = 0.0
         for block in range(arrays.owner.shape[0]):
-            ti.atomic_max(
-                arrays.step_control[arrays.owner[block], StepControl.SPEED], ti.sqrt(squared_speed(block, arrays))
-            )
+            speed = ti.sqrt(squared_speed(block, arrays))
+            ti.atomic_max(arrays.step_control[arrays.owner[block], StepControl.SPEED], speed)
         for scene in range(arrays.offsets.shape[0]):
-            arrays.step_control[scene, StepControl.STEPS] = steps_at_speed(
-                scene, arrays.step_control[scene, StepControl.SPEED], arrays
-            )
+            fastest = arrays.step_control[scene, StepControl.SPEED]
+            arrays.step_control[scene, StepControl.STEPS] = steps_at_speed(scene, fastest, arrays)
     if ti.static(phase == Phase.STEP):
         for n in range(arrays.grid.shape[0]):
             arrays.grid[n] = 0.0 * arrays.grid[n]

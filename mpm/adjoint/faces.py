@@ -104,9 +104,8 @@ def depends(then, scene, arrays: ti.template()):
     lanes = arrays.features.lanes
     contact = then + arrays.features.contacts * lanes
     if ti.static(arrays.features.volume_correction):
-        return (
-            arrays.history_lanes[contact + Contact.DISTANCE * lanes] < GAP_CUTOFF * arrays.settings[scene, Setting.CELL]
-        )
+        distance = arrays.history_lanes[contact + Contact.DISTANCE * lanes]
+        return distance < GAP_CUTOFF * arrays.settings[scene, Setting.CELL]
     else:
         return arrays.history_lanes[contact + Contact.DELTA * lanes] > 0.0
 

@@ -65,9 +65,8 @@ class Number:
         return result
 
     def __rtruediv__(self, other: float) -> "Number":
-        result: Number = Number(
-            self.tape, other / self.value, (self, lambda bar: 0.0 - bar * result.value / self.value)
-        )
+        own = (self, lambda bar: 0.0 - bar * result.value / self.value)
+        result: Number = Number(self.tape, other / self.value, own)
         return result
 
     def __pow__(self, power: int) -> "Number":
@@ -87,9 +86,8 @@ def plain(number: Any) -> Any:
 
 def root(a: Number) -> Number:
     """As `ti.sqrt`."""
-    result = Number(
-        a.tape, ti.sqrt(a.value), (a, lambda bar: ti.select(result.value > 0.0, 0.5 * bar / result.value, 0.0))
-    )
+    own = (a, lambda bar: ti.select(result.value > 0.0, 0.5 * bar / result.value, 0.0))
+    result: Number = Number(a.tape, ti.sqrt(a.value), own)
     return result
 
 

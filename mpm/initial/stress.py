@@ -124,11 +124,9 @@ def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Fl
     for above in sorted(scene.masses, key=lambda each: each.lower[1]):
         if above is mass or above.k0 is None:
             continue
-        rests = np.abs(above.lower[1] - top) <= TOLERANCE
-        for axis in level:
-            rests &= (positions[:, axis] >= above.lower[axis]) & (
-                positions[:, axis] <= above.lower[axis] + above.size[axis]
-            )
+        low, size = np.array(above.lower)[level], np.array(above.size)[level]
+        inside = (positions[:, level] >= low) & (positions[:, level] <= low + size)
+        rests = inside.all(axis=1) & (np.abs(above.lower[1] - top) <= TOLERANCE)
         load = load + np.where(rests, scene.material_of(above).density * above.size[1], 0.0)
         top = np.where(rests, above.lower[1] + above.size[1], top)
     return np.asarray(gravity * load)
@@ -142,9 +140,8 @@ class Equilibrium:
         self.volume, density = particles.volume[chosen], particles.density[chosen]
         rows = properties_of(particles)[chosen]
         self.lame, self.shear = rows[:, Property.LAME], rows[:, Property.SHEAR]
-        self.sin_phi, self.strength, self.limit = (
-            rows[:, column] for column in (Property.SIN_PHI, Property.STRENGTH, Property.LIMIT)
-        )
+        self.sin_phi, self.strength = rows[:, Property.SIN_PHI], rows[:, Property.STRENGTH]
+        self.limit = rows[:, Property.LIMIT]
         weights, self.slopes, self.nodes = gradient_matrices(scene, positions[chosen])
         self.slopes_t = self.slopes.T.tocsr()
         self.mass: Floats = weights.T @ (self.volume * density)
@@ -290,9 +287,7 @@ class Equilibrium:
         dimension, count = self.dimension, len(self.volume)
         each = [self.slopes[axis * count : (axis + 1) * count] for axis in range(dimension)]
         stiff = self.volume * self.theta
-        squares = [
-            (matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1)) for matrix in each
-        ]
+        squares = [matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1) for matrix in each]
         total = sum(square[:, 1] for square in squares)
         diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
         contact = self.theta * self.lame, self.theta * self.shear

@@ -81,7 +81,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         # What one trajectory holds must not keep the record of all others in memory.
         positions, fields = positions.copy(), {name: values.copy() for name, values in fields.items()}
     began = rest - int(offset[Offset.WINDOW]) + 1
-    deposit = positions[-1]
+    deposit, kinds = positions[-1], (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
     summary: dict[str, Any] = {
         "runout": runout(deposit),
         "front": front(deposit, particles.volume),
@@ -90,10 +90,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         "particles": len(deposit),
         "rest_time": began * scene.frame_dt if rest else None,
         "end_time": (rest or scene.frames - 1) * scene.frame_dt,
-        "energy": {
-            column.name.lower(): rounded(energies[:, column])
-            for column in (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
-        },
+        "energy": {each.name.lower(): rounded(energies[:, each]) for each in kinds},
         "wall_s": wall_s,
         "compile_s": compile_s,
         "arch": arch,

@@ -98,10 +98,8 @@ def record_block(scene, frame, block, arrays: ti.template()):
         s = arrays.state[first + features.stress + k]
         ss = ss + ti.static(1.0 if k < 3 else 2.0) * s * s
         trace = trace + ti.static(1.0 if k < 3 else 0.0) * s
-    height = (
-        arrays.settings[scene, Setting.GRAVITY_X] * arrays.state[first]
-        + arrays.settings[scene, Setting.GRAVITY_Y] * arrays.state[first + 1]
-    )
+    along, down = arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y]
+    height = along * arrays.state[first] + down * arrays.state[first + 1]
     deviator = property_of(scene, block, Property.ELASTIC_DEVIATOR, arrays)
     spherical = property_of(scene, block, Property.ELASTIC_TRACE, arrays)
     line = (frame + arrays.offsets[scene, Offset.ENERGY]) * ti.static(len(Energy))

@@ -93,10 +93,8 @@ def open_barriers(scene, frame, arrays: ti.template()):
                 arrays.settling[line, Settling.EARLIER_X + k] = now
                 arrays.settling[line, Settling.MOMENTUM_X + k] = 0.0
             calm = arrays.retained[line, Retained.SETTLED_FRAMES] + 1
-            if (
-                arrays.settling[line, Settling.KINETIC] > arrays.settling[line, Settling.MOST_KINETIC]
-                or ti.sqrt(change) > arrays.settling[line, Settling.MOST_IMPULSE]
-            ):
+            moves = arrays.settling[line, Settling.KINETIC] > arrays.settling[line, Settling.MOST_KINETIC]
+            if moves or ti.sqrt(change) > arrays.settling[line, Settling.MOST_IMPULSE]:
                 calm = 0
             arrays.retained[line, Retained.SETTLED_FRAMES] = calm
             arrays.settling[line, Settling.KINETIC] = 0.0

@@ -86,7 +86,7 @@ def surface_force(stress: ti.template(), contact: ti.template(), dimension: ti.t
 
 @ti.func
 def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.template()):
-    """v_f [m/s], of the material at the foot: from `motion`, the grid's velocity at the particle and C; a list of D."""
+    """v_f [m/s], of the material at the foot, a list of D, and n . v_f; `motion`: the grid's velocity and C."""
     velocity, affine = motion
     foot = [velocity[i] for i in ti.static(range(dimension))]
     for i in ti.static(range(dimension)):
@@ -94,16 +94,10 @@ def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.t
         for j in ti.static(range(dimension)):
             rotation = rotation + affine[i * dimension + j] * contact[Contact.NORMAL + j]
         foot[i] = velocity[i] - contact[Contact.DISTANCE] * rotation
-    return foot
-
-
-@ti.func
-def opening_velocity(foot: ti.template(), contact: ti.template(), dimension: ti.template()):
-    """n . v_f [m/s]."""
-    value = 0.0 * foot[0]
+    opening = 0.0 * foot[0]
     for k in ti.static(range(dimension)):
-        value = value + contact[Contact.NORMAL + k] * foot[k]
-    return value
+        opening = opening + contact[Contact.NORMAL + k] * foot[k]
+    return foot, opening
 
 
 @ti.func
@@ -114,7 +108,7 @@ def jump_at_contact(
 
     modulus: M [Pa].
     """
-    opening = opening_velocity(foot_velocity(motion, contact, dimension), contact, dimension)
+    _, opening = foot_velocity(motion, contact, dimension)
     pressure = maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
     return minimum(dt * contact[Contact.DELTA] * opening, pressure / modulus)
 
@@ -133,9 +127,8 @@ def sheared_traction(
     motion: ti.template(), stress: ti.template(), contact: ti.template(), shear, dt, dimension: ti.template()
 ):
     """The shear traction q [Pa] after a step, a list of D, within Coulomb's bound for the new `stress`."""
-    foot = foot_velocity(motion, contact, dimension)
-    opening, square = opening_velocity(foot, contact, dimension), TINY + 0.0 * foot[0]
-    stiffness = dt * shear * contact[Contact.DELTA]
+    foot, opening = foot_velocity(motion, contact, dimension)
+    square, stiffness = TINY + 0.0 * foot[0], dt * shear * contact[Contact.DELTA]
     q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
     for k in ti.static(range(dimension)):
         slip = foot[k] - opening * contact[Contact.NORMAL + k]
