@@ -76,11 +76,7 @@ def upload(arguments: dict[str, Array], features: Features) -> dict[str, ti.Ndar
             device[name] = device[VIEWS[name]]
             continue
         kind = {"f": ti.f32, "d": ti.f64, "i": ti.i32}[array.dtype.char]
-        if name == "grid":
-            device[name] = ti.Vector.ndarray(features.node, kind, array.shape[0])
-        else:
-            flat = array.reshape(-1) if name in VIEWS.values() else array
-            device[name] = ti.ndarray(kind, flat.shape)
-            array = flat
+        nodes = name == "grid"
+        device[name] = ti.Vector.ndarray(features.node, kind, len(array)) if nodes else ti.ndarray(kind, array.shape)
         device[name].from_numpy(np.ascontiguousarray(array))
     return device

@@ -8,7 +8,6 @@ are medians over the latest ones, kept in `speeds.json` in the user's cache fold
 TALUS_CACHE names. A file that cannot be read or written is no reason not to run.
 """
 
-import math
 import os
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,6 +16,7 @@ from pathlib import Path
 from statistics import median
 
 from platformdirs import user_cache_path
+from pydantic import PositiveFloat, TypeAdapter, ValidationError
 
 from datasets import memory
 from datasets.errors import InputError
@@ -82,7 +82,7 @@ def expected(
     known = _read().get(kind, {})
     speeds, starts = known.get("speed") or [SPEED[int(kind[0])] / CAUTION], known.get("start") or [START]
     seconds = median(starts) + work / (median(speeds) * processors) + after
-    return Expected(seconds=seconds, memory=memory, measured="speed" in known, least=least or after > 0.0)
+    return Expected(seconds=seconds, memory=memory, measured=bool(known.get("speed")), least=least or after > 0.0)
 
 
 def planned(scenes: Sequence[Scene]) -> tuple[float, float]:
@@ -109,12 +109,7 @@ def _file() -> Path:
 
 
 def _read() -> dict[str, dict[str, list[float]]]:
-    """By kind `speed` [particle-steps/s/processor] and `start` [s], the latest last; nothing of what is no number."""
-    found: dict[str, dict[str, list[float]]] = {}
-    with suppress(InputError, OSError, TypeError, ValueError, AttributeError):
-        for kind, known in (read_json(_file()) or {}).items():
-            numbers = {name: [float(each) for each in known.get(name, [])] for name in ("speed", "start")}
-            found[kind] = {
-                name: each for name, each in numbers.items() if each and all(0.0 < value < math.inf for value in each)
-            }
-    return found
+    """By kind `speed` [particle-steps/s/processor] and `start` [s], the latest last; nothing of a broken file."""
+    with suppress(InputError, OSError, ValidationError):
+        return TypeAdapter(dict[str, dict[str, list[PositiveFloat]]]).validate_python(read_json(_file()) or {})
+    return {}

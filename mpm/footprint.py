@@ -90,13 +90,8 @@ def footprint(
     # What is smoothed is there twice.
     numbers = dimension + (2 * (dimension + features.stresses + 2) if record.fields else 0)
     recorded = 4 * count * kept * numbers + 8 * scene.frames * (len(Energy) + 2 * solids * dimension)
-    return Footprint(
-        particles=count,
-        nodes=nodes,
-        frames=scene.frames,
-        steps=steps,
-        bytes=int(sum(sizes)) + (0 if in_file else recorded),
-    )
+    size = int(sum(sizes)) + (0 if in_file else recorded)
+    return Footprint(particles=count, nodes=nodes, frames=scene.frames, steps=steps, bytes=size)
 
 
 def require_memory(footprints: list[Footprint]) -> None:

@@ -63,14 +63,8 @@ def command(
     """
     if scheduler is not None and jobs is not None:
         raise InputError("expected none with --scheduler, whose workers are the jobs", key="--jobs")
-    generate(
-        read_definition(definition),
-        out,
-        seed=seed,
-        count=count,
-        jobs=processors() if jobs is None else jobs,
-        scheduler=scheduler,
-    )
+    jobs = processors() if jobs is None else jobs
+    generate(read_definition(definition), out, seed=seed, count=count, jobs=jobs, scheduler=scheduler)
 
 
 def generate(
@@ -110,10 +104,8 @@ def generate(
         seconds = simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
         if scheduler is None and missing:
             learn(kind, work, seconds, start=time.perf_counter() - begun - seconds / jobs)
-        statistics = statistics_of(
-            workers, [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
-        )
-        described = metadata(definition.name, entries, seed=seed, statistics=statistics)
+        paths = [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
+        described = metadata(definition.name, entries, seed=seed, statistics=statistics_of(workers, paths))
         write_json(out / "metadata.json", described)
 
 
@@ -139,9 +131,8 @@ def simulate_all(
 ) -> float:
     """Simulate `entries`, of `total` in the dataset; the seconds of all of them, of one after the other.
 
-    A failed one does not stop the others; WorkFailed names it.
-
-    Raises OSError where the disk is full or read-only: the others would fail too.
+    A failed one does not stop the others; WorkFailed names it. Raises OSError where the disk is full or read-only: the
+    others would fail too.
     """
     failures, seconds = [], 0.0
     tasks = [(entry.scene, trajectory_path(entry, out), storage) for entry in entries]

@@ -188,10 +188,7 @@ def run_batch(batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bo
         run(*batch.arguments.values(), 0, 0, Phase.FRAMES)
     compile_s = time.perf_counter() - begin
     begin = time.perf_counter()
-    if arch == "cpu":
-        run_on_threads(batch, run, bar, stop)
-    else:
-        run_on_device(batch, run, bar, stop)
+    (run_on_threads if arch == "cpu" else run_on_device)(batch, run, bar, stop)
     return time.perf_counter() - begin, compile_s
 
 

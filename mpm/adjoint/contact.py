@@ -80,13 +80,19 @@ def push_reverse(
     worker, block, scratch, stress: ti.template(), pushed_bar: ti.template(), volume, dt, arrays: ti.template()
 ):
     """Bars of the contact, the stress and the volume of a block from those of its `surface_force`."""
-    features, layout = arrays.features, arrays.layout
+    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     size = ti.static(features.dimension)
     if touches(block, arrays):
         pushed = ti.static([Pullback(surface_force, (stress, contact_of(block, arrays)), (size,))])[0]
         bar = [pushed_bar[k] for k in ti.static(range(2 * size))]
         if ti.static(layout.impulses):
-            gather_impulse_adjoints(block, scratch, worker, arrays)
+            # The bar of the impulse of the solid next to each particle.
+            face = contact_at(block, Contact.FACE, arrays)
+            for lane in range(lanes):
+                solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
+                momentum_bar = impulse_bar(solid, worker, arrays)
+                for k in ti.static(range(size)):
+                    arrays.scratch_lanes[(scratch + layout.before + k) * lanes + lane] = momentum_bar[k]
             for i in ti.static(range(size)):
                 given = dt * present(block, arrays) * arrays.scratch[scratch + layout.before + i]
                 bar[i] = bar[i] - volume * given
@@ -102,18 +108,6 @@ def impulse_bar(solid, worker, arrays: ti.template()):
     features = arrays.features
     first = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
     return ti.Vector([arrays.impulse_adjoints[first + k] for k in ti.static(range(features.dimension))])
-
-
-@ti.func
-def gather_impulse_adjoints(block, scratch, worker, arrays: ti.template()):
-    """Leave in the scratch from `layout.before` the bar of the impulse of the solid next to each particle."""
-    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
-    face = contact_at(block, Contact.FACE, arrays)
-    for lane in range(lanes):
-        solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
-        bar = impulse_bar(solid, worker, arrays)
-        for k in ti.static(range(features.dimension)):
-            arrays.scratch_lanes[(scratch + layout.before + k) * lanes + lane] = bar[k]
 
 
 @ti.func
@@ -166,23 +160,14 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
 
 
 @ti.func
-def jump_reverse(
-    block,
-    scratch,
-    affine: ti.template(),
-    stress: ti.template(),
-    contact: ti.template(),
-    modulus,
-    dt,
-    bar,
-    arrays: ti.template(),
-):
+def jump_reverse(block, scratch, strained: ti.template(), modulus, dt, bar, arrays: ti.template()):
     """From the bar of `jump_at_contact` to those of the grid's velocity, in `scratch`, of C, contact and stress.
 
-    Returns that of the modulus.
+    strained: C, contact and stress. Returns the bar of the modulus.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
+    affine, contact, stress = strained
     numbers = ti.static(((grid_motion(scratch, arrays), affine), contact, stress, modulus))
     jump = ti.static([Pullback(jump_at_contact, numbers, (dt, size))])[0]
     motion_bar, contacts_bar, stress_bar, modulus_bar = ti.static(jump([bar]))

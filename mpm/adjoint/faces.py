@@ -99,15 +99,13 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
 @ti.func
 def depends(then, scene, arrays: ti.template()):
     """Whether a lane, whose first number in the history is `then`, depends on its solid: within the width of contact;
-
     with volume correction out to where a solid hides mass.
     """
     lanes = arrays.features.lanes
     contact = then + arrays.features.contacts * lanes
     if ti.static(arrays.features.volume_correction):
-        return (
-            arrays.history_lanes[contact + Contact.DISTANCE * lanes] < GAP_CUTOFF * arrays.settings[scene, Setting.CELL]
-        )
+        distance = arrays.history_lanes[contact + Contact.DISTANCE * lanes]
+        return distance < GAP_CUTOFF * arrays.settings[scene, Setting.CELL]
     else:
         return arrays.history_lanes[contact + Contact.DELTA * lanes] > 0.0
 

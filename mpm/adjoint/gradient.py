@@ -74,10 +74,14 @@ class Gradient:
     def material(self, name: str) -> Floats:
         """dJ/d(constant `name` of the material) of every particle, as if each had its own, shape [N].
 
-        `friction_deg` at the angle of each particle, where a field of the scene gives it.
+        `friction_deg` at the angle of each particle, where a field of the scene gives it. Raises InputError for a
+        constant of cohesion where a material has none.
         """
         found = np.zeros(len(self.positions))
         for index, material in enumerate(self.particles.materials):
+            if name in ("cohesion", "tension_cutoff", "strength_gradient") and not material.cohesive:
+                reason = f"a run without any does not depend on {name}"
+                raise InputError(f"expected a material with cohesion, {reason}", key=name)
             here = self.particles.material == index
             depth, angle = self.particles.depth[here], self.particles.friction_deg
             angle = None if angle is None else angle[here]
@@ -88,7 +92,7 @@ class Gradient:
             ) -> Floats:
                 if varies:
                     return properties_at(own, depth, angle + value)
-                return properties_at(with_constant(own, name, value), depth, angle)
+                return properties_at(dataclasses.replace(own, **{name: value}), depth, angle)  # type: ignore[arg-type]
 
             at = 0.0 if varies else getattr(material, name)
             rows = differences(rows_at, at, name, STEP * material.friction_deg if varies else None)
@@ -120,28 +124,16 @@ class Gradient:
             particles = initial_particles(scene)
             if len(particles.positions) != len(self.positions):
                 raise InputError("expected scenes with as many particles, a change of their number has no derivative")
-            parts = (
-                particles.positions,
-                particles.velocities,
-                particles.velocity_gradients,
-                initial_tractions(scene, particles)[0],
-                properties_of(particles)[:, : self.properties.shape[1]],
-                np.array(settings_row(scene, particles)),
-                *(solids_of(scene, self.scene) if len(self.faces) else ()),
-            )
-            return np.concatenate([part.ravel() for part in parts])
+            motion = particles.positions, particles.velocities, particles.velocity_gradients
+            stress, properties = initial_tractions(scene, particles)[0], properties_of(particles)
+            own = stress, properties[:, : self.properties.shape[1]], np.array(settings_row(scene, particles))
+            solids = solids_of(scene, self.scene) if len(self.faces) else ()
+            return np.concatenate([part.ravel() for part in (*motion, *own, *solids)])
 
-        adjoints = (
-            self.positions,
-            self.velocities,
-            self.velocity_gradients,
-            self.stress,
-            self.properties,
-            self.settings,
-            *((self.faces, self.holds) if len(self.faces) else ()),
-        )
+        bars = self.positions, self.velocities, self.velocity_gradients, self.stress, self.properties, self.settings
+        solids = (self.faces, self.holds) if len(self.faces) else ()
         slopes = differences(inputs, at, "the path", step)
-        flat = np.concatenate([bar.ravel() for bar in adjoints])
+        flat = np.concatenate([bar.ravel() for bar in (*bars, *solids)])
         # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
         return float(flat[flat != 0.0] @ slopes[flat != 0.0])
 
@@ -179,13 +171,6 @@ def differences(function: Callable[[float], Any], at: float, name: str, step: fl
             return (4.0 * function(at + step) - function(at + 2.0 * step) - 3.0 * function(at)) / (2.0 * step)
         except InputError as error:
             raise InputError(f"expected a value of {name} with others about it, got {at:g}: {error}") from None
-
-
-def with_constant(material: Material, name: str, value: float) -> Material:
-    """`material` with another constant. Raises InputError where cohesion, of which the run has no trace, is meant."""
-    if name in ("cohesion", "tension_cutoff", "strength_gradient") and not material.cohesive:
-        raise InputError(f"expected a material with cohesion, a run without any does not depend on {name}", key=name)
-    return dataclasses.replace(material, **{name: value})  # type: ignore[arg-type]
 
 
 def gradient(

@@ -28,7 +28,7 @@ from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import box_cells
 from mpm.arrays.layout import Offset, Setting, Worker
 from mpm.physics.barriers import apply_barriers
-from mpm.physics.contact import after_solids
+from mpm.physics.contact import apply_solids
 from mpm.physics.grid import (
     SLOW,
     TINY,
@@ -102,7 +102,7 @@ def node_reverse(node, bar, n, i, j, k, worker, scene, dt, kappa, arrays: ti.tem
         if ti.static(features.channel):
             braked = stopped
             if ti.static(features.contact):
-                braked = after_solids(stopped, n, arrays)
+                braked = apply_solids(stopped, node[dimension], n, worker, False, arrays)
             new_bar, limit_bar = with_friction_reverse(new_bar, braked, dt * node[features.side_friction] * per_mass)
             side_bar = dt * per_mass * limit_bar
             mass_bar = 0.0 - node[features.side_friction] * per_mass * side_bar

@@ -1,8 +1,7 @@
 """What the reverse of a step keeps of every particle and of a worker, beside the arrays of the step itself.
 
-The derivative of the objective J with respect to a number is called its bar. Bars of a block of particles, and what is
-kept of it, lie as the numbers do in its state: position, velocity, C, stress from vector 0 on, then contact; bars of
-its material properties follow.
+Bars of a block of particles, and what is kept of it, lie as the numbers do in its state: position, velocity, C, stress
+from vector 0 on, then contact; bars of its material properties follow.
 """
 
 from dataclasses import dataclass

@@ -19,7 +19,7 @@ from mpm.arrays.access import lane_sum, no_overflow
 from mpm.arrays.layout import Offset, Property, Setting
 from mpm.physics.boundary import is_wall
 from mpm.physics.channel import side_friction
-from mpm.physics.contact import prepare_contact
+from mpm.physics.contact import touches
 from mpm.physics.transfer import contributions, prepare_contributions, property_of, volume_of, weights_of
 
 
@@ -108,13 +108,11 @@ def update_block_reverse(
     add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
 
 
-def given_of(velocity, affine, stress, volume, density, pushed, grip, dx, features):
+def given_of(carried, volume, density, pushed, grip, dx, features):
     """What a particle gives to a node at its own place, number by number, then the slopes of it per cell; traced."""
-    mass, here = volume * density, [0.0 for _ in velocity]
-    momentum, slopes, pull, forces = contributions(
-        velocity, affine, stress, mass, volume, pushed, here, dx, 1.0 / dx, features
-    )
-    braked = [side_friction(stress, volume, grip)] if features.channel else []
+    mass, here = volume * density, [0.0] * features.dimension
+    momentum, slopes, pull, forces = contributions(carried, mass, volume, pushed, here, dx, features)
+    braked = [side_friction(carried[2], volume, grip)] if features.channel else []
     return momentum, mass, pull, braked, slopes, forces
 
 
@@ -128,8 +126,10 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     size = ti.static(features.dimension)
     first, own = no_overflow(block * features.block), block * layout.width
     prepare_contributions(scene, block, scratch, arrays)
-    if ti.static(features.contact):
-        prepare_contact(block, scratch, arrays)
+    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+        if not touches(block, arrays):
+            for k in ti.static(range(2 * size)):
+                arrays.scratch[scratch + features.push + k] = 0.0 * arrays.state[first]
     prepare_weights(scene, block, scratch, arrays)
     transfer_reverse(grid, block, scratch, False, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]
@@ -141,7 +141,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     pushed = [arrays.scratch[scratch + features.push + k] for k in ti.static(range(2 * size * int(features.contact)))]
     grip = arrays.settings[scene, Setting.GRIP]
-    numbers = ti.static((velocity, affine, stress, volume, density, pushed, grip))
+    numbers = ti.static(((velocity, affine, stress), volume, density, pushed, grip))
     given = ti.static([Pullback(given_of, numbers, (dx, features))])[0]
     # Of what is given at the particle itself, then of its slopes per cell.
     places = ti.static(
@@ -154,7 +154,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     bars = [arrays.scratch[sums + k] for k in ti.static(range(features.used))] + [
         per_dx * arrays.scratch[sums + n] for n in ti.static(places)
     ]
-    velocity_bar, affine_bar, stress_bar, volume_bar, density_bar, pushed_bar, grip_bar = ti.static(given(bars))
+    carried_bar, volume_bar, density_bar, pushed_bar, grip_bar = ti.static(given(bars))
     for k in ti.static(range(size)):
         moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.forces + k]
         for i in ti.static(range(size)):
@@ -164,10 +164,10 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
         arrays.adjoints[own + k] = moved
     if ti.static(not features.volume_correction):
         for k in ti.static(range(size * size)):
-            arrays.adjoints[own + features.affine + k] = 0.0 * affine_bar[k]
-    add_bars(own + features.velocity, velocity_bar, arrays)
-    add_bars(own + features.affine, affine_bar, arrays)
-    add_bars(own + features.stress, stress_bar, arrays)
+            arrays.adjoints[own + features.affine + k] = 0.0 * affine[k]
+    add_bars(own + features.velocity, carried_bar[0], arrays)
+    add_bars(own + features.affine, carried_bar[1], arrays)
+    add_bars(own + features.stress, carried_bar[2], arrays)
     if ti.static(features.channel):
         arrays.sums[worker, ti.static(int(Setting.GRIP))] += lane_sum(present * grip_bar, arrays)
     add_property_bar(block, Property.VOLUME, volume_bar, arrays)

@@ -13,6 +13,7 @@ taken as 0.
 
 from collections.abc import Callable, Sequence
 from functools import cache
+from operator import eq, ge, gt, le, lt
 from types import CodeType, FunctionType, SimpleNamespace
 from typing import Any
 
@@ -22,6 +23,11 @@ from taichi.lang.impl import expr_init
 
 Rule = Callable[[Any], Any]
 """What an operand takes of the bar of a result."""
+
+
+def compared(relation: Callable[[Any, Any], Any]) -> Any:
+    """A comparison as a method of `Number`; what it finds has no bar."""
+    return lambda number, other: expr_init(relation(number.value, plain(other)))
 
 
 class Number:
@@ -59,9 +65,8 @@ class Number:
         return result
 
     def __rtruediv__(self, other: float) -> "Number":
-        result: Number = Number(
-            self.tape, other / self.value, (self, lambda bar: 0.0 - bar * result.value / self.value)
-        )
+        own = (self, lambda bar: 0.0 - bar * result.value / self.value)
+        result: Number = Number(self.tape, other / self.value, own)
         return result
 
     def __pow__(self, power: int) -> "Number":
@@ -71,20 +76,7 @@ class Number:
 
     __hash__ = object.__hash__
 
-    def __eq__(self, other: Any) -> Any:
-        return expr_init(self.value == plain(other))
-
-    def __gt__(self, other: Any) -> Any:
-        return expr_init(self.value > plain(other))
-
-    def __ge__(self, other: Any) -> Any:
-        return expr_init(self.value >= plain(other))
-
-    def __lt__(self, other: Any) -> Any:
-        return expr_init(self.value < plain(other))
-
-    def __le__(self, other: Any) -> Any:
-        return expr_init(self.value <= plain(other))
+    __eq__, __gt__, __ge__, __lt__, __le__ = map(compared, (eq, gt, ge, lt, le))
 
 
 def plain(number: Any) -> Any:
@@ -94,9 +86,8 @@ def plain(number: Any) -> Any:
 
 def root(a: Number) -> Number:
     """As `ti.sqrt`."""
-    result = Number(
-        a.tape, ti.sqrt(a.value), (a, lambda bar: ti.select(result.value > 0.0, 0.5 * bar / result.value, 0.0))
-    )
+    own = (a, lambda bar: ti.select(result.value > 0.0, 0.5 * bar / result.value, 0.0))
+    result: Number = Number(a.tape, ti.sqrt(a.value), own)
     return result
 
 

@@ -89,14 +89,15 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     density = property_of(scene, block, Property.DENSITY, arrays)
     numbers = ti.static((stress, affine, jump, contact, strengths[3], lame, shear, gap, rate, around, x, density))
     elastic = ti.static([Pullback(trial_of, numbers, (dx, cells, dt, features))])[0]
-    bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
     strain_bar, opened_bar = zero, zero
     if ti.static(features.softens):
         strain_bar = arrays.adjoints[own + features.plastic_strain]
     if ti.static(features.volume_correction):
         opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.gap]
+    bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
+    others = [strain_bar, opened_bar]
     trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
-        bar, elastic.values, strengths, lame, shear, strain_bar, opened_bar, features
+        bar + others, elastic.values, strengths, lame, shear, features
     )
     bars = ti.static(elastic(trial_bar))
     stress_bar, affine_bar, jump_bar, contacts_bar, limit_bar, lame_bar, shear_bar = ti.static(bars[:7])
@@ -107,7 +108,8 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     if ti.static(features.contact):
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
         if touching == 1:
-            modulus_bar = jump_reverse(block, scratch, affine, stress, contact, modulus, dt, jump_bar, arrays)
+            strained = affine, contact, stress
+            modulus_bar = jump_reverse(block, scratch, strained, modulus, dt, jump_bar, arrays)
     if ti.static(features.volume_correction):
         arrays.adjoints[own + features.gap] = gap_bar[0]
         add_bars(own, x_bar, arrays)
@@ -151,19 +153,13 @@ def strength_reverse(scene, block, bar: ti.template(), arrays: ti.template()):
 
 @ti.func
 def plastic_return_reverse(
-    bar: ti.template(),
-    trial: ti.template(),
-    strengths: ti.template(),
-    lame,
-    shear,
-    strain_bar,
-    opened_bar,
-    features: ti.template(),
+    bar: ti.template(), trial: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()
 ):
     """Bars of the trial stress, of the `strengths` of `mpm.physics.mohr_coulomb` and of (lambda, mu), a list each.
 
-    bar: of the returned stress; strain_bar, opened_bar: of the plastic strain after the step and of what opened.
+    bar: of what `mpm.physics.stress.plastic_return` gives: stress, plastic strain and what opened.
     """
+    strain_bar, opened_bar = bar[features.stresses], bar[features.stresses + 1]
     if ti.static(features.dimension == 2):
         xx, yy, z, xy = trial
         half = 0.5 * (xx - yy)

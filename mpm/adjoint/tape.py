@@ -132,14 +132,21 @@ class Tape:
         count = len(self.batch.workers)
         self.batch.scratch = aligned((count * self.layout.scratch, features.lanes), self.batch.state.dtype)
         self.batch.workers[:, Worker.SCRATCH] = np.arange(count) * self.layout.scratch
+        self.changing = [*range(features.properties), *range(features.remainder, features.block)]
+        """The vectors of a block that change from step to step."""
         self.start = self.checkpoint()
         self.barriers = self.batch.retained.copy(), self.batch.settling.copy()
         self.released: set[int] = set()
-        self.memory_mib, self.outputs = memory_mib, outputs
+        self.memory_mib, vector = memory_mib, self.batch.state[:, 0].nbytes
+        self.state_bytes, self.step_bytes = len(self.changing) * vector, self.layout.history * vector
+        """Of a checkpoint, and of the states before one step."""
+        self.fixed_bytes = 2 * self.batch.grid.nbytes + outputs * self.layout.width * vector
+        """Of bars and of the nodes that a reverse step keeps."""
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
         self.boundaries = self.plan(usual, SPARE * usual)
         self.run()
-        if missing := self.opened(self.frames[-1]) - set(self.boundaries):
+        opened = {frame for frame in self.batch.retained[:, Retained.OPENED].tolist() if 0 < frame < self.frames[-1]}
+        if missing := opened - set(self.boundaries):
             # Barriers are open or closed over a whole segment.
             self.released = missing
             self.boundaries = self.plan(usual, SPARE * usual)
@@ -167,35 +174,6 @@ class Tape:
                 key="memory_mib",
             )
         return best
-
-    def opened(self, last: int) -> set[int]:
-        """The frames before `last` after which a barrier was open."""
-        frames = self.batch.retained[:, Retained.OPENED] if self.features.barriers else np.zeros(0, np.int32)
-        return {int(frame) for frame in frames if 0 < frame < last}
-
-    @property
-    def state_bytes(self) -> int:
-        """Of a checkpoint."""
-        return int(self.batch.state[:, self.changing].nbytes)
-
-    @property
-    def step_bytes(self) -> int:
-        """Of the states before one step."""
-        state = self.batch.state
-        return int(state.shape[0] * self.layout.history * state.shape[2] * state.itemsize)
-
-    @property
-    def fixed_bytes(self) -> int:
-        """Of bars and of the nodes that a reverse step keeps."""
-        state = self.batch.state
-        adjoints = self.outputs * state.shape[0] * self.layout.width * state.shape[2] * state.itemsize
-        return int(2 * self.batch.grid.nbytes + adjoints)
-
-    @property
-    def changing(self) -> list[int]:
-        """The vectors of a block that change from step to step."""
-        features = self.features
-        return [*range(features.properties), *range(features.remainder, features.block)]
 
     def bytes(self) -> int:
         """Of everything beside the arrays of the run itself."""
@@ -247,8 +225,7 @@ class Tape:
 
     def solids(self, index: int) -> tuple[slice, slice]:
         """Where the faces of scene `index`, and its holds of nodes, lie among those of all scenes."""
-        obstacles = [obstacles_in(scene) for scene in self.batch.scenes] if self.features.contact else []
-        counts = np.array([(len(each.faces), len(each.holds)) for each in obstacles] or [(0, 0)] * (index + 1))
+        counts = np.array([(len(each.faces), len(each.holds)) for each in map(obstacles_in, self.batch.scenes)])
         first, last = counts[:index].sum(axis=0), counts[: index + 1].sum(axis=0)
         return slice(int(first[0]), int(last[0])), slice(int(first[1]), int(last[1]))
 
@@ -268,9 +245,8 @@ class Tape:
         """Bars of what the run began with for each of any number of objectives; segments are replayed once for all.
 
         flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
-        settings of each scene (`settings`), faces (`face_adjoints`) and holds of nodes
-        (`hold_adjoints`), and the share of the bars of each scene that were cut (`cut`). Raises WorkFailed
-        where a gradient grows without bound.
+        settings of each scene (`settings`), faces (`face_adjoints`) and holds of nodes (`hold_adjoints`), and the share
+        of the bars of each scene that were cut (`cut`). Raises WorkFailed where a gradient grows without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes

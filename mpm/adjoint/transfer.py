@@ -18,9 +18,9 @@ dw_ip/dx_p times the product of what lies at the node and what the particle give
 import taichi as ti
 
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import add, magnitude, no_overflow
+from mpm.arrays.access import add, no_overflow
 from mpm.arrays.layout import PADDING, Setting
-from mpm.physics.transfer import lowest_node, node_vector, three_vectors, zero_node
+from mpm.physics.transfer import held_affine, lowest_node, node_vector, three_vectors, zero_node
 
 
 @ti.func
@@ -157,19 +157,6 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
         arrays.scratch_lanes[at + k * lanes] = total
 
 
-def held_affine(slopes, changes, affine, kappa, stress, gap, dimension):
-    """C as `mpm.physics.transfer.hold_affine` leaves it, from the slopes of the grid's velocity and change; traced."""
-    before_squared, now_squared, bears = 0.0 * kappa, 0.0 * kappa, 0.0 * kappa
-    for k in range(dimension * dimension):
-        old, new = kappa * affine[k], slopes[k] - changes[k]
-        before_squared, now_squared = before_squared + old * old, now_squared + new * new
-    for k in range(3):
-        bears = bears + magnitude(stress[k])
-    held = ((gap > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
-    excess = ti.select(held, 1.0 - ti.sqrt(before_squared / ti.select(held, now_squared, 1.0)), 0.0)
-    return [slopes[k] - excess * (slopes[k] - changes[k]) for k in range(dimension * dimension)]
-
-
 @ti.func
 def affine_reverse(block, scratch, per_dx, kappa, arrays: ti.template()):
     """Bars of the D x D slopes of the grid's velocity u and of its change, of C before the step, and of kappa.
@@ -187,9 +174,9 @@ def affine_reverse(block, scratch, per_dx, kappa, arrays: ti.template()):
         affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
         stress = [arrays.state[first + features.stress + k] for k in ti.static(range(3))]
         constants = ti.static((stress, arrays.state[first + features.gap], size))
-        held = ti.static([Pullback(held_affine, (slopes, changes, affine, kappa), constants)])[0]
-        slopes_bar, changes_bar, affine_bar, kappa_bar = ti.static(held(bar))
-        return slopes_bar, changes_bar, affine_bar, kappa_bar
+        held = ti.static([Pullback(held_affine, ((slopes, changes), affine, kappa), constants)])[0]
+        moved_bar, affine_bar, kappa_bar = ti.static(held(bar))
+        return moved_bar[0], moved_bar[1], affine_bar, kappa_bar
     else:
         zero = [0.0 * bar[0] for _ in ti.static(range(size * size))]
         return bar, zero, zero, 0.0 * bar[0]

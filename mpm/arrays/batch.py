@@ -50,10 +50,9 @@ PORTION = 2**18
 class Batch:
     """The state of several scenes and what is recorded of it.
 
-    `workers` threads share one scene; with several scenes each has one. `record` says what is recorded and
-    whether a scene ends when its deposit has come to rest. `particles` are those of each scene at the start. The
-    positions of one scene can be kept in a `file`. Raises InputError for more particles times frames than can be
-    counted.
+    `workers` threads share one scene; with several scenes each has one. `record` says what is recorded and whether a
+    scene ends when its deposit has come to rest. `particles` are those of each scene at the start. The positions of one
+    scene can be kept in a `file`. Raises InputError for more particles times frames than can be counted.
 
     The kernel itself records positions where every frame keeps them in memory, and nothing else; what is kept of few
     frames, in a file or beside the positions is taken from the state between two calls of the kernel (`keep`).
@@ -224,14 +223,11 @@ class Batch:
         kept = 1 if self.file is not None else len(self.kept(index))
         if self.in_kernel:
             first = self.offsets[index, Offset.RECORD] * features.dimension
-            found = {"positions": self.positions[first:][: kept * count * features.dimension].reshape(kept, count, -1)}
-        else:
-            found = {"positions": np.zeros((kept, count, features.dimension), np.float32)}
+            return {"positions": self.positions[first:][: kept * count * features.dimension].reshape(kept, count, -1)}
+        shapes: dict[str, tuple[int, ...]] = {"positions": (features.dimension,)}
         if self.recording.fields:
-            found["velocities"] = np.zeros((kept, count, features.dimension), np.float32)
-            found["stress"] = np.zeros((kept, count, features.stresses), np.float32)
-            found["plastic_strain"] = np.zeros((kept, count), np.float32)
-        return found
+            shapes |= {"velocities": (features.dimension,), "stress": (features.stresses,), "plastic_strain": ()}
+        return {name: np.zeros((kept, count, *shape), np.float32) for name, shape in shapes.items()}
 
     def store(self, index: int, slot: int) -> None:
         """Record the present state of one scene as kept frame `slot`, or as the next one of the file."""

@@ -61,16 +61,16 @@ class Features(Record):
     """Barriers rise when they open."""
     until_rest: bool = False
     """A scene ends when its deposit has come to rest."""
-    register: int = REGISTER
-    """Bytes of a vector of lanes."""
 
+    node: ClassVar[int] = 8
+    """Numbers in a node, momentum, mass and force: a short vector, a power of two long."""
     _data_oriented: ClassVar[bool] = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""
 
     @property
     def lanes(self) -> int:
-        """Particles in a block: what `register` bytes hold; one on a GPU."""
-        return 1 if self.gpu else self.register // (4 if self.precision == "f32" else 8)
+        """Particles in a block: what REGISTER bytes hold; one on a GPU."""
+        return 1 if self.gpu else REGISTER // (4 if self.precision == "f32" else 8)
 
     @property
     def stresses(self) -> int:
@@ -103,11 +103,6 @@ class Features(Record):
     def impulses(self) -> bool:
         """The momentum that solids take is recorded."""
         return self.contact or self.walls_recorded
-
-    @property
-    def node(self) -> int:
-        """Numbers in a node, momentum, mass and force: a short vector, a power of two long."""
-        return 8
 
     def __getattr__(self, name: str) -> int:
         """Where the part `name` begins of a block, a face, a node or the scratch; see `parts`."""
@@ -209,7 +204,6 @@ def features_of(
         shared=shared,
         prefetch=not gpu and any(s.dimension == 3 and particle_count(s) >= PREFETCHED for s in scenes),
         gpu=gpu,
-        register=REGISTER,
     )
 
 

@@ -91,7 +91,7 @@ class Offset(Column):
     IMPULSE = auto()  # its first line in `recorded_impulse`
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
-    STEPS = auto()  # recorded_impulse so far
+    STEPS = auto()  # so far
     REST = auto()  # the frame in which it was found at rest, 0 while it moves
     BARRIER = auto()  # its first line in `barriers`
     BARRIERS = auto()  # how many

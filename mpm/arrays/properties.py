@@ -34,8 +34,7 @@ def search_distance(scene: Scene) -> float:
 def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
     """Steps in a frame: the fewest whose dt is at most `step_fraction` * cell / (fastest wave speed).
 
-    The kernel takes more in a frame whose particles move so
-    fast that (wave speed + speed) dt would leave the cell.
+    The kernel takes more in a frame whose particles move so fast that (wave speed + speed) dt would leave the cell.
     """
     fastest = max(material.wave_speed for material in materials)
     return math.ceil(scene.frame_dt * fastest / (scene.step_fraction * scene.domain.cell))

@@ -2,7 +2,7 @@
 
 import linecache
 from collections.abc import Callable, Mapping
-from enum import Enum, auto
+from enum import Enum
 from typing import Any
 
 import taichi as ti
@@ -11,66 +11,50 @@ from mpm.arrays.features import Features
 
 
 class Kind(Enum):
-    """Element and rank of an array; `real` is the precision of the solver."""
+    """Element and rank of an array; a block is a vector of lanes, a node a short one of `Features.node` numbers."""
 
-    BLOCKS = auto()
-    """Vectors of lanes, one after the other."""
-    LANES = auto()
+    BLOCKS = "block", 1
+    LANES = "lane", 1
     """The numbers of such vectors: a second view of the memory of BLOCKS."""
-    NODES = auto()
-    """Short vectors of `Features.node` numbers."""
-    REAL = auto()
-    REAL_TABLE = auto()
-    INTEGER = auto()
-    INTEGER_TABLE = auto()
-    SINGLE = auto()
-    DOUBLE = auto()
-    DOUBLE_TABLE = auto()
+    NODES = "node", 1
+    REAL = "real", 1
+    REAL_TABLE = "real", 2
+    INTEGER = "i32", 1
+    INTEGER_TABLE = "i32", 2
+    SINGLE = "f32", 1
+    DOUBLE = "f64", 1
+    DOUBLE_TABLE = "f64", 2
 
 
-STEP = {
-    "state": Kind.BLOCKS,
-    "lanes": Kind.LANES,
-    "grid": Kind.NODES,
-    "scratch": Kind.BLOCKS,
-    "scratch_lanes": Kind.LANES,
-    "impulse": Kind.BLOCKS,
-    "impulse_lanes": Kind.LANES,
-    "settings": Kind.REAL_TABLE,
-    "properties": Kind.REAL_TABLE,
-    "faces": Kind.REAL_TABLE,
-    "cell_faces": Kind.INTEGER,
-    "near_faces": Kind.INTEGER,
-    "cell_distance": Kind.REAL,
-    "node_holds": Kind.INTEGER,
-    "holds": Kind.REAL_TABLE,
-    "offsets": Kind.INTEGER_TABLE,
-    "workers": Kind.INTEGER_TABLE,
-    "arrivals": Kind.INTEGER,
-    "barriers": Kind.INTEGER_TABLE,
-    "retained": Kind.INTEGER_TABLE,
-    "settling": Kind.DOUBLE_TABLE,
-}
+def named(**groups: str) -> dict[str, Kind]:
+    """Kinds by the names of arrays, from the names of each kind."""
+    return {name: Kind[kind] for kind, names in groups.items() for name in names.split()}
+
+
+STEP = named(
+    BLOCKS="state scratch impulse",
+    LANES="lanes scratch_lanes impulse_lanes",
+    NODES="grid",
+    REAL="cell_distance",
+    REAL_TABLE="settings properties faces holds",
+    INTEGER="cell_faces near_faces node_holds arrivals",
+    INTEGER_TABLE="offsets workers barriers retained",
+    DOUBLE_TABLE="settling",
+)
 """What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
-RECORD = {"order": Kind.INTEGER, "positions": Kind.SINGLE, "energy": Kind.DOUBLE, "recorded_impulse": Kind.DOUBLE_TABLE}
+RECORD = named(INTEGER="order", SINGLE="positions", DOUBLE="energy", DOUBLE_TABLE="recorded_impulse")
 """What the end of a frame reads and writes besides."""
-DEVICE = {"owner": Kind.INTEGER, "step_control": Kind.REAL_TABLE}
+DEVICE = named(INTEGER="owner", REAL_TABLE="step_control")
 """What only a GPU reads and writes."""
-ADJOINT = {
-    "kept": Kind.NODES,
-    "grid_adjoints": Kind.NODES,
-    "adjoints": Kind.BLOCKS,
-    "adjoint_lanes": Kind.LANES,
-    "history": Kind.BLOCKS,
-    "history_lanes": Kind.LANES,
-    "face_adjoints": Kind.DOUBLE_TABLE,
-    "hold_adjoints": Kind.DOUBLE_TABLE,
-    "impulse_adjoints": Kind.REAL,
-    "cuts": Kind.REAL_TABLE,
-    "sums": Kind.DOUBLE_TABLE,
-    "step_times": Kind.REAL_TABLE,
-    "step_counts": Kind.INTEGER,
-}
+ADJOINT = named(
+    BLOCKS="adjoints history",
+    LANES="adjoint_lanes history_lanes",
+    NODES="kept grid_adjoints",
+    REAL="impulse_adjoints",
+    REAL_TABLE="cuts step_times",
+    INTEGER="step_counts",
+    DOUBLE_TABLE="face_adjoints hold_adjoints sums",
+)
 """What the adjoint reads and writes besides `STEP`; `mpm.adjoint.tape` makes them."""
 VIEWS = {
     "lanes": "state",
@@ -92,11 +76,14 @@ class Arrays:
 
 def arguments(arrays: Mapping[str, Kind], memory: Mapping[str, Any], lanes: int) -> dict[str, Any]:
     """The arrays of a table in its order and in the shape that a kernel takes, from NumPy arrays by name."""
-    flat = {Kind.LANES, Kind.REAL, Kind.INTEGER, Kind.SINGLE, Kind.DOUBLE}
     found = {}
     for name, kind in arrays.items():
         array = memory[VIEWS.get(name, name)]
-        found[name] = array.reshape(-1, lanes) if kind is Kind.BLOCKS else array.reshape(-1) if kind in flat else array
+        if kind is Kind.BLOCKS and lanes > 1:
+            array = array.reshape(-1, lanes)
+        elif kind is not Kind.NODES and kind.value[1] == 1:
+            array = array.reshape(-1)
+        found[name] = array
     return found
 
 
@@ -110,18 +97,8 @@ def kernel_of(
     """
     real = ti.f32 if features.precision == "f32" else ti.f64
     block = real if features.gpu else ti.types.vector(features.lanes, real)
-    elements = {
-        Kind.BLOCKS: (block, 1),
-        Kind.LANES: (real, 1),
-        Kind.NODES: (ti.types.vector(features.node, real), 1),
-        Kind.REAL: (real, 1),
-        Kind.REAL_TABLE: (real, 2),
-        Kind.INTEGER: (ti.i32, 1),
-        Kind.INTEGER_TABLE: (ti.i32, 2),
-        Kind.SINGLE: (ti.f32, 1),
-        Kind.DOUBLE: (ti.f64, 1),
-        Kind.DOUBLE_TABLE: (ti.f64, 2),
-    }
+    node = ti.types.vector(features.node, real)
+    elements = {"block": block, "lane": real, "node": node, "real": real, "i32": ti.i32, "f32": ti.f32, "f64": ti.f64}
     # `ti.static` makes the object while the kernel is compiled.
     source = (
         f"def run({', '.join(arrays)}, first, last, phase):\n"
@@ -133,7 +110,7 @@ def kernel_of(
     scope = {"ti": ti, "Arrays": Arrays, "body": body, "constants": {"features": features, **constants}}
     exec(compile(source, file, "exec"), scope)
     run: Any = scope["run"]
-    types = {name: ti.types.ndarray(*elements[kind]) for name, kind in arrays.items()}
+    types = {name: ti.types.ndarray(elements[kind.value[0]], kind.value[1]) for name, kind in arrays.items()}
     run.__annotations__ = types | {"first": ti.i32, "last": ti.i32, "phase": ti.template()}
     compiled: Callable[..., None] = ti.kernel(run)
     return compiled

@@ -77,11 +77,11 @@ def barrier_tables(
             held.append([first + len(retained), axis, *padded[0].tolist(), *padded[1].tolist()])
         own = np.flatnonzero(particles.mass == index)
         release = 0 if isinstance(mass.release, str) else round((mass.release or 0.0) / scene.frame_dt)
-        retained.append([int(own[0]), int(own[-1]) + 1, release, 0, 0])
+        top = max((int(nodes[1, 1]) for axis, nodes in found if axis < len(Barrier)), default=0)
+        retained.append([int(own[0]), int(own[-1]) + 1, release, 0, 0, 0, top])
         material, height = scene.material_of(mass), mass.size[1]
         weight, speed = material.density * float(np.prod(mass.size)), scene.gravity * height / material.wave_speed
         gate = mass.gate or Gate(speed=0.0)
-        retained[-1] += [0, max((int(nodes[1, 1]) for axis, nodes in found if axis < len(Barrier)), default=0)]
         known = {
             Settling.RATE: np.pi * material.wave_speed / height,
             Settling.PARTICLE: material.density * float(particles.volume[own[0]]),
@@ -98,15 +98,3 @@ def barrier_tables(
 def retained_masses(scene: Scene) -> dict[int, Mass]:
     """The masses that begin behind barriers, by their index."""
     return {index: mass for index, mass in enumerate(scene.masses) if mass.release is not None}
-
-
-def release_times(scene: Scene, opened: NDArray[np.int32]) -> list[float | None] | None:
-    """When each mass was let go [s]: 0 where it never was retained, None where it still is; None without barriers.
-
-    opened: the frames in which the barriers of the retained masses opened, 0 where they did not.
-    """
-    retained = retained_masses(scene)
-    if not retained:
-        return None
-    frames = dict(zip(retained, opened.tolist(), strict=True))
-    return [(frames[k] * scene.frame_dt or None) if k in frames else 0.0 for k in range(len(scene.masses))]

@@ -20,24 +20,25 @@ from mpm.output.smoothing import support
 from mpm.solids.obstacles import initial_contacts, obstacles_in
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
-def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, NDArray[np.int64]]:
+def gradient_matrices(scene: Scene, positions: Floats) -> tuple[Any, Any, Integers]:
     """Weights w_ip, shape [N, n]; slopes (4 / dx^2) w_ip x_ip of one axis after the other, [D N, n]; nodes, [n, D].
 
     Only the n nodes in the support of particles; indices count from the first padding node, as the kernel's.
     """
-    found = support(scene, positions)
+    nodes, weight, offset = support(scene, positions)
     count, cell = len(positions), scene.domain.cell
-    touched, column = np.unique(found.nodes, return_inverse=True)
-    row = np.repeat(np.arange(count), found.nodes.shape[1])
+    touched, column = np.unique(nodes, return_inverse=True)
+    row = np.repeat(np.arange(count), nodes.shape[1])
 
     def matrix(values: Floats) -> Any:
         return sparse.csr_array((values.ravel(), (row, column.ravel())), (count, len(touched)))
 
-    slopes = [matrix(4.0 / cell * found.weight * apart) for apart in np.moveaxis(found.offset, -1, 0)]
-    nodes = np.stack(np.unravel_index(touched, found.shape), axis=1)
-    return matrix(found.weight), sparse.vstack(slopes).tocsr(), nodes
+    slopes = [matrix(4.0 / cell * weight * apart) for apart in np.moveaxis(offset, -1, 0)]
+    places = np.stack(np.unravel_index(touched, node_shape(scene.domain)), axis=1)
+    return matrix(weight), sparse.vstack(slopes).tocsr(), places
 
 
 def clings(mass: Mass) -> bool:
@@ -49,13 +50,7 @@ class ContactOperator:
     """Contact of the particles `chosen` of a scene; n nodes, D dimensions, M of N chosen particles touch a solid."""
 
     def __init__(
-        self,
-        scene: Scene,
-        particles: Particles,
-        positions: Floats,
-        chosen: NDArray[np.int64],
-        weights: Any,
-        slopes: Any,
+        self, scene: Scene, particles: Particles, positions: Floats, chosen: Integers, weights: Any, slopes: Any
     ) -> None:
         count, dimension = positions.shape
         found = initial_contacts(scene, positions)
@@ -75,14 +70,13 @@ class ContactOperator:
         self.traction = np.zeros((len(self.touching), dimension))
         """Shear traction q [Pa], shape [M, D]."""
 
-    def strain(self, displacements: Floats) -> Floats:
-        """delta n . F u [-], shape [M], of nodal displacements [m], shape [n, D]."""
-        return np.asarray(self.delta * (self.normal * (self.foot @ displacements)).sum(axis=1))
-
     def gradient(self, displacements: Floats) -> Floats:
-        """What contact adds to the displacement gradient of the touching particles [-], shape [M, 3, 3]."""
+        """What contact adds to the displacement gradient of the touching particles [-], shape [M, 3, 3], by nodal
+        displacements [m], shape [n, D].
+        """
+        strain = self.delta * (self.normal * (self.foot @ displacements)).sum(axis=1)
         space = np.pad(self.normal, ((0, 0), (0, 3 - self.normal.shape[1])))
-        return np.asarray(self.strain(displacements)[:, None, None] * space[:, :, None] * space[:, None, :])
+        return np.asarray(strain[:, None, None] * space[:, :, None] * space[:, None, :])
 
     def shear_traction(self, displacements: Floats, stiffness: Floats) -> Floats:
         """Change of q [Pa], shape [M, D]; stiffness: theta mu_s of all chosen particles [Pa], shape [N]."""
@@ -107,9 +101,8 @@ class ContactOperator:
         scale = np.divide(bound, length, out=np.ones_like(length), where=length > bound)
         return np.asarray(scale[:, None] * traction)
 
-    def fixed_components(self, scene: Scene, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def fixed_components(self, scene: Scene, nodes: Integers) -> NDArray[np.bool_]:
         """Which components of `nodes`, indices of shape [n, D], solids hold by half, shape [n, D]: across faces along
-
         an axis that component; else all, for such a node lies deep and is in the support of the first row alone.
         """
         solids, surface = obstacles_in(scene), surface_of(scene)
@@ -129,7 +122,7 @@ class ContactOperator:
         along = stiff[:, None] * (normal[:, None] * self.normal**2 + rough[:, None] * (1.0 - self.normal**2))
         return np.asarray(self.foot.multiply(self.foot).T @ along)
 
-    def block(self, lame: Floats, shear: Floats, nodes: NDArray[np.int64]) -> Any:
+    def block(self, lame: Floats, shear: Floats, nodes: Integers) -> Any:
         """Of its part of the stiffness, that of `nodes`, component after component, [D K, D K]."""
         size, part = self.normal.shape[1], self.foot[:, nodes].tocsr()
         stiff = self.share * self.delta

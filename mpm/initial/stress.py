@@ -82,7 +82,6 @@ MOST_STEPS = 600
 
 def initial_tractions(scene: Scene, particles: Particles, positions: Floats | None = None) -> tuple[Floats, Floats]:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
-
     the shear traction of the solid that it touches [Pa], shape [N, D]. Zero in masses without `k0`. `positions` [m],
     shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
     equilibrium within the yield surface was found.
@@ -125,11 +124,9 @@ def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Fl
     for above in sorted(scene.masses, key=lambda each: each.lower[1]):
         if above is mass or above.k0 is None:
             continue
-        rests = np.abs(above.lower[1] - top) <= TOLERANCE
-        for axis in level:
-            rests &= (positions[:, axis] >= above.lower[axis]) & (
-                positions[:, axis] <= above.lower[axis] + above.size[axis]
-            )
+        low, size = np.array(above.lower)[level], np.array(above.size)[level]
+        inside = (positions[:, level] >= low) & (positions[:, level] <= low + size)
+        rests = inside.all(axis=1) & (np.abs(above.lower[1] - top) <= TOLERANCE)
         load = load + np.where(rests, scene.material_of(above).density * above.size[1], 0.0)
         top = np.where(rests, above.lower[1] + above.size[1], top)
     return np.asarray(gravity * load)
@@ -143,9 +140,8 @@ class Equilibrium:
         self.volume, density = particles.volume[chosen], particles.density[chosen]
         rows = properties_of(particles)[chosen]
         self.lame, self.shear = rows[:, Property.LAME], rows[:, Property.SHEAR]
-        self.sin_phi, self.strength, self.limit = (
-            rows[:, column] for column in (Property.SIN_PHI, Property.STRENGTH, Property.LIMIT)
-        )
+        self.sin_phi, self.strength = rows[:, Property.SIN_PHI], rows[:, Property.STRENGTH]
+        self.limit = rows[:, Property.LIMIT]
         weights, self.slopes, self.nodes = gradient_matrices(scene, positions[chosen])
         self.slopes_t = self.slopes.T.tocsr()
         self.mass: Floats = weights.T @ (self.volume * density)
@@ -153,7 +149,7 @@ class Equilibrium:
         self.gravity: Floats = self.mass[:, None] * np.array(scene.gravity_vector)
         self.friction = coefficient(scene.floor_friction)
         self.contact = ContactOperator(scene, particles, positions[chosen], chosen, weights, self.slopes)
-        self.free, self.walls, self.rough = self.boundaries(scene, weights, particles.mass[chosen])
+        self.hold(scene, weights, particles.mass[chosen])
         direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
         self.direct = np.flatnonzero(direct)
         self.theta = np.ones(len(chosen))
@@ -162,34 +158,27 @@ class Equilibrium:
         touches = len(self.contact.touching) > 0
         self.inertia = INERTIA * slowest**2 * self.mass[:, None] if touches else np.zeros((len(self.mass), 1))
 
-    def boundaries(
-        self, scene: Scene, weights: Any, mass: NDArray[np.int32]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.int8], NDArray[np.bool_]]:
-        """Which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -, [n, D];
-
-        and which nodes a rough floor holds altogether, [n].
+    def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
+        """Find which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -,
+        and barriers hold, [n, D]; and which nodes a rough floor holds altogether, [n].
         """
-        free = np.ones(self.nodes.shape, bool)
-        walls = np.zeros(self.nodes.shape, np.int8)
+        self.walls = walls = np.zeros(self.nodes.shape, np.int8)
         self.behind_barriers = np.zeros(self.nodes.shape, bool)
         for axis, length in enumerate(scene.domain.size):
             if DOMAIN_SIDES[2 * axis] not in scene.open_sides:
                 walls[self.nodes[:, axis] <= PADDING, axis] = 1
             if DOMAIN_SIDES[2 * axis + 1] not in scene.open_sides:
                 walls[self.nodes[:, axis] >= PADDING + round(length / scene.domain.cell), axis] = -1
-        free[walls != 0] = False
-        rough = np.zeros(len(self.nodes), bool)
+        self.rough = np.zeros(len(self.nodes), bool)
         for number, each in enumerate(scene.masses):
             if clings(each) and self.friction > 0.0:
-                rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
+                self.rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
             if each.k0 is not None and (each.release is not None or not clings(each)):
                 for axis, (low, high) in barriers(scene, each):
                     inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
                     self.behind_barriers[inside, axis] = True
-        free[self.behind_barriers] = False
-        free[rough] = False
-        free[self.contact.fixed_components(scene, self.nodes)] = False
-        return free, walls, rough
+        held = (walls != 0) | self.behind_barriers | self.rough[:, None]
+        self.free = ~(held | self.contact.fixed_components(scene, self.nodes))
 
     def solution(self, stress: Floats) -> Floats:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3]; a warning where there is none."""
@@ -298,9 +287,7 @@ class Equilibrium:
         dimension, count = self.dimension, len(self.volume)
         each = [self.slopes[axis * count : (axis + 1) * count] for axis in range(dimension)]
         stiff = self.volume * self.theta
-        squares = [
-            (matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1)) for matrix in each
-        ]
+        squares = [matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1) for matrix in each]
         total = sum(square[:, 1] for square in squares)
         diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
         contact = self.theta * self.lame, self.theta * self.shear

@@ -14,7 +14,7 @@ from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.trajectory import Trajectory, solid_names
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Energy, Offset, Retained
-from mpm.initial.barriers import release_times
+from mpm.initial.barriers import retained_masses
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
 from mpm.runtime import Arch
@@ -60,10 +60,10 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
 
     Its summary: lengths in metres; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
     scene; `rest_time` [s], when the deposit came to rest, where the run may end there, and `end_time` [s], until when
-    it was computed; `release_time` [s], when each mass was let go, where barriers hold one; `stage_time` [s], when each
-    stage began, None where it did not; where asked for the momentum that the sides of the box and the barriers have
-    taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`; `outflow` [kg] through each open
-    side; `wall_s` of all scenes that ran together, compilation apart.
+    it was computed; `release_time` [s], when each mass was let go, where barriers hold one, None where it still is;
+    `stage_time` [s], when each stage began, None where it did not; where asked for the momentum that the sides of the
+    box and the barriers have taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`;
+    `outflow` [kg] through each open side; `wall_s` of all scenes that ran together, compilation apart.
     """
     if (failed := failure(batch, index)) is not None:
         return failed
@@ -81,7 +81,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         # What one trajectory holds must not keep the record of all others in memory.
         positions, fields = positions.copy(), {name: values.copy() for name, values in fields.items()}
     began = rest - int(offset[Offset.WINDOW]) + 1
-    deposit = positions[-1]
+    deposit, kinds = positions[-1], (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
     summary: dict[str, Any] = {
         "runout": runout(deposit),
         "front": front(deposit, particles.volume),
@@ -90,18 +90,16 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         "particles": len(deposit),
         "rest_time": began * scene.frame_dt if rest else None,
         "end_time": (rest or scene.frames - 1) * scene.frame_dt,
-        "energy": {
-            column.name.lower(): rounded(energies[:, column])
-            for column in (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
-        },
+        "energy": {each.name.lower(): rounded(energies[:, each]) for each in kinds},
         "wall_s": wall_s,
         "compile_s": compile_s,
         "arch": arch,
         "precision": batch.features.precision,
     }
-    opened = batch.retained[offset[Offset.RETAINED] :, Retained.OPENED][: offset[Offset.RETAINED_COUNT]]
-    if (released := release_times(scene, opened)) is not None:
-        summary["release_time"] = released
+    if retained := retained_masses(scene):
+        opened = batch.retained[offset[Offset.RETAINED] :, Retained.OPENED][: len(retained)]
+        times = dict(zip(retained, (opened * scene.frame_dt).tolist(), strict=True))
+        summary["release_time"] = [(times[k] or None) if k in times else 0.0 for k in range(len(scene.masses))]
     if batch.recording.wall_forces:
         walls = impulses[:, solids:]
         names = DOMAIN_SIDES[: 2 * scene.dimension]
@@ -151,7 +149,10 @@ def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating]
         return f"the simulation blew up at {when}; try a step_fraction below {scene.step_fraction:g}"
     stiffest = max(particles.materials, key=lambda material: material.wave_speed)
     wave_speed = stiffest.wave_speed
-    young = _rounded_up(stiffest.young * (max(speed, possible) / (RUNAWAY * wave_speed)) ** 2)
+    young = stiffest.young * (max(speed, possible) / (RUNAWAY * wave_speed)) ** 2
+    # The next larger number of two digits.
+    unit = 10.0 ** (math.floor(math.log10(young)) - 1)
+    young = math.ceil(1.001 * young / unit) * unit
     return (
         f"a particle moves at {speed:.3g} m/s at {when}, more than {RUNAWAY:g} times the wave speed of "
         f"{wave_speed:.3g} m/s: a shorter step does not help; "
@@ -162,9 +163,3 @@ def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating]
 def _fastest(velocities: NDArray[np.floating]) -> float:
     """The largest speed [m/s] of velocities [N, D]; nan where one is."""
     return float(np.linalg.norm(velocities.astype(np.float64), axis=1).max())
-
-
-def _rounded_up(value: float) -> float:
-    """The next larger number of two digits."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return math.ceil(1.001 * value / unit) * unit

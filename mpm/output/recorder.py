@@ -17,11 +17,8 @@ RUNAWAY = 10.0
 @ti.func
 def last_block(scene, arrays: ti.template()):
     """One past the last block of a scene."""
-    features = arrays.features
-    return (
-        arrays.offsets[scene, Offset.BLOCK]
-        + (arrays.offsets[scene, Offset.PARTICLES] + features.lanes - 1) // features.lanes
-    )
+    lanes = arrays.features.lanes
+    return arrays.offsets[scene, Offset.BLOCK] + (arrays.offsets[scene, Offset.PARTICLES] + lanes - 1) // lanes
 
 
 @ti.func
@@ -52,9 +49,8 @@ def steps_at_speed(scene, speed, arrays: ti.template()):
     wave_speed = arrays.settings[scene, Setting.WAVE_SPEED]
     steps = 0
     if speed <= RUNAWAY * wave_speed:
-        crossings = (
-            arrays.settings[scene, Setting.FRAME_DT] * (wave_speed + speed) / arrays.settings[scene, Setting.CELL]
-        )
+        frame_dt, cell = arrays.settings[scene, Setting.FRAME_DT], arrays.settings[scene, Setting.CELL]
+        crossings = frame_dt * (wave_speed + speed) / cell
         steps = ti.max(arrays.offsets[scene, Offset.SUBSTEPS], ti.cast(ti.ceil(crossings / STABILITY), ti.i32))
     return steps
 
@@ -102,10 +98,8 @@ def record_block(scene, frame, block, arrays: ti.template()):
         s = arrays.state[first + features.stress + k]
         ss = ss + ti.static(1.0 if k < 3 else 2.0) * s * s
         trace = trace + ti.static(1.0 if k < 3 else 0.0) * s
-    height = (
-        arrays.settings[scene, Setting.GRAVITY_X] * arrays.state[first]
-        + arrays.settings[scene, Setting.GRAVITY_Y] * arrays.state[first + 1]
-    )
+    along, down = arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y]
+    height = along * arrays.state[first] + down * arrays.state[first + 1]
     deviator = property_of(scene, block, Property.ELASTIC_DEVIATOR, arrays)
     spherical = property_of(scene, block, Property.ELASTIC_TRACE, arrays)
     line = (frame + arrays.offsets[scene, Offset.ENERGY]) * ti.static(len(Energy))
@@ -117,9 +111,8 @@ def record_block(scene, frame, block, arrays: ti.template()):
         change = 0.0 * mass
         for k in ti.static(range(features.dimension)):
             new = arrays.state[first + features.velocity + k]
-            change = change + (new - arrays.state[first + features.before + k]) * (
-                new - arrays.state[first + features.before + k]
-            )
+            apart = new - arrays.state[first + features.before + k]
+            change = change + apart * apart
             arrays.state[first + features.before + k] = new
         impulse = ti.max(arrays.settings[scene, Setting.WEIGHT], 1.0e-30) * arrays.settings[scene, Setting.FRAME_DT]
         add(arrays.energy, line + Energy.UNBALANCED, lane_sum(mass * ti.sqrt(change), arrays) / impulse, arrays)
@@ -143,19 +136,13 @@ def record_impulses(scene, frame, arrays: ti.template()):
         for number in range(count):
             for k in ti.static(range(features.dimension)):
                 at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension + k
-                arrays.recorded_impulse[line + number, k] = arrays.recorded_impulse[line + number, k] + lane_sum(
-                    arrays.impulse[at], arrays
-                )
+                arrays.recorded_impulse[line + number, k] += lane_sum(arrays.impulse[at], arrays)
                 arrays.impulse[at] = 0.0 * arrays.impulse[at]
 
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Set the frame of rest once a deposit has rested over a window of frames (`mpm.output.request`) without barriers.
-
-    In every frame of the window the kinetic energy was below REST of the largest so far, and over all of it the mean
-    unbalanced force was below BALANCED of the weight.
-    """
+    """Set the frame of rest where a deposit without barriers rested over a window of frames (`mpm.output.request`)."""
     line, window = arrays.offsets[scene, Offset.ENERGY], arrays.offsets[scene, Offset.WINDOW]
     since = 0
     if ti.static(arrays.features.barriers):

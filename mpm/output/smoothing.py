@@ -13,7 +13,6 @@ sum_p V_p a_p. It is applied PASSES times.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,21 +27,11 @@ PASSES = 2
 Floats = NDArray[np.floating]
 
 
-class Support(NamedTuple):
-    """The 3^D nodes in the support of each of N particles."""
+def support(scene: Scene, positions: Floats) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Of the 3^D nodes in the support of each of N particles at `positions` [m], shape [N, D], by quadratic B-splines:
 
-    shape: tuple[int, ...]
-    """Nodes of the grid along each axis, from the first padding node on."""
-    nodes: NDArray[np.int64]
-    """Of the nodes in the flat grid, shape [N, 3^D]."""
-    weight: NDArray[np.float64]
-    """w_ip, shape [N, 3^D]."""
-    offset: NDArray[np.float64]
-    """x_i - x_p [cells], shape [N, 3^D, D]."""
-
-
-def support(scene: Scene, positions: Floats) -> Support:
-    """The support of particles at `positions` [m], shape [N, D], by quadratic B-splines."""
+    numbers in the flat grid and weights w_ip, shape [N, 3^D], and x_i - x_p [cells], shape [N, 3^D, D].
+    """
     cell, dimension = scene.domain.cell, scene.dimension
     x_cells = positions.astype(np.float64) / cell + PADDING
     low = np.floor(x_cells - 0.5)
@@ -52,17 +41,17 @@ def support(scene: Scene, positions: Floats) -> Support:
     weight = np.ones((len(positions), len(stencil)))
     for axis in range(dimension):
         weight *= spline[:, axis, :][:, stencil[:, axis]]
-    shape, index = node_shape(scene.domain), low.astype(np.int64)[:, None, :] + stencil
-    return Support(shape, np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape), weight, stencil - f[:, None])
+    index = low.astype(np.int64)[:, None, :] + stencil
+    nodes = np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), node_shape(scene.domain))
+    return nodes, weight, stencil - f[:, None]
 
 
 def weights(positions: Floats, scene: Scene) -> sparse.csr_array:
     """Weights w_ip of nodes i at `positions` p [m], shape [N, D]; shape [N, nodes]."""
-    found = support(scene, positions)
-    starts = np.arange(0, found.nodes.size + 1, found.nodes.shape[1])
-    return sparse.csr_array(
-        (found.weight.ravel(), found.nodes.ravel(), starts), shape=(len(positions), math.prod(found.shape))
-    )
+    nodes, weight, _ = support(scene, positions)
+    starts = np.arange(0, nodes.size + 1, nodes.shape[1])
+    shape = len(positions), math.prod(node_shape(scene.domain))
+    return sparse.csr_array((weight.ravel(), nodes.ravel(), starts), shape=shape)
 
 
 def smoothed(values: Floats, positions: Floats, volume: float | Floats, scene: Scene) -> NDArray[np.float32]:

@@ -20,6 +20,7 @@ import taichi as ti
 
 from mpm.arrays.access import add
 from mpm.arrays.layout import PADDING, Barrier, Offset, Retained, Setting, Settling
+from mpm.physics.transfer import particles_in
 
 ENERGY = 1.0e-6
 """Kinetic energy of a settled mass over that at the speed g H / c: a thousandth of this speed."""
@@ -46,10 +47,8 @@ def apply_barriers(v, node, scene, dt, arrays: ti.template()):
         if closed:
             among = 1
             for k in ti.static(range(features.dimension)):
-                if (
-                    node[k] < arrays.barriers[line, Barrier.LOW_X + k]
-                    or node[k] >= arrays.barriers[line, Barrier.HIGH_X + k]
-                ):
+                low, high = arrays.barriers[line, Barrier.LOW_X + k], arrays.barriers[line, Barrier.HIGH_X + k]
+                if node[k] < low or node[k] >= high:
                     among = 0
             if among == 1:
                 axis = arrays.barriers[line, Barrier.AXIS]
@@ -69,12 +68,9 @@ def measure_retained(scene, block, arrays: ti.template()):
     lanes = ti.static(features.lanes)
     velocity = (block * features.block + features.velocity) * lanes
     first = arrays.offsets[scene, Offset.RETAINED]
-    count = ti.min(
-        lanes, arrays.offsets[scene, Offset.PARTICLES] - (block - arrays.offsets[scene, Offset.BLOCK]) * lanes
-    )
     for line in range(first, first + arrays.offsets[scene, Offset.RETAINED_COUNT]):
         if arrays.retained[line, Retained.OPENED] == 0:
-            for lane in range(count):
+            for lane in range(particles_in(scene, block, arrays)):
                 particle = arrays.order[block * lanes + lane]
                 if arrays.retained[line, Retained.FIRST] <= particle < arrays.retained[line, Retained.LAST]:
                     mass = arrays.settling[line, Settling.PARTICLE]
@@ -97,10 +93,8 @@ def open_barriers(scene, frame, arrays: ti.template()):
                 arrays.settling[line, Settling.EARLIER_X + k] = now
                 arrays.settling[line, Settling.MOMENTUM_X + k] = 0.0
             calm = arrays.retained[line, Retained.SETTLED_FRAMES] + 1
-            if (
-                arrays.settling[line, Settling.KINETIC] > arrays.settling[line, Settling.MOST_KINETIC]
-                or ti.sqrt(change) > arrays.settling[line, Settling.MOST_IMPULSE]
-            ):
+            moves = arrays.settling[line, Settling.KINETIC] > arrays.settling[line, Settling.MOST_KINETIC]
+            if moves or ti.sqrt(change) > arrays.settling[line, Settling.MOST_IMPULSE]:
                 calm = 0
             arrays.retained[line, Retained.SETTLED_FRAMES] = calm
             arrays.settling[line, Settling.KINETIC] = 0.0

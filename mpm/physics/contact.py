@@ -86,7 +86,7 @@ def surface_force(stress: ti.template(), contact: ti.template(), dimension: ti.t
 
 @ti.func
 def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.template()):
-    """v_f [m/s], of the material at the foot: from `motion`, the grid's velocity at the particle and C; a list of D."""
+    """v_f [m/s], of the material at the foot, a list of D, and n . v_f; `motion`: the grid's velocity and C."""
     velocity, affine = motion
     foot = [velocity[i] for i in ti.static(range(dimension))]
     for i in ti.static(range(dimension)):
@@ -94,16 +94,10 @@ def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.t
         for j in ti.static(range(dimension)):
             rotation = rotation + affine[i * dimension + j] * contact[Contact.NORMAL + j]
         foot[i] = velocity[i] - contact[Contact.DISTANCE] * rotation
-    return foot
-
-
-@ti.func
-def opening_velocity(foot: ti.template(), contact: ti.template(), dimension: ti.template()):
-    """n . v_f [m/s]."""
-    value = 0.0 * foot[0]
+    opening = 0.0 * foot[0]
     for k in ti.static(range(dimension)):
-        value = value + contact[Contact.NORMAL + k] * foot[k]
-    return value
+        opening = opening + contact[Contact.NORMAL + k] * foot[k]
+    return foot, opening
 
 
 @ti.func
@@ -114,7 +108,7 @@ def jump_at_contact(
 
     modulus: M [Pa].
     """
-    opening = opening_velocity(foot_velocity(motion, contact, dimension), contact, dimension)
+    _, opening = foot_velocity(motion, contact, dimension)
     pressure = maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
     return minimum(dt * contact[Contact.DELTA] * opening, pressure / modulus)
 
@@ -133,9 +127,8 @@ def sheared_traction(
     motion: ti.template(), stress: ti.template(), contact: ti.template(), shear, dt, dimension: ti.template()
 ):
     """The shear traction q [Pa] after a step, a list of D, within Coulomb's bound for the new `stress`."""
-    foot = foot_velocity(motion, contact, dimension)
-    opening, square = opening_velocity(foot, contact, dimension), TINY + 0.0 * foot[0]
-    stiffness = dt * shear * contact[Contact.DELTA]
+    foot, opening = foot_velocity(motion, contact, dimension)
+    square, stiffness = TINY + 0.0 * foot[0], dt * shear * contact[Contact.DELTA]
     q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
     for k in ti.static(range(dimension)):
         slip = foot[k] - opening * contact[Contact.NORMAL + k]
@@ -158,32 +151,14 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def prepare_contact(block, scratch, arrays: ti.template()):
-    """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
-    features = arrays.features
-    if touches(block, arrays):
-        push(block, scratch, arrays)
-    else:
-        for k in ti.static(range(2 * features.dimension)):
-            arrays.scratch[scratch + features.push + k] = 0.0 * arrays.state[block * features.block]
-
-
-@ti.func
 def push(block, scratch, arrays: ti.template()):
-    """As `prepare_contact`, of a block that touches."""
+    """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
     features = arrays.features
     first = block * features.block + features.stress
     stress = [arrays.state[first + k] for k in ti.static(range(features.stresses))]
     pushed = surface_force(stress, contact_of(block, arrays), features.dimension)
     for k in ti.static(range(2 * features.dimension)):
         arrays.scratch[scratch + features.push + k] = pushed[k]
-
-
-@ti.func
-def strain_at_contact(block, scratch, modulus, dt, arrays: ti.template()):
-    """The `jump_at_contact` of each particle of a block."""
-    motion, stress = motion_and_stress(block, scratch, arrays)
-    return jump_at_contact(motion, contact_of(block, arrays), stress, modulus, dt, arrays.features.dimension)
 
 
 @ti.func
@@ -231,24 +206,17 @@ def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.templat
 
 
 @ti.func
-def apply_solids(v, mass, n, worker, arrays: ti.template()):
-    """Velocity `v` [m/s] after the holds of the node with the `mass` [kg] and the entry `n` in `node_holds`, [D]."""
+def apply_solids(v, mass, n, worker, recorded: ti.template(), arrays: ti.template()):
+    """Velocity `v` [m/s] after the holds of the node with the `mass` [kg] and the entry `n` in `node_holds`, [D].
+
+    recorded: whether what they take is added to the impulses of their solids.
+    """
     after = v
     for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
         face, removed = removed_by(hold, v, arrays)
         after = after - removed
-        for k in ti.static(range(arrays.features.dimension)):
+        for k in ti.static(range(arrays.features.dimension if recorded else 0)):
             add_impulse(solid_of(face, arrays), k, mass * removed[k], 0, worker, arrays)
-    return after
-
-
-@ti.func
-def after_solids(v, n, arrays: ti.template()):
-    """Velocity `v` [m/s] as `apply_solids` leaves it, without its impulse."""
-    after = v
-    for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
-        _, removed = removed_by(hold, v, arrays)
-        after = after - removed
     return after
 
 
@@ -265,7 +233,6 @@ def removed_by(hold, v, arrays: ti.template()):
 @ti.func
 def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
-
     `mass` [kg] of each lane. A particle whose distance was d and that has moved by s has one of at least d - s now: as
     long as that is beyond the contact no face is searched, nor where the nearest one is known to be (`free_path`).
     """

@@ -189,7 +189,7 @@ def velocity_after(node, v, n, i, j, k, worker, scene, dt, arrays: ti.template()
     index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(features.dimension))])
     v_star = apply_walls(v_star, index, box_cells(scene, arrays), mass, worker, scene, arrays)
     if ti.static(features.contact):
-        v_star = apply_solids(v_star, mass, arrays.offsets[scene, Offset.GEOMETRY] + n, worker, arrays)
+        v_star = apply_solids(v_star, mass, arrays.offsets[scene, Offset.GEOMETRY] + n, worker, True, arrays)
     if ti.static(features.channel):
         v_star = after_side_walls(v_star, node, dt, features)
     if ti.static(features.barriers):

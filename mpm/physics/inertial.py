@@ -36,25 +36,13 @@ from mpm.physics.principal import TINY
 
 
 @ti.func
-def sin_phi_at_rate(
-    s1,
-    s2,
-    s3,
-    upper,
-    lower,
-    sin_phi,
-    sin_psi,
-    strength,
-    sin_phi_limit,
-    inertial_step,
-    lame,
-    shear,
-    dilates: ti.template(),
-):
+def sin_phi_at_rate(s1, s2, s3, upper, lower, strengths: ti.template(), lame, shear, dilates: ti.template()):
     """sin phi [-] at the rate of shear at which a step returns the trial principal stresses s1 >= s2 >= s3 [Pa].
 
-    upper, lower: whether the slow return is to the edge where stresses 1 and 2, or 2 and 3, meet.
+    upper, lower: whether the slow return is to the edge where stresses 1 and 2, or 2 and 3, meet; strengths: as
+    `mpm.physics.mohr_coulomb.return_principal` takes them.
     """
+    sin_phi, sin_psi, strength, _, sin_phi_limit, inertial_step = strengths
     high, low = ti.select(upper, 0.5 * (s1 + s2), s1), ti.select(lower, 0.5 * (s2 + s3), s3)
     trial_pressure, radius = 0.0 - 0.5 * (high + low), 0.5 * (high - low)
     excess = maximum(radius - trial_pressure * sin_phi - 0.5 * strength, 0.0)

@@ -143,13 +143,11 @@ def on_cutoff(s1, s2, s3, sin_phi, strength, limit, lame, shear):
 def strengths_at_rate(s1, s2, s3, strengths: ti.template(), lame, shear, features: ti.template()):
     """sin phi [-] and T [Pa] at the rate of shear of a step, from `strengths` as `return_principal` takes them."""
     if ti.static(features.inertial):
-        sin_phi, sin_psi, strength, limit, sin_phi_limit, inertial_step = strengths
+        sin_phi, sin_psi, strength, limit = strengths[0], strengths[1], strengths[2], strengths[3]
         dilates = ti.static(features.dilates)
         excess = maximum(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
         t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
-        now = sin_phi_at_rate(
-            s1, s2, s3, t2 > t1, t3 > t2, sin_phi, sin_psi, strength, sin_phi_limit, inertial_step, lame, shear, dilates
-        )
+        now = sin_phi_at_rate(s1, s2, s3, t2 > t1, t3 > t2, strengths, lame, shear, dilates)
         if ti.static(features.cohesive):
             # The apex of the steeper cone lies at a lower tension.
             return now, ti.select(now > sin_phi, apex_limit(limit, now, strength), limit)

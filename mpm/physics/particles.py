@@ -8,9 +8,10 @@ from mpm.physics.boundary import is_wall
 from mpm.physics.contact import (
     contact_of,
     find_contacts,
+    jump_at_contact,
+    motion_and_stress,
     record_traction,
     shear_traction_step,
-    strain_at_contact,
     touches,
     with_jump,
 )
@@ -94,15 +95,10 @@ def step_particles(scene, block, scratch, dt, kappa, arrays: ti.template()):
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
         inside = clamp(free, 0.0, length)
         if ti.static(features.outflow):
-            inside = unless_open(free, inside, 2 * k, scene, arrays)
+            below, above = is_wall(2 * k, scene, arrays), is_wall(2 * k + 1, scene, arrays)
+            beyond = ((free < inside) & (below == 0)) | ((free > inside) & (above == 0))
+            inside = ti.select(beyond, free, inside)
         arrays.state[x + k] = inside
-
-
-@ti.func
-def unless_open(free, inside, side: ti.template(), scene, arrays: ti.template()):
-    """The coordinates `free` [m] of a block where they lie beyond an open side of the box, else `inside`."""
-    below, above = is_wall(side, scene, arrays), is_wall(side + 1, scene, arrays)
-    return ti.select(((free < inside) & (below == 0)) | ((free > inside) & (above == 0)), free, inside)
 
 
 @ti.func
@@ -124,8 +120,8 @@ def remove_outflow(block, scene, arrays: ti.template()):
 def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     """Stress, and plastic strain where it is needed, of a block after its new velocity gradient.
 
-    near: whether it touches a solid.
-    Where the material softens, the strength of the step is that of the plastic strain at its start: explicit.
+    near: whether it touches a solid. Where the material softens, the strength of the step is that of the plastic strain
+    at its start: explicit.
     """
     features = arrays.features
     first = no_overflow(block * features.block)
@@ -157,18 +153,17 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
 
 @ti.func
 def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
-    """G [-] of a block, row by row: of its velocity gradient and of the jump of velocity at solids.
-
-    modulus: M [Pa].
-    """
+    """G [-] of a block, row by row: of its velocity gradient and the jump of velocity at solids; `modulus`: M [Pa]."""
     features = arrays.features
     first = no_overflow(block * features.block)
     gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     increment = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
         if near:
-            jump = strain_at_contact(block, scratch, modulus, dt, arrays)
-            strained = with_jump(increment, jump, contact_of(block, arrays), features.dimension)
+            motion, stress = motion_and_stress(block, scratch, arrays)
+            contact = contact_of(block, arrays)
+            jump = jump_at_contact(motion, contact, stress, modulus, dt, features.dimension)
+            strained = with_jump(increment, jump, contact, features.dimension)
             for k in ti.static(range(features.dimension**2)):
                 increment[k] = strained[k]
     return increment

@@ -142,21 +142,21 @@ def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.
         second = cxx + cyy + czz
         # What counts as 0: a ten-thousandth of the opening, for rounding in single precision.
         zero = 1.0e-4 * opened
-        two, three_vectors = second <= zero * first, first <= zero
+        two, three = second <= zero * first, first <= zero
         bulk3 = 3.0 * lame + 2.0 * shear
         around, along = 3.0 * lame / bulk3 * opened, 6.0 * shear / bulk3 * opened
         third = around + along / 3.0
         one = along / maximum(second, TINY)
         pair = 0.5 * along / maximum(first, TINY)
-        rxx = stress[0] + ti.select(three_vectors, third, around + ti.select(two, pair * (yy + zz), one * cxx))
-        ryy = stress[1] + ti.select(three_vectors, third, around + ti.select(two, pair * (zz + xx), one * cyy))
-        rzz = stress[2] + ti.select(three_vectors, third, around + ti.select(two, pair * (xx + yy), one * czz))
-        rxy = stress[3] + ti.select(three_vectors, 0.0, ti.select(two, 0.0 - pair * xy, one * (yz * zx - xy * zz)))
+        rxx = stress[0] + ti.select(three, third, around + ti.select(two, pair * (yy + zz), one * cxx))
+        ryy = stress[1] + ti.select(three, third, around + ti.select(two, pair * (zz + xx), one * cyy))
+        rzz = stress[2] + ti.select(three, third, around + ti.select(two, pair * (xx + yy), one * czz))
+        rxy = stress[3] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * xy, one * (yz * zx - xy * zz)))
         if ti.static(features.dimension == 2):
             return rxx, ryy, rzz, rxy
         else:
-            ryz = stress[4] + ti.select(three_vectors, 0.0, ti.select(two, 0.0 - pair * yz, one * (zx * xy - yz * xx)))
-            rzx = stress[5] + ti.select(three_vectors, 0.0, ti.select(two, 0.0 - pair * zx, one * (xy * yz - zx * yy)))
+            ryz = stress[4] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * yz, one * (zx * xy - yz * xx)))
+            rzx = stress[5] + ti.select(three, 0.0, ti.select(two, 0.0 - pair * zx, one * (xy * yz - zx * yy)))
             return rxx, ryy, rzz, rxy, ryz, rzx
     elif ti.static(features.volume_correction):
         return [stress[k] + opened if k < 3 else stress[k] for k in ti.static(range(features.stresses))]

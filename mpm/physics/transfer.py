@@ -32,6 +32,7 @@ a particle gives to a node is linear in the node's position: its value at the lo
 import taichi as ti
 
 from mpm.arrays.access import add, magnitude, no_overflow
+from mpm.arrays.features import REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import push, touches
@@ -44,13 +45,13 @@ def spline(f):
 
 
 @ti.func
-def property_of(scene, block, stride_y: ti.template(), arrays: ti.template()):
+def property_of(scene, block, column: ti.template(), arrays: ti.template()):
     """A property of the particles: one number per scene, or one per lane where the scene is heterogeneous."""
     features = arrays.features
     if ti.static(features.heterogeneous):
-        return arrays.state[block * features.block + features.properties + stride_y]
+        return arrays.state[block * features.block + features.properties + column]
     else:
-        return arrays.properties[scene, stride_y]
+        return arrays.properties[scene, column]
 
 
 @ti.func
@@ -158,24 +159,23 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     features = arrays.features
     first = no_overflow(block * features.block)
     dx = arrays.settings[scene, Setting.CELL]
-    per_dx, volume = 1.0 / dx, volume_of(scene, block, arrays)
-    zero = 0.0 * arrays.state[first]
+    volume, zero = volume_of(scene, block, arrays), 0.0 * arrays.state[first]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + zero
-    f = weights_of(block, scratch, per_dx, arrays)
+    f = weights_of(block, scratch, 1.0 / dx, arrays)
     if ti.static(features.contact):
         if touches(block, arrays):
             push(block, scratch, arrays)
             pushed = [arrays.scratch[scratch + features.push + k] for k in ti.static(range(2 * features.dimension))]
-            leave_contributions(scene, block, scratch, mass, volume, pushed, f, dx, per_dx, arrays)
+            leave_contributions(scene, block, scratch, mass, volume, pushed, f, dx, arrays)
         else:
-            leave_contributions(scene, block, scratch, mass, volume, [], f, dx, per_dx, arrays)
+            leave_contributions(scene, block, scratch, mass, volume, [], f, dx, arrays)
     else:
-        leave_contributions(scene, block, scratch, mass, volume, [], f, dx, per_dx, arrays)
+        leave_contributions(scene, block, scratch, mass, volume, [], f, dx, arrays)
 
 
 @ti.func
 def leave_contributions(
-    scene, block, scratch, mass, volume, pushed: ti.template(), f: ti.template(), dx, per_dx, arrays: ti.template()
+    scene, block, scratch, mass, volume, pushed: ti.template(), f: ti.template(), dx, arrays: ti.template()
 ):
     """Leave in `scratch` the values and slopes of a block."""
     features = arrays.features
@@ -183,9 +183,8 @@ def leave_contributions(
     velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(features.dimension))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    momentum, slopes, pull, forces = contributions(
-        velocity, affine, stress, mass, volume, pushed, f, dx, per_dx, features
-    )
+    carried = velocity, affine, stress
+    momentum, slopes, pull, forces = contributions(carried, mass, volume, pushed, f, dx, features)
     for i in ti.static(range(features.dimension)):
         arrays.scratch[values + i] = momentum[i]
         arrays.scratch[values + features.force + i] = pull[i]
@@ -201,23 +200,15 @@ def leave_contributions(
 
 @ti.func
 def contributions(
-    velocity: ti.template(),
-    affine: ti.template(),
-    stress: ti.template(),
-    mass,
-    volume,
-    pushed: ti.template(),
-    f: ti.template(),
-    dx,
-    per_dx,
-    features: ti.template(),
+    carried: ti.template(), mass, volume, pushed: ti.template(), f: ti.template(), dx, features: ti.template()
 ):
     """What a particle gives to the node that lies `f` cells below it: momentum, D x D slopes of it per cell row by row,
-
-    and the force and its slopes. pushed: `surface_force` of solids, nothing where none is near.
+    and the force and its slopes. carried: its velocity, C and stress; pushed: `surface_force` of solids, nothing where
+    none is near.
     """
+    velocity, affine, stress = carried
     # Lengths on the grid are in cells: times dx.
-    force_scale = -4.0 * volume * per_dx
+    force_scale = -4.0 * volume * (1.0 / dx)
     momentum = [mass * velocity[i] for i in ti.static(range(features.dimension))]
     pull = [0.0 * mass for _ in ti.static(range(features.dimension))]
     slopes = [mass * dx * affine[k] for k in ti.static(range(features.dimension**2))]
@@ -227,10 +218,10 @@ def contributions(
             pull[i] = volume * pushed[i]
         for j in ti.static(range(features.dimension)):
             at = ti.static(i * features.dimension + j)
-            carried = stress[ti.static(component(i, j, features.dimension))]
+            whole = stress[ti.static(component(i, j, features.dimension))]
             if ti.static(len(pushed) > 0):
-                carried = carried + pushed[i] * pushed[features.dimension + j]
-            forces[at] = force_scale * carried
+                whole = whole + pushed[i] * pushed[features.dimension + j]
+            forces[at] = force_scale * whole
             pull[i] = pull[i] - forces[at] * f[j]
             momentum[i] = momentum[i] - slopes[at] * f[j]
     return momentum, slopes, pull, forces
@@ -239,11 +230,9 @@ def contributions(
 @ti.func
 def particles_in(scene, block, arrays: ti.template()):
     """Lanes of a block that hold a particle: all, but in a scene's last block. The others mirror the last particle."""
-    features = arrays.features
-    return ti.min(
-        features.lanes,
-        arrays.offsets[scene, Offset.PARTICLES] - (block - arrays.offsets[scene, Offset.BLOCK]) * features.lanes,
-    )
+    lanes = arrays.features.lanes
+    before = (block - arrays.offsets[scene, Offset.BLOCK]) * lanes
+    return ti.min(lanes, arrays.offsets[scene, Offset.PARTICLES] - before)
 
 
 @ti.func
@@ -296,7 +285,7 @@ def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
     A processor computes on while it waits for a few, not while it waits for all of a block's at once.
     """
     features, lanes = arrays.features, arrays.features.lanes
-    lines = ti.static(-(-features.block * features.register // (features.lanes * CACHE_LINE)))
+    lines = ti.static(-(-features.block * REGISTER // (features.lanes * CACHE_LINE)))
     last = arrays.offsets[scene, Offset.BLOCK] + (arrays.offsets[scene, Offset.PARTICLES] - 1) // lanes
     at = no_overflow((ti.min(block + 1, last) * lanes + lane) * features.block)
     found = arrays.lanes[at]
@@ -353,21 +342,31 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, arrays: ti.templa
 def hold_affine(first, scratch, kappa, arrays: ti.template()):
     """Leave C of the particles of a block, that of those which are open or not yet loaded held back."""
     features = arrays.features
-    bears = 0.0 * arrays.state[first]
+    count = ti.static(features.dimension**2)
+    slopes = [arrays.scratch[scratch + features.gradient + k] for k in ti.static(range(count))]
+    changes = [arrays.scratch[scratch + features.changes + k] for k in ti.static(range(count))]
+    affine = [arrays.state[first + features.affine + k] for k in ti.static(range(count))]
+    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(3))]
+    gap = arrays.state[first + features.gap]
+    held = held_affine((slopes, changes), affine, kappa, stress, gap, features.dimension)
+    for k in ti.static(range(count)):
+        arrays.state[first + features.affine + k] = held[k]
+
+
+@ti.func
+def held_affine(moved: ti.template(), affine: ti.template(), kappa, stress: ti.template(), gap, size: ti.template()):
+    """C [1/s] from `moved`, the slopes of the grid's velocity and of its change, and C, stress and gap before."""
+    slopes, changes = moved
+    bears = 0.0 * gap
     before_squared, now_squared = bears, bears
     for k in ti.static(range(3)):
-        bears = bears + magnitude(arrays.state[first + features.stress + k])
-    for k in ti.static(range(features.dimension**2)):
-        old = kappa * arrays.state[first + features.affine + k]
-        new = arrays.scratch[scratch + features.gradient + k] - arrays.scratch[scratch + features.changes + k]
+        bears = bears + magnitude(stress[k])
+    for k in ti.static(range(size**2)):
+        old, new = kappa * affine[k], slopes[k] - changes[k]
         before_squared, now_squared = before_squared + old * old, now_squared + new * new
-    held = ((arrays.state[first + features.gap] > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
-    # Where nothing is held back the root is 1.
-    excess = 1.0 - ti.sqrt(ti.select(held, before_squared, 1.0) / ti.select(held, now_squared, 1.0))
-    for k in ti.static(range(features.dimension**2)):
-        slope = arrays.scratch[scratch + features.gradient + k]
-        new = slope - arrays.scratch[scratch + features.changes + k]
-        arrays.state[first + features.affine + k] = slope - excess * new
+    held = ((gap > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
+    excess = ti.select(held, 1.0 - ti.sqrt(before_squared / ti.select(held, now_squared, 1.0)), 0.0)
+    return [slopes[k] - excess * (slopes[k] - changes[k]) for k in ti.static(range(size**2))]
 
 
 @ti.func

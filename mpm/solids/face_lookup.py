@@ -90,7 +90,6 @@ def foot_on_face(x, face, arrays: ti.template()):
 @ti.func
 def nearest_face(x, last, cell_index, arrays: ti.template()):
     """Of the faces listed for a cell that nearest to `x` [m]: its number, its part that is nearest, the weights of its
-
     corners at the foot, the normal n [-] and the signed distance d [m], negative inside, with x = foot + d n. last:
     where to look first.
     """

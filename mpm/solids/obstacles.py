@@ -4,8 +4,8 @@ Cells and nodes are numbered alike, as `mpm.arrays.access.node_strides` numbers 
 
 **Lists.** A point p of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face
 F. So F can be the nearest one of a point at a distance of at most `cutoff` only where d(c, F) <= min(smallest + 2 h,
-cutoff + h), `smallest` being the distance of c from its nearest face, and a segment of length `travel` that starts in
-the cell can cut F only where d(c, F) <= h + travel.
+cutoff + h), `smallest` being the distance of c from its nearest face, and a displacement of at most a cell `dx` that
+starts in the cell can cut F only where d(c, F) <= h + dx.
 
 **Holds.** A node in a solid is held by every face that it lies behind and that is nearly the nearest, each with a share
 that is continuous in the place of the solid. With d_k the distance of face k, N_k its normal and n_k the direction from
@@ -104,26 +104,19 @@ def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles
     """The solids with `surface` in a box, listed up to `cutoff` cells from it; runs of one geometry share them."""
     cell_faces, near_faces = faces_near(domain, surface, cutoff=cutoff)
     node_holds, holds = holds_of(domain, surface, np.flatnonzero(np.diff(cell_faces)), cutoff=cutoff)
+    # From another cell the way to a face leads into a listed one, and from there it is still `cutoff` cells long.
+    apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(node_shape(domain))).ravel()
+    beyond = np.maximum(apart - np.sqrt(len(domain.size)), 0.0)
     count, normals = len(surface.corners), (surface.normals, surface.corner_normals, surface.edge_normals)
     described = surface.corners, *normals, np.minimum(surface.friction, NO_SLIP), surface.solid
     return Obstacles(
         faces=np.concatenate([each.reshape(count, -1) for each in described], axis=1),
         cell_faces=cell_faces,
         near_faces=near_faces,
-        cell_distance=free_distance(domain, np.diff(cell_faces) > 0, cutoff),
+        cell_distance=np.append((cutoff + beyond) * domain.cell, 0.0),
         node_holds=node_holds,
         holds=holds,
     )
-
-
-def free_distance(domain: Domain, listed: NDArray[np.bool_], cutoff: float) -> Floats:
-    """`Obstacles.cell_distance` where cells with faces are `listed`, shape [C]: the way from another cell to a face
-
-    leads into a listed one, and from there it is still `cutoff` cells long at least.
-    """
-    apart = distance_transform_edt(~listed.reshape(node_shape(domain))).ravel()
-    beyond = np.maximum(apart - np.sqrt(len(domain.size)), 0.0)
-    return np.append((cutoff + beyond) * domain.cell, 0.0)
 
 
 def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float) -> tuple[NDArray[np.int32], Floats]:
@@ -151,30 +144,26 @@ def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float
     return np.cumsum(counts).astype(np.int32), np.stack([face, friction, share], axis=1)[kept]
 
 
-def faces_near(
-    domain: Domain, surface: Surface, *, cutoff: float, travel: float = 1.0
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def faces_near(domain: Domain, surface: Surface, *, cutoff: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Where the list of each cell begins among the faces of `surface` that are near cells, and these.
 
-    cutoff: largest distance from the surface that is listed [cells]; travel: longest displacement of a step [cells].
+    cutoff: largest distance from the surface that is listed [cells]; a displacement of a step is at most a cell.
     """
     cell = domain.cell
     half = 0.5 * cell * np.sqrt(len(domain.size))
-    cells, faces, distance = near_pairs(domain, surface, max(cutoff * cell + half, travel * cell + half))
+    cells, faces, distance = near_pairs(domain, surface, max(cutoff, 1.0) * cell + half)
     groups = np.flatnonzero(np.diff(cells, prepend=-1))
     smallest = np.minimum.reduceat(distance, groups) if len(groups) else distance
     smallest = np.repeat(smallest, np.diff(groups, append=len(cells)))
     slack = 1.0e-9 * cell
-    kept = (distance <= np.minimum(smallest + 2.0 * half, cutoff * cell + half) + slack) | (
-        distance <= half + travel * cell + slack
-    )
+    nearest_one = distance <= np.minimum(smallest + 2.0 * half, cutoff * cell + half) + slack
+    kept = nearest_one | (distance <= half + cell + slack)
     listed = np.bincount(cells[kept] + 1, minlength=int(np.prod(node_shape(domain))) + 1)
     return np.cumsum(listed).astype(np.int32), faces[kept].astype(np.int32)
 
 
 def near_pairs(domain: Domain, surface: Surface, limit: float) -> tuple[Integers, Integers, Floats]:
     """Cells and faces whose centre lies within `limit` [m] of the face, and the distance of the centre [m], all [P];
-
     in the order of the cells, then of the faces.
     """
     shape = np.array(node_shape(domain))

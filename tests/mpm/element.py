@@ -10,7 +10,7 @@ from scipy.optimize import root
 
 from datasets.material import Material
 from mpm import runtime
-from mpm.arrays.batch import aligned
+from mpm.arrays.batch import aligned, put_vectors
 from mpm.arrays.features import Features
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_row
@@ -34,12 +34,8 @@ def tensor(components: Vector) -> Vector:
 def strengths_now(m: ti.template(), strain, cell, dt, features: ti.template()):
     """As `mpm.physics.particles.strength_of`, of the properties `m` of an element after the plastic strain `strain`."""
     zero = 0.0 * strain
-    peak = (
-        m[Property.SIN_PHI] + zero,
-        m[Property.SIN_PSI] + zero,
-        m[Property.STRENGTH] + zero,
-        m[Property.LIMIT] + zero,
-    )
+    columns = ti.static((Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT))
+    peak = [m[column] + zero for column in ti.static(columns)]
     residual = m[Property.RESIDUAL_SIN_PHI], m[Property.RESIDUAL_STRENGTH], m[Property.RESIDUAL_LIMIT]
     now = [peak[k] for k in ti.static(range(4))]
     if ti.static(features.softens):
@@ -173,20 +169,15 @@ def follow_controlled(
     return np.array(history)
 
 
-def returned(material: Material, stresses: Vector) -> Vector:
-    """Sorted principal stresses [Pa], shape [E, 3], returned."""
-    return returned_whole(material, stresses)[0]
-
-
-def returned_whole(material: Material, stresses: Vector) -> tuple[Vector, Vector]:
-    """What `returned` does, and the mean stress that opening cost [Pa], shape [E]."""
+def returned(material: Material, stresses: Vector) -> tuple[Vector, Vector]:
+    """Sorted principal stresses [Pa], shape [E, 3], returned, and the mean stress that opening cost [Pa], shape [E]."""
     runtime.start("f64")
     features = Features(dimension=2, precision="f64", dilates=material.dilation_deg > 0.0, cohesive=True)
     count, lanes = len(stresses), features.lanes
     blocks = aligned((-(-count // lanes), 4, lanes), np.dtype(np.float64))
     padded = np.zeros((len(blocks) * lanes, 4))
     padded[:count, :3] = stresses
-    blocks[:] = np.moveaxis(padded.reshape(-1, lanes, 4), 1, 2)
+    put_vectors(blocks, 0, padded)
     return_kernel(features)(blocks.reshape(-1, lanes), np.array(properties_row(material, 1.0), np.float64))
     result = np.moveaxis(blocks, 1, 2).reshape(-1, 4)[:count]
     return result[:, :3], result[:, 3]

@@ -21,16 +21,9 @@ BLOCK = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisso
 def test_a_block_slides_between_walls(friction_deg: float, floor: float) -> None:
     """a = g sin - mu_f g cos - (2 mu_w / W) nu g cos h / 2, at least 0: -sigma_zz is nu times the weight above."""
     slope, height, width, duration = math.radians(20.0), 0.2, 0.08, 0.3
-    channel = Channel(width=width, friction_deg=friction_deg)
-    scene = box(
-        Mass(lower=(0.1, 0.0), size=(0.3, height)),
-        material=BLOCK,
-        slope_deg=20.0,
-        floor_friction=floor,
-        channel=channel,
-        duration=duration,
-        jitter=0.0,
-    )
+    body, channel = Mass(lower=(0.1, 0.0), size=(0.3, height)), Channel(width=width, friction_deg=friction_deg)
+    incline = {"slope_deg": 20.0, "floor_friction": floor, "duration": duration, "jitter": 0.0}
+    scene = box(body, material=BLOCK, channel=channel, **incline)
     walls = channel.grip * BLOCK.poisson * 0.5 * height
     exact = 9.81 * max(0.0, math.sin(slope) - (floor + walls) * math.cos(slope))
     slid = centre_displacement(simulate(scene))[-1, 0]

@@ -1,6 +1,7 @@
 """Contact with solids: exact statics at any offset, closed forms of sliding, no leaks, momentum."""
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from validation.bench.stability.invariants import momentum
 SAND = Material(friction_deg=30.0, density=1500.0, young=1.0e6, poisson=0.3)
 CELL, GRAVITY = 0.02, 9.81
 DEPTH = 0.2
+sand = partial(scene_of, material=SAND, frame_dt=0.01)
 
 
 def layer(offset: float, *, dimension: int = 2, terrain: bool = False, **changes: Any) -> Scene:
@@ -38,16 +40,24 @@ def layer(offset: float, *, dimension: int = 2, terrain: bool = False, **changes
         "solids": solids,
         "baffle_friction": 0.5,
         "duration": 1.0,
-        "frame_dt": 0.01,
         "step_fraction": 0.9,
     } | changes
     body = Mass(lower=(0.0, top, *(0.0 for _ in deep)), size=(width, DEPTH, *deep))
-    return scene_of(body, material=SAND, **settings)
+    return sand(body, **settings)
 
 
-def assert_at_rest(flow: Trajectory, top: float, since: int) -> None:
-    """The layer neither sinks nor rises beyond its elastic settlement, gains no energy, and weighs what it weighs."""
-    scene = flow.scene
+@pytest.mark.parametrize(
+    ("offset", "changes"),
+    [
+        *((offset, {}) for offset in (0.0, 0.25, 0.5, 0.83)),
+        (0.37, {"terrain": True}),
+        pytest.param(0.6, {"dimension": 3, "duration": 0.6}, marks=pytest.mark.slow),
+    ],
+)
+def test_a_layer_rests_wherever_its_ground_cuts_the_cells(offset: float, changes: dict[str, Any]) -> None:
+    """It neither sinks nor rises beyond its elastic settlement, gains no energy, and weighs what it weighs."""
+    scene = layer(offset, **changes)
+    flow, top, since = simulate(scene), 5 * CELL + offset * CELL, 40 if scene.dimension == 2 else 20
     weight = SAND.density * GRAVITY * DEPTH * np.prod([s for k, s in enumerate(scene.domain.size) if k != 1])
     height = flow.positions[:, :, 1].mean(axis=1)
     # The mean sinks by two thirds of the surface.
@@ -61,36 +71,14 @@ def assert_at_rest(flow: Trajectory, top: float, since: int) -> None:
     assert flow.positions[:, :, 1].min() >= top - 1.0e-5 * CELL
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.25, 0.5, 0.83])
-def test_a_layer_on_a_baffle_rests_wherever_its_face_cuts_the_cells(offset: float) -> None:
-    scene = layer(offset)
-    assert_at_rest(simulate(scene), 5 * CELL + offset * CELL, since=40)
-
-
-def test_a_layer_on_a_terrain_rests() -> None:
-    assert_at_rest(simulate(layer(0.37, terrain=True)), 5.37 * CELL, since=40)
-
-
-@pytest.mark.slow
-def test_a_layer_rests_in_three_dimensions() -> None:
-    assert_at_rest(simulate(layer(0.6, dimension=3, duration=0.6)), 5.6 * CELL, since=20)
-
-
 def block(angle_deg: float, offset: float) -> Scene:
     """An elastic block on a plate in a tilted box, Coulomb coefficient 0.5, from its static state."""
     cell = 0.01
     top = (4.0 + offset) * cell
-    return scene_of(
-        Mass(lower=(0.2, top), size=(0.2, 0.1), k0="elastic"),
-        size=(1.0, 0.2),
-        cell=cell,
-        material=Material(young=2.0e7, poisson=0.0, friction_deg=30.0, cohesion=1.0e9, tension_cutoff=1.0e9),
-        baffles=(Baffle(lower=(0.0, 0.0), size=(1.0, top)),),
-        baffle_friction=0.5,
-        slope_deg=angle_deg,
-        duration=0.6,
-        frame_dt=0.01,
-    )
+    body, plate = Mass(lower=(0.2, top), size=(0.2, 0.1), k0="elastic"), Baffle(lower=(0.0, 0.0), size=(1.0, top))
+    stiff = Material(young=2.0e7, poisson=0.0, friction_deg=30.0, cohesion=1.0e9, tension_cutoff=1.0e9)
+    settings = {"baffle_friction": 0.5, "slope_deg": angle_deg, "duration": 0.6}
+    return sand(body, size=(1.0, 0.2), cell=cell, material=stiff, baffles=(plate,), **settings)
 
 
 @pytest.mark.slow
@@ -116,47 +104,34 @@ def test_nothing_passes_a_thin_plate(thickness: float, speed: float) -> None:
     face = 0.8 + 0.3 * CELL
     plate = Baffle(lower=(face, 0.0), size=(thickness * CELL, 0.6))
     block = Mass(lower=(0.2, 0.1), size=(0.2, 0.2), velocity=(speed, 0.0))
-    scene = scene_of(block, size=(2.0, 0.6), material=SAND, baffles=(plate,), duration=0.2, frame_dt=0.002)
+    scene = sand(block, size=(2.0, 0.6), baffles=(plate,), duration=0.2, frame_dt=0.002)
     assert simulate(scene).positions[:, :, 0].max() <= face + 1.0e-6
-
-
-def assert_outside(flow: Trajectory) -> None:
-    """No particle is inside a solid, in any tenth frame."""
-    for positions in flow.positions[::10]:
-        assert nearest(surface(flow.scene), positions.astype(float)).distance.min() > -1.0e-5 * flow.scene.domain.cell
 
 
 @pytest.mark.slow
 def test_a_kinked_terrain_and_a_funnel_do_not_leak() -> None:
+    """No particle is inside of them, in any tenth frame."""
     for points in (
         ((0.0, 0.45), (0.35, 0.2), (0.4, 0.27), (0.8, 0.05)),
         ((0.0, 0.5), (0.28, 0.1), (0.3, 0.1), (0.58, 0.5), (0.8, 0.5)),
     ):
-        scene = scene_of(
-            Mass(lower=(0.05, 0.52), size=(0.5, 0.2)),
-            size=(0.8, 0.8),
-            material=SAND,
-            solids=(Solid(kind="terrain", points=points, friction=0.4),),
-            duration=0.8,
-            frame_dt=0.01,
-        )
-        assert_outside(simulate(scene))
+        ground = Solid(kind="terrain", points=points, friction=0.4)
+        scene = sand(Mass(lower=(0.05, 0.52), size=(0.5, 0.2)), size=(0.8, 0.8), solids=(ground,), duration=0.8)
+        for positions in simulate(scene).positions[::10]:
+            assert nearest(surface(scene), positions.astype(float)).distance.min() > -1.0e-5 * CELL
 
 
 @pytest.mark.double
+@pytest.mark.filterwarnings("ignore:masses:UserWarning")
 def test_momentum_goes_into_walls_and_solids_alone() -> None:
-    """P(t) - P(0) = M g t less what every side of the box and every solid took, a slope and a turned box among them."""
-    scene = scene_of(
-        Mass(lower=(0.0, 0.36), size=(0.2, 0.2)),
-        size=(1.0, 0.6),
-        material=SAND,
-        solids=(
-            Solid(kind="terrain", points=((0.0, 0.35), (0.5, 0.1), (1.0, 0.06)), friction=0.2),
-            Solid(lower=(0.6, 0.1), size=(0.1, 0.1), turned_deg=30.0, friction=0.4),
-        ),
-        duration=0.6,
-        frame_dt=0.01,
-    )
+    """P(t) - P(0) = M g t less what every side of the box and every solid took, a slope and a turned box among them.
+
+    A layer of a seventh of a cell is there too, whose particles are smaller.
+    """
+    masses = Mass(lower=(0.0, 0.36), size=(0.2, 0.2)), Mass(lower=(0.2, 0.4), size=(0.2, 0.003))
+    ground = Solid(kind="terrain", points=((0.0, 0.35), (0.5, 0.1), (1.0, 0.06)), friction=0.2)
+    turned = Solid(lower=(0.6, 0.1), size=(0.1, 0.1), turned_deg=30.0, friction=0.4)
+    scene = sand(*masses, size=(1.0, 0.6), solids=(ground, turned), duration=0.6)
     flow = simulate(scene, record=WITH_FIELDS, precision="f64")
     found = momentum(flow)
     assert found is not None
@@ -168,16 +143,9 @@ def test_momentum_goes_into_walls_and_solids_alone() -> None:
 @pytest.mark.slow
 def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
     def slope(**surface: object) -> Trajectory:
-        scene = scene_of(
-            Mass(lower=(0.3, 0.087), size=(0.3, 0.06)),
-            size=(1.0, 0.4),
-            material=Material(friction_deg=45.0, density=1500.0, young=1.0e6, poisson=0.3, cohesion=2000.0),
-            solids=(Solid(lower=(0.0, 0.0), size=(1.0, 0.087), **surface),),
-            slope_deg=25.0,
-            duration=0.5,
-            frame_dt=0.01,
-        )
-        return simulate(scene)
+        body, base = Mass(lower=(0.3, 0.087), size=(0.3, 0.06)), Solid(lower=(0.0, 0.0), size=(1.0, 0.087), **surface)
+        soil = dataclasses.replace(SAND, friction_deg=45.0, cohesion=2000.0)
+        return simulate(sand(body, size=(1.0, 0.4), material=soil, solids=(base,), slope_deg=25.0, duration=0.5))
 
     slides, sticks = slope(friction=0.2), slope(contact="no-slip")
     moved = [(flow.positions[-1] - flow.positions[0])[:, 0].mean() for flow in (slides, sticks)]
@@ -189,15 +157,8 @@ def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
 def test_rough_surfaces_hold_what_touches_them() -> None:
     """A block on a rough floor stands at 40 degrees; a rough baffle has no slip; other words are refused."""
     strong = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, young=1.0e7)
-    scene = scene_of(
-        Mass(lower=(0.1, 0.0), size=(0.2, 0.1)),
-        size=(0.6, 0.4),
-        material=strong,
-        slope_deg=40.0,
-        floor_friction="rough",
-        duration=0.2,
-        frame_dt=0.01,
-    )
+    body = Mass(lower=(0.1, 0.0), size=(0.2, 0.1))
+    scene = sand(body, size=(0.6, 0.4), material=strong, slope_deg=40.0, floor_friction="rough", duration=0.2)
     moved = [
         float((flow.positions[-1] - flow.positions[0])[:, 0].mean())
         for flow in (simulate(scene), simulate(dataclasses.replace(scene, floor_friction=0.3)))
@@ -211,15 +172,8 @@ def test_rough_surfaces_hold_what_touches_them() -> None:
 
 @pytest.mark.slow
 def test_open_sides_let_sand_out_and_count_it() -> None:
-    scene = scene_of(
-        Mass(lower=(0.2, 0.0), size=(0.2, 0.3)),
-        size=(0.6, 0.4),
-        material=SAND,
-        open_sides=("x+",),
-        floor_friction=0.2,
-        duration=1.0,
-        frame_dt=0.01,
-    )
+    body = Mass(lower=(0.2, 0.0), size=(0.2, 0.3))
+    scene = sand(body, size=(0.6, 0.4), open_sides=("x+",), floor_friction=0.2, duration=1.0)
     flow = simulate(scene)
     wide = dataclasses.replace(scene, domain=Domain(size=(2.0, 0.4), cell=CELL), open_sides=())
     beyond = float((simulate(wide).positions[-1, :, 0] > 0.6).mean())
@@ -237,15 +191,9 @@ def test_the_face_that_is_followed_is_the_nearest(dimension: int) -> None:
     deep = (0.0,) * (dimension - 2)
     size = (0.4, 0.24, *(0.08 for _ in deep))
     boxes = (((0.16, 0.0), (0.2, 0.05)), ((0.16, 0.09), (0.2, 0.06)), ((0.24, 0.05), (0.03, 0.013)))
-    scene = scene_of(
-        Mass(lower=(0.02, 0.02, *deep), size=(0.12, 0.12, *size[2:]), velocity=(3.0, 0.0, *deep)),
-        material=SAND,
-        size=size,
-        baffles=tuple(Baffle(lower=(*low, *deep), size=(*span, *size[2:])) for low, span in boxes),
-        duration=0.06,
-        frame_dt=0.01,
-        step_fraction=0.9,
-    )
+    body = Mass(lower=(0.02, 0.02, *deep), size=(0.12, 0.12, *size[2:]), velocity=(3.0, 0.0, *deep))
+    baffles = tuple(Baffle(lower=(*low, *deep), size=(*span, *size[2:])) for low, span in boxes)
+    scene = sand(body, size=size, baffles=baffles, duration=0.06, step_fraction=0.9)
     runtime.start("f64")
     batch = Batch([scene], precision="f64", record=LAST)
     for frame in range(1, scene.frames):
@@ -263,15 +211,10 @@ def test_an_impact_is_continuous_in_the_speed() -> None:
     """By the sign of a stress that rounding leaves, a tenth of a nanometre a second moved sand by 0.3 mm."""
 
     def positions(speed: float) -> Any:
-        scene = Scene(
-            domain=Domain(size=(1.0, 0.5, 0.5), cell=1.0 / 32.0),
-            material=Material(friction_deg=35.0),
-            masses=(Mass(lower=(0.1, 0.025, 0.1), size=(0.3, 0.2, 0.3), velocity=(speed, 0.0, 0.0)),),
-            baffles=(Baffle(lower=(0.5, 0.0, 0.125), size=(0.125, 0.25, 0.125)),),
-            duration=0.1,
-            frame_dt=0.01,
-            step_fraction=0.9,
-        )
+        body = Mass(lower=(0.1, 0.025, 0.1), size=(0.3, 0.2, 0.3), velocity=(speed, 0.0, 0.0))
+        settings = {"size": (1.0, 0.5, 0.5), "cell": 1.0 / 32.0, "duration": 0.1, "step_fraction": 0.9}
+        baffles = (Baffle(lower=(0.5, 0.0, 0.125), size=(0.125, 0.25, 0.125)),)
+        scene = sand(body, material=Material(friction_deg=35.0), baffles=baffles, **settings)
         return simulate(scene, precision="f64").positions[-1]
 
     assert np.abs(positions(2.0 + 1.0e-10) - positions(2.0)).max() < 2.0e-6
@@ -283,15 +226,8 @@ def test_the_flow_is_continuous_in_the_place_of_a_baffle_whose_sides_stand_on_no
     """Held from half a cell of depth on, by the nearest face alone, nodes let sand jump by 0.3 mm."""
 
     def positions(x: float) -> Any:
-        scene = Scene(
-            domain=Domain(size=(1.0, 0.6), cell=0.01),
-            material=Material(friction_deg=30.0),
-            masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.3)),),
-            baffles=(Baffle(lower=(x, 0.0), size=(0.05, 0.08)),),
-            floor_friction=0.4,
-            duration=0.25,
-            frame_dt=0.01,
-        )
-        return simulate(scene, precision="f64", record=LAST).positions[-1]
+        column, baffle = Mass(lower=(0.0, 0.0), size=(0.2, 0.3)), Baffle(lower=(x, 0.0), size=(0.05, 0.08))
+        settings = {"size": (1.0, 0.6), "cell": 0.01, "floor_friction": 0.4, "duration": 0.25, "frame_dt": 0.01}
+        return simulate(scene_of(column, baffles=(baffle,), **settings), precision="f64", record=LAST).positions[-1]
 
     assert np.abs(positions(0.3 + shift) - positions(0.3)).max() < 3.0e-6

@@ -8,19 +8,17 @@ import pytest
 from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.scene import Scene
-from mpm import ALL, LAST, Recording, simulate
+from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Precision
 from mpm.footprint import PROCESS, footprint
-
-EVERYTHING = Recording(fields=True, wall_forces=True)
 
 
 @pytest.mark.parametrize(
     ("name", "record", "precision"),
     [
         ("column-tall-42", LAST, "f32"),
-        ("layers-10", EVERYTHING, "f64"),
+        ("layers-10", WITH_FIELDS, "f64"),
         ("baffles-2", Recording(frames=7), "f32"),
         ("slope-layers", ALL, "f64"),
     ],

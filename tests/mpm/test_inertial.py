@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from datasets.material import Material
 from datasets.scene import Mass, Scene
 from mpm import LAST, runtime, simulate
-from mpm.arrays.batch import Batch
+from mpm.arrays.batch import Batch, put_vectors
 from mpm.kernel import Phase, kernel
 from tests.mpm.element import XX, XY, YY, ZZ, follow_states
 from tests.scenes import COLUMN, SAND, box, scene_of
@@ -39,31 +39,20 @@ class EndlessLayer:
         cell = DEPTH / CELLS
         self.length = PERIOD * cell
         self.frame_dt = 0.999 * STEPS * 0.4 * cell / material.wave_speed
-        self.scene = scene_of(
-            Mass(lower=(0.0, 0.0), size=(3.0 * self.length, DEPTH)),
-            size=(3.0 * self.length, 1.5 * DEPTH),
-            cell=cell,
-            material=material,
-            slope_deg=slope_deg,
-            floor_friction="rough",
-            frame_dt=self.frame_dt,
-            duration=2.0 * self.frame_dt,
-            jitter=0.0,
-            **settings,
-        )
+        size, body = (3.0 * self.length, 1.5 * DEPTH), Mass(lower=(0.0, 0.0), size=(3.0 * self.length, DEPTH))
+        settings |= {"slope_deg": slope_deg, "floor_friction": "rough", "jitter": 0.0}
+        settings |= {"frame_dt": self.frame_dt, "duration": 2.0 * self.frame_dt}
+        self.scene = scene_of(body, size=size, cell=cell, material=material, **settings)
         runtime.start("f64", 1)
         self.batch = Batch([self.scene], precision="f64", record=LAST)
-        features, numbers = self.batch.features, self.numbers()
+        features = self.batch.features
+        numbers = self.batch.numbers(0, 0, features.block)
         self.copies = [np.flatnonzero(np.floor(numbers[0] / self.length) == k) for k in range(3)]
         self.state = numbers[:, self.copies[1]]
         along, down = self.scene.gravity_vector
         weight = material.density * (DEPTH - self.state[1])
         for k, gravity in enumerate((down, down, down, along)):
             self.state[features.stress + k] = gravity * weight
-
-    def numbers(self) -> Floats:
-        """The state of all particles, shape [vectors, N], a copy."""
-        return np.moveaxis(self.batch.state_of(0), 1, 0).reshape(self.batch.features.block, -1).copy()
 
     def throw(self, velocity: Callable[[Floats], Floats]) -> None:
         """Let it move at `velocity` [m/s] of the height y [m]."""
@@ -77,13 +66,13 @@ class EndlessLayer:
         frames = 10 * max(1, round(seconds / self.frame_dt / 10.0))
         for frame in range(1, frames + 1):
             self.state[0] %= self.length
-            numbers = self.numbers()
+            numbers = self.batch.numbers(0, 0, features.block)
             for k, own in enumerate(self.copies):
                 numbers[:, own] = self.state
                 numbers[0, own] += k * self.length
-            self.batch.state_of(0)[:] = np.moveaxis(numbers.reshape(features.block, -1, features.lanes), 0, 1)
+            put_vectors(self.batch.state_of(0), 0, numbers.T)
             step(*self.batch.arguments.values(), 1, 2, Phase.FRAMES)
-            self.state = self.numbers()[:, self.copies[1]]
+            self.state = self.batch.numbers(0, 0, features.block)[:, self.copies[1]]
             if frame % (frames // 10) == 0:
                 means.append(float(self.state[features.velocity].mean()))
         rows = np.clip(self.state[1] / self.scene.domain.cell, 0, CELLS - 1).astype(int)
@@ -109,11 +98,6 @@ def mu(inertial: float) -> float:
     """mu(I) of `BEADS` (Jop, Forterre & Pouliquen 2006)."""
     slow, fast = math.tan(math.radians(20.9)), math.tan(math.radians(32.8))
     return slow + (fast - slow) / (1.0 + 0.279 / inertial)
-
-
-def slope_of(inertial: float) -> float:
-    """Slope [deg] down which `BEADS` flow steadily at this inertial number."""
-    return math.degrees(math.atan(mu(inertial)))
 
 
 @pytest.mark.double
@@ -194,7 +178,7 @@ def test_without_growth_and_at_rest_it_is_mohr_coulomb_to_the_bit(limit_deg: flo
 @pytest.mark.parametrize("inertial", [0.01, 0.05, 0.3])
 def test_a_layer_on_an_incline_has_bagnolds_profile(inertial: float) -> None:
     """Thrown 10 % too fast it comes to u(y) = (2/3) (I / d) sqrt(...) (h^1.5 - (h - y)^1.5), within 3 % at 20 cells."""
-    layer = EndlessLayer(BEADS, slope_of(inertial))
+    layer = EndlessLayer(BEADS, math.degrees(math.atan(mu(inertial))))
     exact = bagnold(layer.scene, inertial)
     layer.throw(lambda y: 1.1 * exact(y))
     rows, means = layer.run(1.0 if inertial < 0.1 else 3.0)

@@ -28,13 +28,12 @@ def test_uniaxial_strain_is_elastic_then_on_the_yield_line() -> None:
 def test_simple_shear_attains_davis(friction_deg: float, dilation_deg: float) -> None:
     """tau / s_n = sin phi cos psi / (1 - sin phi sin psi) under constant normal stress (Davis 1968)."""
     sand = Material(friction_deg=friction_deg, dilation_deg=dilation_deg, young=2.0e8)
-    history = follow_controlled(
-        sand,
-        start=np.array([-1e4, -1e4, -1e4, 0.0]),
-        steps=150,
-        gradient=lambda free: np.array([[0.0, 1e-5], [0.0, free[0]]]),
-        held={YY: -1e4},
-    )
+
+    def gradient(free: np.ndarray) -> np.ndarray:
+        return np.array([[0.0, 1e-5], [0.0, free[0]]])
+
+    start = np.array([-1e4, -1e4, -1e4, 0.0])
+    history = follow_controlled(sand, start=start, steps=150, gradient=gradient, held={YY: -1e4})
     phi, psi = np.radians(friction_deg), np.radians(dilation_deg)
     davis = np.sin(phi) * np.cos(psi) / (1 - np.sin(phi) * np.sin(psi))
     assert history[-1, XY] / 1e4 == pytest.approx(davis, rel=2e-3)
@@ -50,9 +49,6 @@ def test_where_all_directions_open_all_carry_the_limit() -> None:
     for dimension in (2, 3):
         history = follow(weak, np.tile(np.eye(dimension) * 1e-3, (20, 1, 1)))
         np.testing.assert_allclose(history[-1, [XX, YY, ZZ]], 100.0 / np.tan(np.radians(30.0)), rtol=1e-9)
-
-
-# Three dimensions: the same law, its axes anywhere.
 
 
 def rotations(count: int) -> np.ndarray:
@@ -78,13 +74,8 @@ def test_triaxial_tests_in_six_directions(axis: int, sign: float) -> None:
         gradient[others, others] = free
         return gradient
 
-    history = follow_controlled(
-        SAND,
-        start=np.array([-1e5, -1e5, -1e5, 0.0, 0.0, 0.0]),
-        steps=60,
-        gradient=squeeze,
-        held=dict.fromkeys(others, -100000.0),
-    )
+    start, held = np.array([-1e5, -1e5, -1e5, 0.0, 0.0, 0.0]), dict.fromkeys(others, -1e5)
+    history = follow_controlled(SAND, start=start, steps=60, gradient=squeeze, held=held)
     n, root = 3.0, np.sqrt(3.0)
     strength = -(1e5 * n + 2e4 * root) if sign < 0 else -(1e5 - 2e4 * root) / n
     assert history[-1, axis] == pytest.approx(strength, rel=1e-4)
@@ -99,7 +90,7 @@ def test_the_return_does_not_know_the_axes(dilation_deg: float) -> None:
     principal[:6, 1] = principal[:6, 0]
     principal[6:12, 1] = principal[6:12, 2]
     principal[12:14] = principal[12:14, :1]
-    expected = returned(sand, principal)
+    expected, _ = returned(sand, principal)
     for values, rotated_result, turn in zip(principal, expected, rotations(60), strict=True):
         start = components(turn @ np.diag(values) @ turn.T)
         result = follow(sand, np.zeros((1, 3, 3)), start)[0]

@@ -8,26 +8,18 @@ import pytest
 from datasets.errors import InputError
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass
-from mpm import Recording, simulate
+from mpm import WITH_FIELDS, Recording, simulate
 from mpm.output.request import window_frames
 from mpm.output.smoothing import smoothed, weights
 from tests.scenes import SAND, box
 
 REST = Recording(frames=3, fields=True, until_rest=True)
-EVERYTHING = Recording(fields=True, wall_forces=True)
 WALLED = Baffle(lower=(0.3, 0.0), size=(0.1, 0.1))
 
 
 @pytest.mark.parametrize(
     ("frames", "kept"),
-    [
-        ("all", [0, 1, 2, 3, 4, 5, 6]),
-        ("last", [6]),
-        (1, [0, 1, 2, 3, 4, 5, 6]),
-        (4, [0, 4, 6]),
-        (6, [0, 6]),
-        (9, [0, 6]),
-    ],
+    [("all", [*range(7)]), ("last", [6]), (1, [*range(7)]), (4, [0, 4, 6]), (6, [0, 6]), (9, [0, 6])],
 )
 def test_the_frames_that_are_kept(frames: object, kept: list[int]) -> None:
     record = Recording(frames=frames)  # type: ignore[arg-type]
@@ -44,9 +36,9 @@ def test_a_recording_that_cannot_be() -> None:
 @pytest.mark.slow
 def test_fewer_frames_are_those_of_the_whole_run() -> None:
     scene = box(baffles=(WALLED,), duration=0.3)
-    whole = simulate(scene, record=EVERYTHING)
+    whole = simulate(scene, record=WITH_FIELDS)
     for frames, kept in ((7, [*range(0, 60, 7), 60]), ("last", [60])):
-        few = simulate(scene, record=dataclasses.replace(EVERYTHING, frames=frames))  # type: ignore[arg-type]
+        few = simulate(scene, record=dataclasses.replace(WITH_FIELDS, frames=frames))  # type: ignore[arg-type]
         np.testing.assert_array_equal(few.time, whole.time[kept])
         for key in ("positions", "velocities", "stress", "pressure", "plastic_strain", "solid_impulse"):
             np.testing.assert_array_equal(getattr(few, key), getattr(whole, key)[kept])
@@ -56,7 +48,7 @@ def test_fewer_frames_are_those_of_the_whole_run() -> None:
 
 def test_the_stress_in_a_settled_bed_is_the_weight_above() -> None:
     scene = box(Mass(lower=(0.0, 0.0), size=(1.0, 0.3)), damping=0.3, duration=1.0)
-    flow = simulate(scene, record=dataclasses.replace(EVERYTHING, frames="last"))
+    flow = simulate(scene, record=dataclasses.replace(WITH_FIELDS, frames="last"))
     assert flow.stress is not None
     weight = SAND.density * 9.81
     y = flow.positions[-1, :, 1].astype(np.float64)

@@ -28,47 +28,43 @@ from validation.bench.stability.exact_solutions import (
 box, room = partial(scenes.box, duration=0.2), partial(scenes.room, duration=0.2)
 DEPOSIT = dataclasses.replace(WITH_FIELDS, frames="last")
 """Compiles no other kernel than `WITH_FIELDS`."""
+TALL = Mass(lower=(0.0, 0.0), size=(0.2, 0.4))
 FIRM = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, poisson=0.0, young=1.0e6)
 """Too strong to yield: an elastic solid."""
 
 
 @pytest.mark.double
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_a_body_in_the_air_falls_on_a_parabola(dimension: int) -> None:
-    thrown = {
-        2: box(Mass(lower=(0.2, 0.6), size=(0.2, 0.2), velocity=(1.0, 0.5)), volume_correction=False),
-        3: room(
-            Mass(lower=(0.2, 0.5, 0.3), size=(0.16, 0.16, 0.16), velocity=(1.0, 0.5, -0.4)), volume_correction=False
-        ),
-    }
-    flow = simulate(thrown[dimension], precision="f64", record=WITH_FIELDS)
+@pytest.mark.parametrize(
+    "scene",
+    [
+        box(Mass(lower=(0.2, 0.6), size=(0.2, 0.2), velocity=(1.0, 0.5))),
+        room(Mass(lower=(0.2, 0.5, 0.3), size=(0.16, 0.16, 0.16), velocity=(1.0, 0.5, -0.4))),
+    ],
+    ids=["2D", "3D"],
+)
+def test_a_body_in_the_air_falls_on_a_parabola(scene: Scene) -> None:
+    flow = simulate(dataclasses.replace(scene, volume_correction=False), precision="f64", record=WITH_FIELDS)
     exact = FreeFlight.of_flow(flow).displacement(flow.time)
     np.testing.assert_allclose(centre_displacement(flow), exact, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("dimension", "slope_deg", "friction"),
-    [(2, 30.0, 0.2), (2, 15.0, 0.0), pytest.param(3, 30.0, 0.2, marks=pytest.mark.slow)],
+    ("block", "slope_deg", "friction"),
+    [
+        (box(Mass(lower=(0.1, 0.0), size=(0.2, 0.1))), 30.0, 0.2),
+        (box(Mass(lower=(0.1, 0.0), size=(0.2, 0.1))), 15.0, 0.0),
+        pytest.param(room(Mass(lower=(0.08, 0.0, 0.3), size=(0.2, 0.12, 0.2))), 30.0, 0.2, marks=pytest.mark.slow),
+    ],
 )
-def test_a_block_slides_down_an_incline(dimension: int, slope_deg: float, friction: float) -> None:
+def test_a_block_slides_down_an_incline(block: Scene, slope_deg: float, friction: float) -> None:
     """The displacement of a rigid block with Coulomb friction; ours is elastic and stiff."""
-    incline = {
-        "material": dataclasses.replace(FIRM, young=1.0e7),
-        "slope_deg": slope_deg,
-        "floor_friction": friction,
-        "duration": 0.4,
-        "jitter": 0.0,
-    }
-    blocks = {
-        2: box(Mass(lower=(0.1, 0.0), size=(0.2, 0.1)), **incline),  # type: ignore[arg-type]
-        3: room(Mass(lower=(0.08, 0.0, 0.3), size=(0.2, 0.12, 0.2)), **incline),  # type: ignore[arg-type]
-    }
-    scene = blocks[dimension]
+    incline = {"slope_deg": slope_deg, "floor_friction": friction, "duration": 0.4, "jitter": 0.0}
+    scene = dataclasses.replace(block, material=dataclasses.replace(FIRM, young=1.0e7), **incline)
     slid = centre_displacement(simulate(scene))[-1]
     # It bounces elastically on the floor: an impulse of its last bounce is still to come or to be given back.
-    tolerance = {2: 0.005, 3: 0.01}[dimension] * 0.5 * 9.81 * 0.4**2
+    tolerance = {2: 0.005, 3: 0.01}[scene.dimension] * 0.5 * 9.81 * 0.4**2
     assert slid[0] == pytest.approx(SlidingBlock.of_scene(scene).displacement(scene.duration), abs=tolerance)
-    assert dimension == 2 or abs(slid[2]) < 1e-4
+    assert scene.dimension == 2 or abs(slid[2]) < 1e-4
 
 
 @pytest.mark.slow
@@ -99,13 +95,8 @@ def test_a_layer_settles_under_its_weight_by_one_dimensional_compression() -> No
 
 @pytest.mark.parametrize("precision", ["f32", "f64"])
 def test_a_collapse_never_gains_energy(precision: str) -> None:
-    scene = box(
-        Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),
-        material=Material(friction_deg=15.0),
-        floor_friction=0.4,
-        wall_friction=0.1,
-        duration=1.0,
-    )
+    weak = Material(friction_deg=15.0)
+    scene = box(TALL, material=weak, floor_friction=0.4, wall_friction=0.1, duration=1.0)
     total = total_energy(simulate(scene, precision=precision, record=DEPOSIT))  # type: ignore[arg-type]
     assert np.diff(total).max() < 2e-4 * total[0]
     assert total[-1] < 0.8 * total[0]
@@ -134,7 +125,7 @@ def test_a_fast_frame_takes_more_steps() -> None:
 @pytest.mark.double
 def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
     baffle = Baffle(lower=(0.2, 0.0), size=(0.1, 0.1))
-    flat = box(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), baffles=(baffle,), damping=0.1, duration=0.1)
+    flat = box(TALL, baffles=(baffle,), damping=0.1, duration=0.1)
     deep = room(Mass(lower=(0.0, 0.0, 0.2), size=(0.24, 0.3, 0.4)), duration=0.1)
     for scene in (flat, deep):
         monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 10**9)
@@ -159,7 +150,7 @@ def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -
     damped = partial(box, baffles=(Baffle(lower=(0.55, 0.0), size=(0.1, 0.2)),), damping=0.1, duration=0.05)
     thrown = Mass(lower=(0.1, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0))
     flat = [
-        damped(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), Mass(lower=(0.1, 0.4), size=(0.1, 0.1), material=heavy)),
+        damped(TALL, Mass(lower=(0.1, 0.4), size=(0.1, 0.1), material=heavy)),
         damped(thrown, Mass(lower=(0.4, 0.0), size=(0.1, 0.1), material=heavy), step_fraction=0.9),
     ]
     deep = [room(Mass(lower=(0.0, 0.0, 0.2), size=(0.16, 0.24, 0.2)), duration=0.05)]
@@ -186,30 +177,17 @@ def test_a_missing_gpu_is_one_clear_line() -> None:
     assert simulate(box(Mass(lower=(0.0, 0.0), size=(0.1, 0.1)), duration=0.01)).summary["arch"] == "cpu"
 
 
-COLUMN = scene_of(
-    Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),
-    size=(1.6, 0.6),
-    duration=1.0,
-    frame_dt=0.005,
-    floor_friction=0.385,
-    step_fraction=0.9,
-)
+COLUMN = scene_of(TALL, size=(1.6, 0.6), duration=1.0, frame_dt=0.005, floor_friction=0.385, step_fraction=0.9)
 
 
-def stiffer(young: float, **changes: object) -> Scene:
+def stiffer(young: float = 2.0e6, **changes: object) -> Scene:
     """The column at another Young's modulus [Pa] and with other changes."""
     return dataclasses.replace(COLUMN, material=dataclasses.replace(SAND, young=young), **changes)  # type: ignore[arg-type]
 
 
 def test_the_front_does_not_depend_on_stiffness_step_or_output_interval() -> None:
     """Within 3 % at 20 mm cells; APIC, which loses velocity in every step, is apart by a fifth and more."""
-    scenes = [
-        stiffer(2.0e6),
-        stiffer(2.0e6, step_fraction=0.2),
-        stiffer(2.0e8),
-        stiffer(2.0e6, frame_dt=0.001),
-        stiffer(2.0e6, frame_dt=0.01),
-    ]
+    scenes = [stiffer(), stiffer(step_fraction=0.2), stiffer(2.0e8), stiffer(frame_dt=0.001), stiffer(frame_dt=0.01)]
     fronts = np.array([flow.summary["front"] for flow in simulate_many(scenes)])
     assert np.ptp(fronts) <= 0.03 * fronts.mean()
     apic = [dataclasses.replace(scene, relaxation_time=0.0) for scene in scenes[:3]]

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from mpm import runtime
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import plastic_return_reverse
-from mpm.arrays.batch import aligned
+from mpm.arrays.batch import aligned, put_vectors
 from mpm.arrays.features import Features
 from mpm.physics.stress import midpoint_increment, plastic_return, trial_stress
+
+pytestmark = pytest.mark.double
 
 Array = NDArray[Any]
 
@@ -62,8 +64,9 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             elastic = ti.static([Pullback(trial_after, (old, a, p[6], p[7]), (dimension,))])[0]
             bar = [y[e * stresses + k] for k in ti.static(range(stresses))]
             strengths = [p[k] for k in ti.static(range(count))]
+            others = [bar[0], bar[0]]
             trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
-                bar, elastic.values, strengths, p[6], p[7], bar[0], bar[0], features
+                bar + others, elastic.values, strengths, p[6], p[7], features
             )
             found = ti.static(elastic(trial_bar))
             for k in ti.static(range(stresses)):
@@ -81,6 +84,7 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
 
 def call(function: Callable[..., None], features: Features, inputs: Array, *others: Array, rows: int) -> Array:
     """`function` of E elements, given as columns of `inputs` and `others`; the last argument is `rows` by E."""
+    runtime.start(features.precision, enough=1)
     lanes, count = features.lanes, inputs.shape[1]
     blocks = -(-count // lanes)
     real: np.dtype[Any] = np.dtype(np.float64 if features.precision == "f64" else np.float32)
@@ -88,7 +92,7 @@ def call(function: Callable[..., None], features: Features, inputs: Array, *othe
 
     def packed(columns: Array) -> Array:
         memory = aligned((blocks, len(columns), lanes), real)
-        memory[:] = np.moveaxis(columns[:, source].reshape(len(columns), blocks, lanes), 0, 1)
+        put_vectors(memory, 0, columns[:, source].T)
         return memory.reshape(-1, lanes)
 
     result = aligned((blocks * rows, lanes), real)
@@ -98,17 +102,12 @@ def call(function: Callable[..., None], features: Features, inputs: Array, *othe
 
 def stepped(features: Features, inputs: Array) -> Array:
     """Returned stresses of E elements, shape [4 or 6, E]."""
-    runtime.start(features.precision, enough=1)
     return call(kernels(features)[0], features, inputs, rows=features.stresses)
 
 
 def reversed_step(features: Features, inputs: Array, bar: Array) -> Array:
     """Bars of `inputs` from those of the returned stresses, the shape of `inputs`."""
-    runtime.start(features.precision, enough=1)
     return call(kernels(features)[1], features, inputs, bar, rows=len(inputs))
-
-
-pytestmark = pytest.mark.double
 
 
 YOUNG = 100.0
@@ -126,21 +125,21 @@ KINDS = [
 ]
 
 
-def inputs_of(
-    stress: Array, random: np.random.Generator, *, dilates: bool, cohesive: bool, size: float, fast: bool = False
-) -> Array:
+def inputs_of(stress: Array, random: np.random.Generator, features: Features, size: float = 0.0) -> Array:
     """Elements with these stresses [4 or 6, E], increments of `size` [-] and constants drawn anew for each."""
     count, dimension = stress.shape[1], 2 if len(stress) == 4 else 3
     phi = np.radians(random.uniform(5.0, 45.0, count))
-    psi = phi * random.uniform(0.1, 1.0, count) if dilates else 0.0 * phi
-    cohesion = np.ones(count) if cohesive else np.zeros(count)
+    psi = phi * random.uniform(0.1, 1.0, count) if features.dilates else 0.0 * phi
+    cohesion = np.full(count, float(features.cohesive))
     limit = np.minimum(0.5, cohesion / np.tan(phi)) * random.uniform(0.1, 0.9, count) * cohesion
     return np.concatenate(
         [
             stress,
             size * random.normal(size=(dimension**2, count)),
             [np.sin(phi), np.sin(psi), 2.0 * cohesion * np.cos(phi), limit],
-            [np.sin(phi) + 0.2, 10.0 ** random.uniform(-2.0, 0.0, count)] if fast else np.zeros((2, count)),
+            [np.sin(phi) + 0.2, 10.0 ** random.uniform(-2.0, 0.0, count)]
+            if features.inertial
+            else np.zeros((2, count)),
             YOUNG * random.uniform(0.5, 2.0, (2, count)),
         ]
     )
@@ -158,14 +157,13 @@ def random_stresses(width: int, count: int, random: np.random.Generator) -> Arra
 def test_the_reverse_is_that_of_central_differences(features: Features) -> None:
     """To 1e-6 of the bars of an element, for each of its numbers; but where a difference spans two pieces."""
     random = np.random.default_rng(1)
-    strong = features.cohesive
     stress = random_stresses(features.stresses, 2000, random)
-    inputs = inputs_of(stress, random, dilates=strong, cohesive=strong, size=0.05, fast=features.inertial)
+    inputs = inputs_of(stress, random, features, size=0.05)
     bar = random.normal(size=stress.shape)
     ours = reversed_step(features, inputs, bar)
     assert np.isfinite(ours).all()
     first = len(inputs) - CONSTANTS
-    absent = set() if strong else {first + 1, first + 2, first + 3}
+    absent = set() if features.cohesive else {first + 1, first + 2, first + 3}
     absent |= set() if features.inertial else {first + 4, first + 5}
     apart = []
     for row in sorted(set(range(len(inputs))) - absent):
@@ -207,7 +205,7 @@ def test_elastic_stresses_that_are_equal_have_the_derivative_of_elasticity(
     random = np.random.default_rng(2)
     features = Features(dimension=dimension, precision="f64", dilates=True, cohesive=True)
     stress = same_axes(features.stresses, values, 64, random)
-    inputs = inputs_of(stress, random, dilates=True, cohesive=True, size=0.0)
+    inputs = inputs_of(stress, random, features)
     inputs[len(inputs) - CONSTANTS + 2] = 50.0
     bar = random.normal(size=stress.shape)
     np.testing.assert_allclose(reversed_step(features, inputs, bar)[: features.stresses], bar, atol=1e-12)
@@ -221,7 +219,7 @@ def test_on_an_edge_two_stresses_stay_equal(dimension: int, pair: float, single:
     random = np.random.default_rng(4)
     stress = np.zeros((features.stresses, 16))
     stress[0], stress[1], stress[2] = pair, pair, single
-    inputs = inputs_of(stress, random, dilates=True, cohesive=True, size=0.0)
+    inputs = inputs_of(stress, random, features)
     inputs[len(inputs) - CONSTANTS] = 0.7
     inputs[len(inputs) - CONSTANTS + 2] = 0.1
     assert not np.allclose(stepped(features, inputs)[2], single)
@@ -239,9 +237,9 @@ def test_beside_a_crack_equal_stresses_turn_freely(dimension: int) -> None:
     stress = np.zeros((features.stresses, 8))
     stress[0], stress[1], stress[2] = (-1.0, -1.0, 3.0)
     random = np.random.default_rng(5)
-    inputs = inputs_of(stress, random, dilates=False, cohesive=True, size=0.0)
+    inputs = inputs_of(stress, random, features)
     first = len(inputs) - CONSTANTS
-    inputs[first], inputs[first + 2], inputs[first + 3] = 0.3, 20.0, 0.5
+    inputs[first : first + 4] = np.array([0.3, 0.0, 20.0, 0.5])[:, None]
     bar = np.zeros_like(stress)
     bar[3] = 1.0
     found = reversed_step(features, inputs, bar)
