@@ -24,10 +24,10 @@ from datasets import measures
 from datasets.command_line import run
 from datasets.errors import naming, require
 from datasets.exchange.vtk import Meshes
+from datasets.field import Floats
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.trajectory import Trajectory, brackets, open_trajectory, trajectory_file
 
-Floats = NDArray[np.float64]
 Fields = dict[str, NDArray[Any]]
 Figures = dict[str, Floats]
 

@@ -27,12 +27,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f
 
+from datasets.field import Floats
 from inverse.target import Target
-
-Floats = NDArray[np.float64]
 
 CONFIDENCE = 0.99
 """Share of right answers that lie within the predictive interval."""

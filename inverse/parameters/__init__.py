@@ -21,7 +21,7 @@ from datasets.errors import InputError
 from datasets.records import Record
 from datasets.scene import Scene
 from inverse.parameters import inputs
-from inverse.parameters.kind import Centre, Cohesion, Constant, Draft, Extent, Height, Kind, Residual, Vector, Velocity
+from inverse.parameters.kind import Centre, Cohesion, Constant, Draft, Extent, Kind, Residual, Vector, Velocity
 from inverse.parameters.prior import Marginal, Prior
 
 __all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
@@ -54,7 +54,7 @@ KINDS: dict[str, Kind] = {
         Extent(form="baffles[].height", axis=_AXES["y"], positive=False, **_BAFFLE),
         Extent(form="baffles[].width", axis=_AXES["z"], positive=False, **_BAFFLE),
         Kind(form="masses[].k0", unit="-", digits=3),
-        Height(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
+        Kind(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
         Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
         Kind(form="solids[].friction", unit="-", digits=3, input=inputs.ground_friction),
     )

@@ -18,6 +18,7 @@ from inverse.parameters import kind
 from inverse.problem import PROBLEMS, Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
 from inverse.target import read_target
+from tests.flows import flow_of
 
 GOOD = """
 scene = "column-tall-42"
@@ -129,14 +130,8 @@ def small(kind: str, folder: Path, target: TargetSettings | None = None, **measu
 def fall(scene: Scene) -> Trajectory:
     """A deposit that depends on the angle and on the seed."""
     x = np.linspace(0.0, 1.0 - scene.material.friction_deg / 100.0 - 0.001 * scene.seed, 500)
-    positions = np.stack([x, np.zeros(500)], axis=1)[None].astype(np.float32)
-    return Trajectory(
-        positions=positions,
-        time=np.array([1.0]),
-        velocity0=np.zeros((500, 2), np.float32),
-        friction=np.full(500, scene.material.friction, np.float32),
-        scene=scene,
-    )
+    positions = np.stack([x, np.zeros(500)], axis=1)[None]
+    return flow_of(scene, positions, time=np.array([1.0]))
 
 
 def test_a_twin_has_its_own_angle_and_jitter(tmp_path: Path) -> None:
