@@ -30,6 +30,7 @@ import numpy as np
 from scipy.stats import f
 
 from datasets.field import Floats
+from datasets.measures import rms
 from inverse.target import Target
 
 CONFIDENCE = 0.99
@@ -146,11 +147,6 @@ def fit(target: Target, shown: Floats, scatter: Scatter, *, cells: Floats | None
         numbers=size,
         parameters=parameters,
     )
-
-
-def rms(values: Floats) -> float:
-    """Root mean square of values [M]."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def shrunk(sample: Floats) -> Floats:

@@ -117,7 +117,7 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
     elif whole is only and not problem.target.minimise:
         front = only.observation.front(only.values)
     return Target(
-        **{each.name: getattr(whole, each.name) for each in dataclasses.fields(whole)},
+        **vars(whole),
         front=front,
         cell=None if run is None else run.scene.domain.cell,
         deposit=None if run is None else run.positions[-1],

@@ -94,7 +94,7 @@ def with_parameters(scene: Scene, names: Sequence[str], values: Sequence[float] 
 
 def with_kinds(scene: Scene, kinds: Sequence[Kind], values: Sequence[float] | Vector) -> Scene:
     """As `with_parameters`, of names that are resolved."""
-    draft = Draft(**{each.name: getattr(scene, each.name) for each in dataclasses.fields(scene)})
+    draft = Draft(**vars(scene))
     for index in in_order(kinds):
         kinds[index].put(draft, float(values[index]))
     return dataclasses.replace(scene, **vars(draft))
