@@ -24,10 +24,10 @@ from datasets import measures
 from datasets.command_line import run
 from datasets.errors import naming, require
 from datasets.exchange.vtk import Meshes
+from datasets.field import Floats
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.trajectory import Trajectory, brackets, open_trajectory, trajectory_file
 
-Floats = NDArray[np.float64]
 Fields = dict[str, NDArray[Any]]
 Figures = dict[str, Floats]
 
@@ -185,9 +185,9 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
         heights = (heights_of(meshes[0], first, stations), heights_of(meshes[1], second, stations))
         for own, each, known in zip(rows, meshes, fields, strict=False):
             own.append(figures_of(each, known))
-        profile = rms((heights[0] - heights[1])[(heights[0] > 0.0) | (heights[1] > 0.0)])
+        profile = measures.rms((heights[0] - heights[1])[(heights[0] > 0.0) | (heights[1] > 0.0)])
         transport = measures.transport_distance(first, one.volumes, second, other.volumes)
-        moved = math.nan if same is None else rms(np.linalg.norm(first[same[0]] - second[same[1]], axis=1))
+        moved = math.nan if same is None else measures.rms(np.linalg.norm(first[same[0]] - second[same[1]], axis=1))
         rows[2].append([profile, transport, moved])
     figures = [dict(zip(FIGURES, np.array(own).T, strict=True)) for own in rows[:2]]
     return Comparison(
@@ -205,11 +205,6 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
 def spoken(value: float, form: str = ".5g") -> str:
     """A number in words; a dash where there is none."""
     return "-" if math.isnan(value) else format(value, form)
-
-
-def rms(values: NDArray[Any]) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(values.astype(np.float64) ** 2)))
 
 
 def draw(path: Path, found: Comparison) -> None:

@@ -15,14 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming, require
+from datasets.field import Floats
 from datasets.files import make_folder, replacing
 from datasets.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
-
-Floats = NDArray[np.float64]
 
 TABLE, PLOT = "forces.csv", "forces.png"
 AXES = ("x", "y", "z")

@@ -112,5 +112,9 @@ def transport_distance(
     positions: Positions, volume: NDArray[np.floating], others: Positions, other_volume: NDArray[np.floating]
 ) -> float:
     """How far the parts of one deposit lie from those of another along x, rms over equal shares of the volume [m]."""
-    apart = equal_shares(positions, volume) - equal_shares(others, other_volume)
-    return float(np.sqrt(np.mean(apart**2)))
+    return rms(equal_shares(positions, volume) - equal_shares(others, other_volume))
+
+
+def rms(values: NDArray[np.floating]) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values.astype(np.float64) ** 2)))

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
@@ -27,7 +26,6 @@ GROUND_SPACING = 0.05
 """Distance between two elevations of which the steepness of terrain is taken, over l [-]."""
 
 Range = tuple[float, float]
-Floats = NDArray[np.float64]
 
 
 def logarithm(value: float) -> float:

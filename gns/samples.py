@@ -232,13 +232,8 @@ class Rollouts(Sampler):
         """Ends side by side: half of them the flow's own, the other at any time."""
         drawn = [self._drawn(rng) for _ in range(self._training.batch)]
         together = batched([sample for sample, _, _ in drawn])
-        return Ends(
-            state=together.state,
-            conditions=together.conditions,
-            targets=together.targets,
-            end=State.joined([end for _, end, _ in drawn]),
-            whole=torch.stack([whole for _, _, whole in drawn]),
-        )
+        end, whole = State.joined([end for _, end, _ in drawn]), torch.stack([whole for _, _, whole in drawn])
+        return Ends(**vars(together), end=end, whole=whole)
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Batch, State, Tensor]:
         """One of the ends of a random rollout, the last of them as often as all others."""

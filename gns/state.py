@@ -148,7 +148,7 @@ class Conditions(Tensors):
 
     @staticmethod
     def joined(samples: Sequence["Conditions"]) -> "Conditions":
-        """Samples side by side, of one each, all in units of the model.
+        """Samples side by side, of one each, all in the same units, differentiably.
 
         One with fewer baffles than another gets boxes of no size far outside, one without terrain ground far below, and
         a smaller raster goes on level.
@@ -159,11 +159,11 @@ class Conditions(Tensors):
             own = [getattr(each, name) for each in samples]
             count = max((each.baffles.shape[1] for each in samples if each.baffles is not None), default=0)
             if some := [each for each in own if each is not None]:
-                whole = some[0].new_full((len(own), count, *some[0].shape[2:]), absent)
-                for row, each in zip(whole, own, strict=True):
-                    if each is not None:
-                        row[: each.shape[1]] = each[0]
-                found[name] = whole
+                none, level_axes = some[0][:, :0], (0, 0) * (some[0].dim() - 2)
+                given = [none if each is None else each for each in own]
+                ends = [(*level_axes, 0, count - each.shape[1]) for each in given]
+                rows = [functional.pad(each, end, value=absent) for each, end in zip(given, ends, strict=True)]
+                found[name] = torch.cat(rows)
         if grounds := [each.ground for each in samples if each.ground is not None]:
             shape = [max(counts) for counts in zip(*(each.elevation.shape[1:] for each in grounds), strict=True)]
             rasters = {
@@ -172,7 +172,8 @@ class Conditions(Tensors):
             }
             found["ground"] = Ground(**rasters, spacing=grounds[0].spacing)
         counts = torch.tensor([len(each.friction) for each in samples])
-        return Conditions(batch=torch.arange(len(samples)).repeat_interleave(counts), **found)
+        batch = torch.arange(len(samples)).repeat_interleave(counts)
+        return Conditions(batch=batch, units=samples[0].units, **found)
 
 
 def level(ground: Ground | None, name: str, shape: Sequence[int], absent: float) -> Tensor:

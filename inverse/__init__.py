@@ -14,13 +14,16 @@ from typing import TYPE_CHECKING, Any
 import gns  # noqa: F401  (sets what torch reads when it is loaded, before a module here loads torch)
 
 if TYPE_CHECKING:
-    from inverse.adaptation import adapt
-    from inverse.inversion import invert
-    from inverse.parameters import Parameter
-    from inverse.parameters.prior import Correlation, Prior
-    from inverse.problem import Problem, read_problem
-    from inverse.result import Result
-    from inverse.settings import ObservationSettings, TargetSettings
+    from inverse.adaptation import adapt as adapt
+    from inverse.inversion import invert as invert
+    from inverse.parameters import Parameter as Parameter
+    from inverse.parameters.prior import Correlation as Correlation
+    from inverse.parameters.prior import Prior as Prior
+    from inverse.problem import Problem as Problem
+    from inverse.problem import read_problem as read_problem
+    from inverse.result import Result as Result
+    from inverse.settings import ObservationSettings as ObservationSettings
+    from inverse.settings import TargetSettings as TargetSettings
 
 _MODULES = {
     "Correlation": "inverse.parameters.prior",
@@ -35,18 +38,7 @@ _MODULES = {
     "read_problem": "inverse.problem",
 }
 
-__all__ = [
-    "Correlation",
-    "ObservationSettings",
-    "Parameter",
-    "Prior",
-    "Problem",
-    "Result",
-    "TargetSettings",
-    "adapt",
-    "invert",
-    "read_problem",
-]
+__all__ = [*_MODULES]
 
 
 def __getattr__(name: str) -> Any:

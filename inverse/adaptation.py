@@ -85,7 +85,10 @@ def adapt(
     weights = model_path(model or shipped(asked.scene.dimension))
     begun = checkpoint.load(weights)
     settings = begun.simulator.settings
-    require_learnable(asked, settings)
+    if asked.fields:
+        raise InputError("expected numbers, a surrogate knows no fields", where=asked.name, key="unknowns")
+    require_predicted(asked)
+    check(asked.scene_at(asked.initial), settings)
     if runs < FEWEST:
         raise InputError(f"expected at least {FEWEST} runs, of which two are held out, got {runs}", key="--runs")
     flows = definition(asked, runs, settings, seed=seed)
@@ -124,14 +127,6 @@ def adapt(
 def identity(problem: Problem) -> dict[str, Any]:
     """What the flows of two problems have in common if they are the same: unknowns, and the scene but for these."""
     return {"unknowns": problem.names, "scene": problem.scene_at(problem.initial, 0).to_json()}
-
-
-def require_learnable(problem: Problem, settings: ModelSettings) -> None:
-    """Raise InputError, which names the key, for a problem whose parameters or observations no surrogate has."""
-    if problem.fields:
-        raise InputError("expected numbers, a surrogate knows no fields", where=problem.name, key="unknowns")
-    require_predicted(problem)
-    check(problem.scene_at(problem.initial), settings)
 
 
 def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: int) -> Definition:

@@ -30,10 +30,10 @@ from itertools import pairwise
 import numpy as np
 import scipy.linalg
 import torch
-from numpy.typing import NDArray
 from scipy.special import ndtr
 from tqdm import tqdm
 
+from datasets.field import Floats
 from datasets.particles import initial_volumes
 from datasets.processes import processors
 from datasets.scene import Scene
@@ -50,8 +50,6 @@ from mpm import simulate, simulate_many
 from mpm.adjoint.gradient import Gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, check, steady
 from mpm.arrays.features import features_of
-
-Floats = NDArray[np.float64]
 
 MEMORY_MIB = 512.0
 """For the checkpoints of the runs that are reversed side by side [MiB]."""

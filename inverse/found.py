@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datasets import measures
 from datasets.field import Field
 from datasets.trajectory import Trajectory
-from inverse.noise import Fit, rms
+from inverse.noise import Fit
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.parameters.field import BAND, UnknownField
@@ -201,7 +201,7 @@ class FoundField:
         """Root mean square error of the found field, or of other `values`, at nodes `where` [K]; None if unknown."""
         if self.truth is None or not where.any():
             return None
-        return rms(((self.arrays["mean"] if values is None else values) - self.truth)[where])
+        return measures.rms(((self.arrays["mean"] if values is None else values) - self.truth)[where])
 
     def covered(self, where: NDArray[np.bool_]) -> float | None:
         """Share of the true values at nodes `where` [K] that the bands hold; None where they are not known."""

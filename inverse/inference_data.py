@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from inverse.result import Result
 
 CHAINS = ("chain", "draw")
-Variables = Mapping[str, tuple[Matrix, str]]
-"""By name the values and their unit."""
 
 
 def write(result: "Result", path: Path) -> None:
@@ -71,8 +69,8 @@ def predictive(found: Posterior, points: Matrix, rng: np.random.Generator) -> Ma
     return found.reduction.numbers(found.likelihood.target - residual + errors)
 
 
-def fill(group: h5py.Group, variables: Variables, first: tuple[str, ...]) -> None:
-    """Write variables, their first axes those named, a further one their own."""
+def fill(group: h5py.Group, variables: Mapping[str, tuple[Matrix, str]], first: tuple[str, ...]) -> None:
+    """Write values and units by name; their first axes are those named, a further one is their own."""
     for name, (values, unit) in variables.items():
         dataset = group.create_dataset(name, data=values, track_order=True)
         dataset.attrs["units"] = unit if unit not in ("", "-") else "1"

@@ -27,12 +27,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f
 
+from datasets.field import Floats
+from datasets.measures import rms
 from inverse.target import Target
-
-Floats = NDArray[np.float64]
 
 CONFIDENCE = 0.99
 """Share of right answers that lie within the predictive interval."""
@@ -148,11 +147,6 @@ def fit(target: Target, shown: Floats, scatter: Scatter, *, cells: Floats | None
         numbers=size,
         parameters=parameters,
     )
-
-
-def rms(values: Floats) -> float:
-    """Root mean square of values [M]."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def shrunk(sample: Floats) -> Floats:

@@ -9,7 +9,7 @@
 | N, S | `Target.covariance` | errors of the measurement, scatter of one flow of the MPM |
 | E | - | error of a surrogate by its band (`inverse.forward.gns`) |
 | J | - | dy/dv by an emulator of all predictions so far |
-| p, P | `Inversion.prior` | a stated prior over the uniform one, and the inverse of its covariance |
+| p, P | `Problem.prior` | a stated prior over the uniform one, and the inverse of its covariance |
 
 Predictions that fill the box are the first emulator (`inverse.posterior`); the separate parts of its posterior are the
 starts. From all of them together steps are made in lockstep that minimise, within the box and a trust region,
@@ -37,7 +37,6 @@ from scipy.stats import chi2
 
 from inverse.forward import Differentiable, Forward
 from inverse.observations import Values
-from inverse.parameters.prior import JointPrior
 from inverse.posterior import Matrix
 from inverse.posterior.answers import Part, half_widths, parts
 from inverse.posterior.emulator import fewest_runs, fitted
@@ -105,7 +104,7 @@ class Inversion:
             rng=rng,
             factor=self.factor,
             region=self.region,
-            prior=self.prior,
+            prior=self.problem.prior,
         )
 
     @cached_property
@@ -137,14 +136,10 @@ class Inversion:
         index = [int(np.argmin(np.abs(self.points - each).sum(axis=1))) for each in points]
         return misfits(self.numbers[index] - self.target.values, self.precision)
 
-    @property
-    def prior(self) -> JointPrior | None:
-        """Where one is stated."""
-        return self.problem.prior
-
     def penalty(self, points: Matrix) -> Values:
         """-2 ln p at points [k, U], shape [k]."""
-        return np.zeros(len(points)) if self.prior is None else -2.0 * self.prior(points)
+        prior = self.problem.prior
+        return np.zeros(len(points)) if prior is None else -2.0 * prior(points)
 
     @cached_property
     def precision(self) -> Matrix:
@@ -299,7 +294,8 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
 
 def steepness(state: Inversion, points: Matrix) -> Matrix:
     """d(-2 ln p)/dv at points [k, U], shape [k, U]."""
-    return np.zeros_like(points) if state.prior is None else -2.0 * state.prior.slope(points)
+    prior = state.problem.prior
+    return np.zeros_like(points) if prior is None else -2.0 * prior.slope(points)
 
 
 def descended(state: Inversion, starts: Matrix) -> Inversion:
@@ -340,8 +336,8 @@ def metrics(state: Inversion, points: Matrix) -> Matrix:
     """J^T C^-1 J + P at points [k, U], shape [k, U, U]."""
     rises, outward = emulated_slopes(state, points)
     inner = outward @ state.precision @ outward.T
-    prior = 0.0 if state.prior is None else state.prior.precision
-    return np.stack([rise @ inner @ rise.T + prior for rise in rises])
+    prior = state.problem.prior
+    return np.stack([rise @ inner @ rise.T + (0.0 if prior is None else prior.precision) for rise in rises])
 
 
 def sloped(state: Inversion, points: Matrix, numbers: Matrix) -> Matrix:
@@ -362,10 +358,8 @@ def emulated_slopes(state: Inversion, points: Matrix) -> tuple[list[Matrix], Mat
 
 def around_minima(state: Inversion) -> Region:
     """Three standard deviations about each minimum of L that its region holds, by L as it curves there."""
-    found, fall = (
-        state.misfits(state.minima) + state.penalty(state.minima),
-        chi2.isf(EXCLUDED, state.points.shape[1]) * state.factor**2,
-    )
+    found = state.misfits(state.minima) + state.penalty(state.minima)
+    fall = chi2.isf(EXCLUDED, state.points.shape[1]) * state.factor**2
     minima = state.minima[found <= found.min() + fall]
     prior = 12.0 * np.eye(minima.shape[1])
     inverse = np.linalg.inv(metrics(state, minima) / state.factor**2 + prior)

@@ -19,6 +19,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from datasets import files, measures
+from datasets.field import Floats
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
 from inverse.found import FoundField
@@ -30,7 +31,6 @@ from inverse.settings import ObservationSettings
 if TYPE_CHECKING:
     from inverse.result import Result
 
-Floats = NDArray[np.float64]
 Deposit = NDArray[np.floating]
 COLOURS = {"target": "#222222", "surrogate": "#d95f02", "MPM": "#1b6ca8"}
 """One colour per deposit, the same in every picture."""
@@ -60,8 +60,6 @@ PAIRS = 5
 """Parameters up to which every pair is drawn; of more, each by itself."""
 BINS = 40
 ANSWER = "tab:red"
-BESIDE: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-"""A legend to the right of its panel."""
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -188,7 +186,7 @@ def draw_unknowns(path: Path, found: "Result") -> None:
         axis.set_xticks(x, [each.name.replace(".", "\n") for each in every])
         axis.set(xlim=(-0.6, len(own) - 0.4), ylabel=f"[{unit}]")
         axis.grid(axis="y", color="#e5e5e5")
-        axis.legend(**BESIDE)
+        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save(figure, path)
 
 

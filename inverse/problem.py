@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.field import Field
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
@@ -203,13 +203,10 @@ def read_problem(name: str) -> Problem:
     >>> problem = read_problem("friction-tall-42")
     """
     path = find(name, PROBLEMS, "problem")
-    try:
+    with naming(path):
         file = from_mapping(_File, read_toml(path))
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         beside = path.parent / file.scene
         scene = read_scene(str(beside) if file.scene.endswith(".toml") else str(find(file.scene, SCENES, "scene")))
-        own = {each.name: getattr(file, each.name) for each in dataclasses.fields(file)}
-        own |= {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
+        own = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
         return Problem(parameters=own.pop("unknowns"), **own)
-    except InputError as error:
-        raise error if error.where else error.at(str(path)) from None

@@ -10,9 +10,10 @@ from matplotlib import rc_context
 from tabulate import tabulate
 
 from datasets.files import write_text
+from datasets.measures import rms
 from inverse import pictures
 from inverse.found import IDENTIFIED, Answer, Combination, FoundField, Purpose, Verdict, peak_memory_mib, unidentified
-from inverse.noise import CONFIDENCE, rms
+from inverse.noise import CONFIDENCE
 
 if TYPE_CHECKING:
     from inverse.result import Result

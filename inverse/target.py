@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from datasets import measures
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.particles import particle_count
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import KINDS
 from inverse.observations.measured import Context
-from inverse.observations.observation import Joint, Matrix, Measurement, Part, Values
+from inverse.observations.observation import Joint, Measurement, Part, Values
+from inverse.posterior import Matrix
 from inverse.problem import Problem
 
 
@@ -88,7 +89,7 @@ def read_run(problem: Problem, measurements: Sequence[Measurement]) -> Trajector
     """The observed trajectory of a file. Raises InputError, which names it."""
     path = problem.folder / str(problem.target.trajectory)
     run = Trajectory.load(path)
-    try:
+    with naming(path):
         if run.scene.dimension != problem.scene.dimension:
             expected = f"a {problem.scene.dimension}D trajectory as the scene's"
             raise InputError(f"expected {expected}, got {run.scene.dimension}D")
@@ -96,8 +97,6 @@ def read_run(problem: Problem, measurements: Sequence[Measurement]) -> Trajector
         if run.positions.shape[1] != count and any(each.observation.every_particle for each in measurements):
             got = f"got {run.positions.shape[1]}"
             raise InputError(f"expected the {count} particles of the problem's scene for a deposit, {got}")
-    except InputError as error:
-        raise error.at(str(path)) from None
     return run
 
 
@@ -118,7 +117,7 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
     elif whole is only and not problem.target.minimise:
         front = only.observation.front(only.values)
     return Target(
-        **{each.name: getattr(whole, each.name) for each in dataclasses.fields(whole)},
+        **vars(whole),
         front=front,
         cell=None if run is None else run.scene.domain.cell,
         deposit=None if run is None else run.positions[-1],

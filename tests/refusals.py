@@ -1,9 +1,11 @@
 """What is refused, in one line."""
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
+from datasets import command_line
 from datasets.errors import InputError
 
 
@@ -16,3 +18,11 @@ def refused(do: Callable[..., object], *given: object, said: str = "") -> InputE
     assert "expected" in line
     assert "\n" not in line
     return caught.value
+
+
+def refused_by(capsys: pytest.CaptureFixture[str], command: Callable[..., Any], *arguments: object) -> str:
+    """What a command says of wrong input, in one line, before it ends with status 2."""
+    capsys.readouterr()
+    assert command_line.run(command, "command", list(map(str, arguments))) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("talus: ")]
+    return line

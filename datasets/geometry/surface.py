@@ -5,7 +5,6 @@ some cells beyond the box where it reaches a side of it, so that no face lies on
 comes from angle-weighted pseudonormals (Baerentzen & Aanaes 2005, https://doi.org/10.1109/TVCG.2005.49).
 """
 
-import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
@@ -73,7 +72,7 @@ class Surface:
 
     def chosen(self, faces: NDArray[np.bool_]) -> "Surface":
         """Some of its faces, shape [F]."""
-        return Surface(**{field.name: getattr(self, field.name)[faces] for field in dataclasses.fields(self)})
+        return Surface(**{name: array[faces] for name, array in vars(self).items()})
 
 
 def surface_of(scene: Scene) -> Surface | None:

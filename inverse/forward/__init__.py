@@ -8,8 +8,8 @@ from torch import Tensor
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Values
-from inverse.observations.observation import Matrix
 from inverse.parameters import Vector
+from inverse.posterior import Matrix
 from mpm.output.request import ALL, Recording
 
 

@@ -16,7 +16,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -28,7 +27,7 @@ from datasets.scene import Scene
 from gns import card
 from gns.initial import InitialState, initial_state
 from gns.simulator import Simulator
-from gns.state import Conditions, State, Tensors
+from gns.state import Conditions, State
 from gns.unroll import step_activation_bytes, unroll
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Vector, in_order
@@ -43,7 +42,6 @@ WAVES = 3
 """K."""
 NORMAL = 1.96
 """Half of a 95 % interval over the standard deviation."""
-T = TypeVar("T", bound=Tensors)
 Flow = tuple[Tensor, InitialState]
 """Positions [m] at the times of an initial state, shape [T, n, D], and this state."""
 
@@ -203,25 +201,8 @@ def require_predicted(problem: Problem) -> None:
 
 def side_by_side(flows: Sequence[InitialState]) -> InitialState:
     """The first of flows of the same particles, with the state and the conditions of all, one after the other."""
-    first = flows[0]
     if len(flows) == 1:
-        return first
-    state = State(
-        positions=torch.cat([each.state.positions for each in flows]),
-        displacements=torch.cat([each.state.displacements for each in flows], dim=1),
-    )
-    number = torch.arange(len(flows)).repeat_interleave(len(first.indices))
-    conditions: Conditions = joined([each.conditions for each in flows])
-    return dataclasses.replace(first, state=state, conditions=dataclasses.replace(conditions, batch=number))
-
-
-def joined(records: Sequence[T]) -> T:
-    """Records whose tensors have particles or samples along their first axis, as one."""
-    changes = {}
-    for name in (each.name for each in dataclasses.fields(records[0])):
-        values = [getattr(each, name) for each in records]
-        if isinstance(values[0], Tensor):
-            changes[name] = torch.cat(values)
-        elif isinstance(values[0], Tensors):
-            changes[name] = joined(values)
-    return dataclasses.replace(records[0], **changes)
+        return flows[0]
+    state = State.joined([each.state for each in flows])
+    conditions = Conditions.joined([each.conditions for each in flows])
+    return dataclasses.replace(flows[0], state=state, conditions=conditions)

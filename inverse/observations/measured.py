@@ -15,17 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from datasets import files
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
+from datasets.field import Floats
 from datasets.geometry.ground import elevation
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.settings import Heights, ObservationSettings
-
-Floats = NDArray[np.float64]
 
 LENGTHS = ("x", "z", "front", "height")
 """Columns that are lengths."""
@@ -138,7 +136,7 @@ def profile_of(settings: ObservationSettings, context: Context) -> MeasuredProfi
     """
     path, scene, metres = context.folder / str(settings.csv), context.scene, settings.unit.metres
     x, height = read_columns(path, ("x", "height")).values()
-    try:
+    with naming(path):
         if not np.all(np.diff(x) > 0.0):
             raise InputError("expected x in ascending order")
         x, height = require_inside(x * metres, scene.domain.size[0]), (height - settings.datum) * metres
@@ -162,8 +160,6 @@ def profile_of(settings: ObservationSettings, context: Context) -> MeasuredProfi
                     "heights say what stands in the file"
                 )
         return profile
-    except InputError as error:
-        raise error.at(str(path)) from None
 
 
 def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:

@@ -19,11 +19,11 @@ from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, brackets
 from inverse.observations.measured import Context, MeasuredProfile, tabulated
+from inverse.posterior import Matrix
 from inverse.settings import ObservationSettings, noise_of
 
 Values = NDArray[np.float64]
 """An observation: M numbers in their unit, shape [M]."""
-Matrix = NDArray[np.float64]
 
 SCATTER_CELLS = 0.25
 """Standard deviation of a length from flow to flow, before an ensemble has measured it, in cells."""

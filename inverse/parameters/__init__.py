@@ -21,7 +21,7 @@ from datasets.errors import InputError
 from datasets.records import Record
 from datasets.scene import Scene
 from inverse.parameters import inputs
-from inverse.parameters.kind import Centre, Cohesion, Constant, Draft, Extent, Height, Kind, Residual, Vector, Velocity
+from inverse.parameters.kind import Centre, Cohesion, Constant, Draft, Extent, Kind, Residual, Vector, Velocity
 from inverse.parameters.prior import Marginal, Prior
 
 __all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
@@ -54,7 +54,7 @@ KINDS: dict[str, Kind] = {
         Extent(form="baffles[].height", axis=_AXES["y"], positive=False, **_BAFFLE),
         Extent(form="baffles[].width", axis=_AXES["z"], positive=False, **_BAFFLE),
         Kind(form="masses[].k0", unit="-", digits=3),
-        Height(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
+        Kind(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
         Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
         Kind(form="solids[].friction", unit="-", digits=3, input=inputs.ground_friction),
     )
@@ -94,7 +94,7 @@ def with_parameters(scene: Scene, names: Sequence[str], values: Sequence[float] 
 
 def with_kinds(scene: Scene, kinds: Sequence[Kind], values: Sequence[float] | Vector) -> Scene:
     """As `with_parameters`, of names that are resolved."""
-    draft = Draft(**{each.name: getattr(scene, each.name) for each in dataclasses.fields(scene)})
+    draft = Draft(**vars(scene))
     for index in in_order(kinds):
         kinds[index].put(draft, float(values[index]))
     return dataclasses.replace(scene, **vars(draft))

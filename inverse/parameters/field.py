@@ -34,7 +34,7 @@ from scipy.sparse.linalg import splu
 from scipy.special import expit, logit
 
 from datasets.errors import require
-from datasets.field import FRICTION, VELOCITIES, Field, Grid
+from datasets.field import FRICTION, VELOCITIES, Field, Floats, Grid
 from datasets.particles import initial_particles
 from datasets.scene import Scene
 from inverse.parameters import Parameter
@@ -42,7 +42,6 @@ from inverse.parameters import Parameter
 if TYPE_CHECKING:
     from mpm.adjoint.gradient import Gradient
 
-Floats = NDArray[np.float64]
 
 NODES_PER_LENGTH = 2.0
 """Correlation length over the spacing of the nodes, at least: with fewer the covariance is not the stated one."""

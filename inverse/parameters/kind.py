@@ -88,6 +88,8 @@ class Kind:
             raise InputError(f"expected a parameter along x or y, {message}")
         if self.form == "baffle_friction" and not scene.baffles:
             raise InputError("expected a scene with baffles, there are none")
+        if self.form == "masses[].height" and (kind := self.holder(scene).kind) != "box":
+            raise InputError(f"expected a mass of kind box, got a {kind}")
         if self.axis is None and not isinstance(getattr(self.holder(scene), self.key, 0.0), float | int):
             owner = {"thickness": "a mass of kind layer", "k0": "a mass"}.get(self.key, "a surface")
             raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
@@ -134,15 +136,6 @@ class Velocity(Kind):
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
         mass = self.holder(draft)
         return {"velocity": self.vector(mass.velocity or (0.0,) * len(mass.size), value)}
-
-
-class Height(Kind):
-    """Extent of a box along y, from its foot [m]: how much is released, in whole rows of particles."""
-
-    def check(self, scene: Scene) -> None:
-        super().check(scene)
-        if (kind := self.holder(scene).kind) != "box":
-            raise InputError(f"expected a mass of kind box, got a {kind}")
 
 
 class Constant(Kind):

@@ -16,17 +16,16 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from datasets.errors import require
 from datasets.records import Record
+from inverse.posterior import Matrix
 
 if TYPE_CHECKING:
     from inverse.parameters import Parameter
 
-Matrix = NDArray[np.float64]
 KINDS = {"uniform": (), "normal": ("mean", "deviation"), "lognormal": ("mean", "deviation"), "triangular": ("mode",)}
 """Kinds of priors, and the keys that each has."""
 LEAST_MASS = 1e-6

@@ -9,33 +9,29 @@ from datasets.definitions.definition import Entry, Split
 from datasets.files import write_json
 from datasets.material import Material
 from datasets.particles import initial_particles
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene
 from datasets.training import metadata, motion_statistics
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
+from tests.scenes import scene_of
 
 
 @pytest.fixture
 def scene() -> Scene:
     """A small block on the floor of a small box, watched for two frames."""
-    return Scene(
-        domain=Domain(size=(0.2, 0.1), cell=0.01),
-        material=Material(friction_deg=30.0),
-        masses=(Mass(lower=(0.05, 0.0), size=(0.04, 0.02), velocity=(0.1, -0.2)),),
-        duration=0.005,
-    )
+    mass = Mass(lower=(0.05, 0.0), size=(0.04, 0.02), velocity=(0.1, -0.2))
+    return scene_of(mass, size=(0.2, 0.1), cell=0.01, duration=0.005)
 
 
 @pytest.fixture
 def trajectory(scene: Scene) -> Trajectory:
     """Three frames of five points."""
     stream = np.random.default_rng(0)
-    return Trajectory(
-        positions=stream.random((3, 5, 2), np.float32),
-        time=np.array([0.0, 0.0025, 0.005]),
+    return flow_of(
+        scene,
+        stream.random((3, 5, 2), np.float32),
         velocity0=stream.random((5, 2), np.float32),
         friction=np.full(5, 0.5, np.float32),
-        scene=scene,
         summary={"steps": 7},
     )
 
@@ -47,24 +43,18 @@ SPLITS = (Split.TRAIN, Split.TRAIN, Split.VALID, Split.TEST)
 def toy_scene(dimension: int, seed: int) -> Scene:
     """A block that slides at 1 m/s towards two baffles."""
     if dimension == 2:
-        domain = Domain(size=(0.5, 0.25), cell=0.01)
+        size, cell = (0.5, 0.25), 0.01
         mass = Mass(lower=(0.05, 0.0), size=(0.1, 0.08), velocity=(1.0, 0.0))
         baffles = (Baffle(lower=(0.3, 0.0), size=(0.05, 0.1)), Baffle(lower=(0.373, 0.01), size=(0.004, 0.08)))
     else:
-        domain = Domain(size=(0.4, 0.2, 0.16), cell=0.02)
+        size, cell = (0.4, 0.2, 0.16), 0.02
         mass = Mass(lower=(0.0, 0.0, 0.02), size=(0.1, 0.08, 0.12), velocity=(1.0, 0.0, 0.0))
         baffles = (
             Baffle(lower=(0.2, 0.0, 0.02), size=(0.033, 0.1, 0.04)),
             Baffle(lower=(0.3, 0.0, 0.1), size=(0.05, 0.1, 0.041)),
         )
-    return Scene(
-        domain=domain,
-        material=Material(friction_deg=30.0 + seed),
-        masses=(mass,),
-        baffles=baffles,
-        duration=(FRAMES - 1) * 0.0025,
-        seed=seed,
-    )
+    sand, duration = Material(friction_deg=30.0 + seed), (FRAMES - 1) * 0.0025
+    return scene_of(mass, size=size, cell=cell, material=sand, baffles=baffles, duration=duration, seed=seed)
 
 
 def toy(dimension: int, seed: int = 0) -> Trajectory:

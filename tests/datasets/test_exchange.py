@@ -17,7 +17,7 @@ from datasets.trajectory import Trajectory
 from tests.breaking import dataset_files
 from tests.datasets.conftest import FRAMES, toy, toy_dataset, toy_scene
 from tests.datasets.test_arrays import OBJECTS, npy, with_member
-from tests.refusals import refused
+from tests.refusals import refused, refused_by
 
 TO, FROM = ("--to", "geoelements"), ("--from", "geoelements")
 KEYS = ("bounds", "sequence_length", "dim", "dt", "vel_mean", "vel_std", "acc_mean")
@@ -25,13 +25,6 @@ KEYS = ("bounds", "sequence_length", "dim", "dt", "vel_mean", "vel_std", "acc_me
 
 def exchange(*arguments: object) -> int:
     return run(command, "python -m datasets.exchange", [str(argument) for argument in arguments])
-
-
-def said_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    capsys.readouterr()
-    assert exchange(*arguments) == 2
-    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("talus: ")]
-    return line
 
 
 def scene_file(folder: Path, dimension: int) -> Path:
@@ -91,13 +84,13 @@ def lay_down(folder: Path) -> None:
 
 def test_nothing_else_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ours = toy_dataset(tmp_path / "ours", 2)
-    assert "empty folder" in said_of(capsys, ours, *TO, "--out", ours)
+    assert "empty folder" in refused_by(capsys, command, ours, *TO, "--out", ours)
     exchange(ours, *TO, "--out", tmp_path / "theirs")
     before = dataset_files(tmp_path / "theirs")
-    assert "empty folder" in said_of(capsys, ours, *TO, "--out", tmp_path / "theirs")
+    assert "empty folder" in refused_by(capsys, command, ours, *TO, "--out", tmp_path / "theirs")
     assert dataset_files(tmp_path / "theirs") == before
     toy(3).save(ours / "train" / "toy-0009.npz")
-    assert "toy-0009.npz" in said_of(capsys, ours, *TO, "--out", tmp_path / "mixed")
+    assert "toy-0009.npz" in refused_by(capsys, command, ours, *TO, "--out", tmp_path / "mixed")
     assert not (tmp_path / "mixed").exists()
 
 
@@ -128,7 +121,7 @@ def test_a_set_that_geoelements_generated(
         np.testing.assert_allclose(flow.positions, toy(2).positions, atol=1.0e-6)
         np.testing.assert_allclose(flow.velocity0[:, 0], 1.0, atol=0.05)
         np.testing.assert_allclose(flow.friction, tangent, rtol=1e-6)
-    line = said_of(capsys, source, *FROM, "--scene", "column-tall-42", "--out", tmp_path / "b")
+    line = refused_by(capsys, command, source, *FROM, "--scene", "column-tall-42", "--out", tmp_path / "b")
     assert "expected a scene in the box of the set" in line
 
 
@@ -144,8 +137,8 @@ def test_a_set_that_geoelements_generated(
 def test_mistakes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], expected: str
 ) -> None:
-    assert expected in said_of(capsys, tmp_path, *arguments)
-    assert "there is none" in said_of(capsys, tmp_path / "absent", *TO, "--out", "o")
+    assert expected in refused_by(capsys, command, tmp_path, *arguments)
+    assert "there is none" in refused_by(capsys, command, tmp_path / "absent", *TO, "--out", "o")
 
 
 POSITIONS = np.random.default_rng(0).random((4, 5, 2))

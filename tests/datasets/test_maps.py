@@ -17,6 +17,7 @@ from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
 from tests import scenes
 from tests.flows import flow_of
+from tests.refusals import refused_by
 
 
 def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[float, ...]], cell: float = 0.05) -> Scene:
@@ -158,7 +159,4 @@ def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     ):
         sand = (0.1, 0.0, 0.0)[:dimension], (0.2, 0.1, 0.2)[:dimension]
         sliding(scene_of(box[:dimension], sand)).save(tmp_path / "trajectory.npz")
-        assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path), *flags]) == 2
-        error = capsys.readouterr().err
-        assert words in error
-        assert error.count("\n") == 1
+        assert words in refused_by(capsys, command, tmp_path / "trajectory.npz", "--out", tmp_path, *flags)

@@ -9,7 +9,7 @@ import pytest
 from datasets.field import Field, Grid
 from datasets.material import Material
 from datasets.particles import initial_particles, particle_count, particle_volumes, warn_if_unresolved
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Mass, Scene
 from tests.refusals import refused
 from tests.scenes import scene_of
 
@@ -17,7 +17,6 @@ from tests.scenes import scene_of
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_mass_of_random_thin_boxes_is_exact(dimension: int) -> None:
     stream = np.random.default_rng(3)
-    domain = Domain(size=(1.0,) * dimension, cell=0.05)
     for _ in range(40):
         # From a fiftieth of a cell to ten cells along each axis, two boxes of different density side by side.
         sizes = 0.05 * np.exp(stream.uniform(np.log(0.02), np.log(8.0), (2, dimension)))
@@ -29,7 +28,7 @@ def test_the_mass_of_random_thin_boxes_is_exact(dimension: int) -> None:
             )
             for number, size in enumerate(sizes)
         )
-        scene = Scene(domain=domain, material=Material(friction_deg=30.0), masses=masses)
+        scene = scene_of(*masses, size=(1.0,) * dimension, cell=0.05)
         points = initial_particles(scene)
         assert len(points.volume) == len(points.positions) == particle_count(scene)
         for number, mass in enumerate(masses):

@@ -168,7 +168,5 @@ def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(du
     assert units.stress == pytest.approx(scene.material.density / settings.density * 3.71 / GRAVITY * units.length)
 
 
-def test_without_a_body_length_a_scene_is_run_as_it_is_and_without_gravity_not_at_all() -> None:
+def test_without_a_body_length_a_scene_is_run_as_it_is() -> None:
     assert Units.of_model(LEVEL, ModelSettings()) == Units()
-    with pytest.raises(InputError, match="gravity: expected gravity"):
-        Units.of_model(dataclasses.replace(LEVEL, gravity=0.0), ModelSettings(body_length=0.28))

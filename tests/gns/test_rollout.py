@@ -16,6 +16,7 @@ from gns import checkpoint, library
 from gns.rollout import rollout
 from gns.simulator import Simulator
 from tests.gns.conftest import spreading
+from tests.refusals import refused_by
 from tests.scenes import scene_of
 
 SCENE = spreading(30.0).scene
@@ -70,8 +71,8 @@ def test_the_shipped_model_is_that_of_the_dimension(
 ) -> None:
     write_scene(scene, tmp_path / "scene.toml")
     monkeypatch.setattr(library, "WEIGHTS", tmp_path)
-    assert command_line.run(rollout, "rollout", [str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out")]) == 2
-    assert f"{model}: expected whole weights of a model, there is none" in capsys.readouterr().err
+    said = refused_by(capsys, rollout, tmp_path / "scene.toml", "--out", tmp_path / "out")
+    assert f"{model}: expected whole weights of a model, there is none" in said
 
 
 def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -92,8 +93,6 @@ def test_refusals(files: dict[str, Path], tmp_path: Path, capsys: pytest.Capture
     if not torch.cuda.is_available():
         cases.append((files, ["--device", "cuda"], "expected a GPU"))
     for paths, flags, message in cases:
-        assert run(paths, tmp_path / "out", *flags) == 2
-        error = capsys.readouterr().err
-        assert message in error
-        assert len(error.splitlines()) == 1
+        arguments = paths["scene"], "--out", tmp_path / "out", "--model", paths["model"], *flags
+        assert message in refused_by(capsys, rollout, *arguments)
     assert not (tmp_path / "out").exists()

@@ -1,6 +1,7 @@
 """How far a rollout may be from the MPM: scores, calibrated bands, and the command."""
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from gns.score import Score, calibrated, evaluate, score, table, validation_scor
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
 from tests.gns.conftest import NORMALISATION, spreading
+from tests.refusals import refused_by
 
 
 def scores_of(errors: np.ndarray) -> list[Score]:
@@ -95,17 +97,13 @@ def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: 
 def test_what_cannot_be_calibrated_is_an_input_error(
     model: Path, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def said(*arguments: str | Path) -> str:
-        assert call(model, *arguments) == 2
-        return capsys.readouterr().err.splitlines()[-1]
-
+    said = partial(refused_by, capsys, score, "--model", model, "--keep")
     assert "expected at least one dataset" in said()
     assert f"expected datasets that the model was trained on, {dataset.name}, got other" in said(tmp_path / "other")
     card.card_path(model).unlink()
     assert "expected the model's card" in said(dataset)
     # Without --keep no card is asked for.
-    assert command_line.run(score, "score", [str(tmp_path), "--model", str(model)]) == 2
-    assert "expected trajectories in test" in capsys.readouterr().err
+    assert "expected trajectories in test" in refused_by(capsys, score, tmp_path, "--model", model)
     assert command_line.run(score, "score", [str(dataset), "--model", str(model)]) == 0
 
 

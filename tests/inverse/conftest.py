@@ -9,62 +9,43 @@ import pytest
 import torch
 
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene import Baffle, Mass, Scene, Solid
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from inverse.parameters import Parameter, kind
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, TargetSettings
+from tests.scenes import scene_of
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
-ROUGH: dict[str, Any] = {"floor_friction": 0.4, "wall_friction": 0.3, "baffle_friction": 0.2, "damping": 0.1}
+STRONG = dataclasses.replace(SAND, cohesion=300.0)
+ROUGH = {"floor_friction": 0.4, "wall_friction": 0.3, "baffle_friction": 0.2, "damping": 0.1}
+PLANE: dict[str, Any] = {"size": (0.4, 0.2), "cell": 0.01, "material": SAND, "duration": 0.08, **ROUGH}
+BUMP = ((0.0, -0.05), (0.08, -0.05), (0.11, 0.04), (0.16, -0.05), (0.4, -0.05))
+"""On the slope of the terrain, with the floor beyond it."""
 FLOWS: dict[int | str, Scene] = {
-    2: Scene(
-        domain=Domain(size=(0.4, 0.2), cell=0.01),
-        material=SAND,
-        masses=(
-            Mass(lower=(0.01, 0.0), size=(0.08, 0.03), velocity=(0.8, 0.0)),
-            Mass(
-                lower=(0.01, 0.03),
-                size=(0.06, 0.03),
-                velocity=(1.4, 0.2),
-                material=dataclasses.replace(SAND, cohesion=300.0),
-            ),
-        ),
+    2: scene_of(
+        Mass(lower=(0.01, 0.0), size=(0.08, 0.03), velocity=(0.8, 0.0)),
+        Mass(lower=(0.01, 0.03), size=(0.06, 0.03), velocity=(1.4, 0.2), material=STRONG),
         baffles=(
             Baffle(lower=(0.123, 0.0), size=(0.029, 0.018)),
             Baffle(lower=(0.16, 0.0), size=(0.02, 0.03), friction=0.6),
         ),
-        duration=0.08,
-        **ROUGH,
+        **PLANE,
     ),
-    3: Scene(
-        domain=Domain(size=(0.5, 0.25, 0.25), cell=0.03125),
-        material=SAND,
-        masses=(Mass(lower=(0.0, 0.0, 0.05), size=(0.15, 0.125, 0.15), velocity=(1.5, 0.0, 0.0)),),
-        baffles=(
-            Baffle(lower=(0.2, 0.0, 0.02), size=(0.05, 0.1, 0.08)),
-            Baffle(lower=(0.2, 0.0, 0.15), size=(0.05, 0.1, 0.08)),
-        ),
-        duration=0.08,
-        **ROUGH,
+    3: scene_of(
+        Mass(lower=(0.0, 0.0, 0.05), size=(0.15, 0.125, 0.15), velocity=(1.5, 0.0, 0.0)),
+        baffles=tuple(Baffle(lower=(0.2, 0.0, z), size=(0.05, 0.1, 0.08)) for z in (0.02, 0.15)),
+        **(PLANE | {"size": (0.5, 0.25, 0.25), "cell": 0.03125}),
     ),
-    "terrain": Scene(
-        domain=Domain(size=(0.4, 0.2), cell=0.01),
-        material=SAND,
-        masses=(Mass(lower=(0.02, 0.072), size=(0.06, 0.04), velocity=(1.4, -0.5)),),
+    "terrain": scene_of(
+        Mass(lower=(0.02, 0.072), size=(0.06, 0.04), velocity=(1.4, -0.5)),
         solids=(
             Solid(kind="terrain", points=((0.0, 0.08), (0.16, 0.0), (0.2, -0.05), (0.4, -0.05)), friction=0.5),
-            # A bump on the slope, with the floor beyond it.
-            Solid(
-                kind="terrain",
-                points=((0.0, -0.05), (0.08, -0.05), (0.11, 0.04), (0.16, -0.05), (0.4, -0.05)),
-                friction=0.2,
-            ),
+            Solid(kind="terrain", points=BUMP, friction=0.2),
         ),
         slope_deg=10.0,
-        duration=0.08,
-        **ROUGH,
+        **PLANE,
     ),
 }
 WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005, "-": 0.08}

@@ -9,6 +9,7 @@ import pytest
 from datasets.command_line import run
 from datasets.library import read_scene
 from gns import checkpoint
+from gns.simulator import Simulator
 from inverse import ObservationSettings, Parameter, Problem, invert, read_problem
 from inverse.__main__ import main
 
@@ -46,14 +47,19 @@ PASSED = ('kind = "passed"\nline = 0.1', "value = 0.0")
 TOE = ('kind = "toe"', "values = [0.12, 0.01]")
 
 
+def files(folder: Path, simulator: Simulator, observed: tuple[str, str]) -> tuple[Path, Path]:
+    """The problem and the weights, on disk."""
+    checkpoint.save(folder / "tiny.safetensors", simulator.float(), {})
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / "problem.toml").write_text(PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1]))
+    return folder / "problem.toml", folder / "tiny.safetensors"
+
+
 @pytest.mark.parametrize("observed", [PASSED, TOE])
 def test_an_inversion(tmp_path: Path, make_simulator: Any, observed: tuple[str, str]) -> None:
-    checkpoint.save(tmp_path / "tiny.safetensors", make_simulator(2).float(), {})
-    (tmp_path / "scene.toml").write_text(SCENE)
-    text = PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1])
-    (tmp_path / "problem.toml").write_text(text)
+    problem, weights = files(tmp_path, make_simulator(2), observed)
     out = tmp_path / "out"
-    arguments = [str(tmp_path / "problem.toml"), "--out", str(out), "--model", str(tmp_path / "tiny.safetensors")]
+    arguments = [str(problem), "--out", str(out), "--model", str(weights)]
     assert run(main, "inverse", arguments) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["unknowns"].keys() == {"masses[0].velocity_x", "baffles[0].height"}
@@ -88,11 +94,8 @@ def test_the_mpm_with_its_adjoint_and_without(tmp_path: Path) -> None:
 
 def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
     """The call is the command: the same answer, whether the problem was written down or built."""
-    checkpoint.save(tmp_path / "tiny.safetensors", make_simulator(2).float(), {})
-    (tmp_path / "scene.toml").write_text(SCENE)
-    text = PROBLEM.replace("KIND", TOE[0]).replace("TARGET", TOE[1])
-    (tmp_path / "problem.toml").write_text(text)
-    read = read_problem(str(tmp_path / "problem.toml"))
+    problem, weights = files(tmp_path, make_simulator(2), TOE)
+    read = read_problem(str(problem))
     built = Problem(
         name="built",
         scene=read_scene(str(tmp_path / "scene.toml")),
@@ -103,6 +106,6 @@ def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
         observations=(ObservationSettings(kind="toe", values=(0.12, 0.01)),),
         optimiser=read.optimiser,
     )
-    results = [invert(each, model=tmp_path / "tiny.safetensors") for each in (read, built)]
+    results = [invert(each, model=weights) for each in (read, built)]
     assert results[0].unknowns == results[1].unknowns
     assert results[0].unknowns != dict(zip(read.names, read.initial, strict=True))

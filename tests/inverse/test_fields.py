@@ -9,7 +9,6 @@ import pytest
 from scipy.special import gamma, kv
 
 from datasets.command_line import run
-from datasets.errors import InputError
 from datasets.field import Grid
 from datasets.library import read_scene
 from inverse.__main__ import main
@@ -20,6 +19,7 @@ from inverse.parameters.field import BAND, Prior
 from inverse.problem import read_problem
 from inverse.target import read_target
 from mpm import simulate
+from tests.refusals import refused
 
 SCENE = """
 duration = 0.1
@@ -198,14 +198,11 @@ def test_nodes_cover_the_body_between_the_stated_band(tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, before: str, after: str, key: str) -> None:
-    with pytest.raises(InputError) as error:
-        read_problem(files(tmp_path, PROBLEM.replace(before, after, 1)))
-    assert error.value.key.startswith(key)
+    assert refused(read_problem, files(tmp_path, PROBLEM.replace(before, after, 1))).key.startswith(key)
 
 
 def test_a_twin_without_a_truth_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="as the truth"):
-        read_problem(files(tmp_path, scene=SCENE.split("[[fields]]")[0]))
+    refused(read_problem, files(tmp_path, scene=SCENE.split("[[fields]]")[0]), said="as the truth")
 
 
 def test_the_derivative_of_the_numbers(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """AD through the unrolled surrogate against central differences in double precision: all unknowns, all observations."""
 
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,6 @@ import torch
 
 from inverse.forward.gns import GnsForward
 from inverse.observations import build
-from inverse.problem import Problem
 from inverse.settings import ObservationSettings
 
 MATERIAL = ("friction_deg", "cohesion", "masses[0].velocity_x")
@@ -29,22 +28,9 @@ def step_of(name: str) -> float:
     return next(step for part, step in STEPS.items() if part in name)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rollouts:
-    """One rollout that autograd looks through, and two beside it per unknown."""
-
-    problem: Problem
-    volumes: torch.Tensor
-    point: torch.Tensor
-    """The unknowns, with a gradient."""
-    deposit: torch.Tensor
-    steps: np.ndarray
-    ahead: list[torch.Tensor]
-    behind: list[torch.Tensor]
-
-
 @pytest.fixture(scope="module", params=list(NAMES))
-def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: Any) -> Rollouts:
+def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: Any) -> SimpleNamespace:
+    """One rollout that autograd looks through, from unknowns with a gradient (`point`), and two beside it for each."""
     problem = make_problem(request.param, *NAMES[request.param])
     observation = build(problem.observations[0], problem.scene)
     forward = GnsForward(make_simulator(problem.scene.dimension), problem, observation)
@@ -53,7 +39,7 @@ def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: 
     assert forward.initial.times[-1] == pytest.approx(problem.scene.duration)
     point = torch.tensor(problem.initial, requires_grad=True)
     steps = np.array([step_of(name) for name in problem.names])
-    return Rollouts(
+    return SimpleNamespace(
         problem=problem,
         volumes=forward.initial.conditions.volume,
         point=point,
@@ -65,7 +51,7 @@ def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: 
 
 
 @pytest.mark.parametrize("kind", ["front", "runout", "profile", "toe", "deposit", "passed"])
-def test_every_parameter_through_every_observation(rollouts: Rollouts, kind: str) -> None:
+def test_every_parameter_through_every_observation(rollouts: SimpleNamespace, kind: str) -> None:
     settings = ObservationSettings(kind=kind, line=0.15 if kind == "passed" else None)
     observation = build(settings, rollouts.problem.scene)
     seen = observation.smooth(rollouts.deposit, rollouts.volumes)

@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from datasets.field import Floats
 from inverse.noise import Scatter, fit
 from inverse.observations import build
 from inverse.problem import read_problem
 from inverse.settings import ObservationSettings
 from inverse.target import Target
 
-Floats = NDArray[np.float64]
 FRONT = build(ObservationSettings(kind="front"), read_problem("friction-tall-42").scene)
 
 

@@ -6,16 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets.field import Floats
 from inverse.observations import build
 from inverse.optimise import Inversion, inverted
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings
 from inverse.target import Target
 
-Floats = NDArray[np.float64]
 NAMES = ("friction_deg", "masses[0].velocity_x")
 
 

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 import shapely
-from numpy.typing import NDArray
 
+from datasets.field import Floats
 from datasets.geometry.nearest import inside, nearest
 from datasets.scene import Baffle, Solid
 from tests.datasets.geometry.solids import as_rows, scene_of, sphere, surface
@@ -90,9 +90,6 @@ def test_baffles_come_first_with_their_own_friction_or_the_scenes() -> None:
     scene = scene_of(Solid(lower=(1.0, 0.0), size=(0.1, 0.2)), baffles=baffles)
     found = surface(dataclasses.replace(scene, baffle_friction=0.4))
     assert [set(found.friction[found.solid == number].ravel().tolist()) for number in range(3)] == [{0.4}, {0.8}, {0.0}]
-
-
-Floats = NDArray[np.float64]
 
 
 def random_positions(count: int, low: tuple[float, ...], high: tuple[float, ...]) -> Floats:

@@ -7,25 +7,23 @@ import pytest
 import torch
 
 from datasets.material import Material
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Mass
 from inverse.forward.adjoint import AdjointForward, Run
 from inverse.observations import build
 from inverse.parameters import Parameter
 from inverse.problem import Problem
 from inverse.settings import ObservationSettings, TargetSettings
 from mpm import simulate, simulate_many
+from tests.scenes import scene_of
 
 NAMES = ("friction_deg", "masses[0].velocity_x", "masses[1].velocity_y", "floor_friction", "young")
 VALUES = np.array([30.0, 1.0, -0.3, 0.3, 2.0e6])
 STEPS = np.array([1e-4, 1e-6, 1e-6, 1e-5, 10.0])
 SOIL = Material(friction_deg=30.0, cohesion=500.0, tension_cutoff=300.0)
-SCENE = Scene(
-    domain=Domain(size=(1.0, 1.0), cell=0.02),
+SCENE = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
+    Mass(lower=(0.2, 0.0), size=(0.1, 0.2), velocity=(0.5, -0.3)),
     material=SOIL,
-    masses=(
-        Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
-        Mass(lower=(0.2, 0.0), size=(0.1, 0.2), velocity=(0.5, -0.3)),
-    ),
     duration=0.02,
     floor_friction=0.3,
 )
@@ -49,28 +47,15 @@ def test_a_layer_is_ten_lines() -> None:
         assert float(parameters.grad[index]) == pytest.approx(found, rel=2e-4), NAMES[index]
 
 
-@pytest.fixture(scope="module")
-def problem() -> Problem:
-    """Two unknowns of the scene, and a target of the front."""
-    parameters = tuple(
-        Parameter(name=name, initial=value, lower=0.5 * value, upper=1.5 * value)
-        for name, value in zip(NAMES[:2], VALUES[:2], strict=True)
-    )
-    return Problem(
-        name="slide",
-        scene=SCENE,
-        parameters=parameters,
-        observations=(ObservationSettings(kind="deposit"),),
-        target=TargetSettings(twin=True, truth=dict(zip(NAMES[:2], VALUES[:2].tolist(), strict=True))),
-    )
-
-
-def test_the_impulse_on_a_baffle(problem: Problem) -> None:
+def test_the_impulse_on_a_baffle() -> None:
     """At two times, as a function of the friction angle and of a velocity."""
     scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.313, 0.0), size=(0.05, 0.127)),), duration=0.03)
-    walled = dataclasses.replace(problem, scene=scene)
-    observation = build(ObservationSettings(kind="impulse", times=(0.021, 0.03)), scene)
-    forward = AdjointForward(walled, observation, simulate_many, precision="f64", threads=1)
+    settings, both = ObservationSettings(kind="impulse", times=(0.021, 0.03)), zip(NAMES[:2], VALUES[:2], strict=True)
+    parameters = tuple(Parameter(name=name, initial=at, lower=0.5 * at, upper=1.5 * at) for name, at in both)
+    target = TargetSettings(twin=True)
+    problem = Problem(name="slide", scene=scene, parameters=parameters, observations=(settings,), target=target)
+    observation = build(settings, scene)
+    forward = AdjointForward(problem, observation, simulate_many, precision="f64", threads=1)
     exact = observation.observe(simulate(scene, precision="f64", threads=1))
     rows = torch.autograd.functional.jacobian(forward.predict, torch.tensor(VALUES[:2])).numpy()
     np.testing.assert_allclose(forward.observe([VALUES[:2]])[0], exact, rtol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Mass
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.unroll import unroll
@@ -15,17 +15,14 @@ from inverse.observations import Rollout, build
 from inverse.parameters import Parameter
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
+from tests.scenes import scaled, scene_of
 
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     shipped = read_problem("friction-tall-42")
-    scene = Scene(
-        domain=Domain(size=(0.4, 0.2), cell=0.01),
-        material=shipped.scene.material,
-        masses=(Mass(lower=(0.0, 0.0), size=(0.06, 0.08)),),
-        duration=0.15,
-    )
+    column, material = Mass(lower=(0.0, 0.0), size=(0.06, 0.08)), shipped.scene.material
+    scene = scene_of(column, size=(0.4, 0.2), cell=0.01, material=material, duration=0.15)
     front = ObservationSettings(kind="front", value=0.1)
     return dataclasses.replace(shipped, scene=scene, observations=(front,), target=TargetSettings())
 
@@ -51,26 +48,9 @@ def test_a_rollout_is_in_the_units_of_the_scene(problem: Problem) -> None:
     assert np.abs(small.deposit(angle) - small.initial.known[0]).max() > 0.01
 
 
-def scaled(scene: Scene, factor: float) -> Scene:
-    """A scene without cohesion and velocities, `factor` times as large."""
-    (mass,) = scene.masses
-    lower, size, box = (
-        tuple(factor * length for length in lengths) for lengths in (mass.lower, mass.size, scene.domain.size)
-    )
-    time = np.sqrt(factor)
-    return dataclasses.replace(
-        scene,
-        domain=Domain(size=box, cell=factor * scene.domain.cell),
-        masses=(dataclasses.replace(mass, lower=lower, size=size),),
-        duration=time * scene.duration,
-        frame_dt=time * scene.frame_dt,
-    )
-
-
-@pytest.mark.parametrize("share", [0.37])
-def test_between_two_steps_particles_move_straight(problem: Problem, share: float) -> None:
+def test_between_two_steps_particles_move_straight(problem: Problem) -> None:
     """Times are those of the scene, whatever the model's step."""
-    maker = forward_of(problem)
+    maker, share = forward_of(problem), 0.37
     steps = maker.initial.times
     time = (1.0 - share) * steps[3] + share * steps[4]
     gauges = ObservationSettings(kind="height", x=(0.03, 0.06), times=(time,))

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from datasets.errors import InputError
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Baffle, Mass, Scene
 from datasets.trajectory import Trajectory
 from inverse.observations import Rollout, build
 from inverse.observations.deposit import Outline
@@ -16,6 +16,9 @@ from inverse.observations.observation import Joint
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings
 from inverse.target import read_target
+from tests.flows import flow_of
+from tests.refusals import refused
+from tests.scenes import scene_of
 
 HEAD = 'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
 
@@ -45,14 +48,7 @@ def flow(scene: Scene, frames: int = 11) -> Trajectory:
     positions = np.stack([start * ([1.0 + 2.0 * t] + [1.0] * (scene.dimension - 1)) for t in time / scene.duration])
     impulse = np.zeros((frames, len(scene.baffles), scene.dimension))
     impulse[:, :1, 0] = 2.0 * (time[:, None] / scene.duration) ** 2
-    return Trajectory(
-        positions=positions.astype(np.float32),
-        time=time,
-        velocity0=np.zeros_like(positions[0], np.float32),
-        friction=np.full(400, 0.5, np.float32),
-        scene=scene,
-        solid_impulse=impulse,
-    )
+    return flow_of(scene, positions, time=time, solid_impulse=impulse)
 
 
 def test_each_brings_its_numbers_and_its_noise(tmp_path: Path) -> None:
@@ -122,17 +118,11 @@ def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_wrong_names_its_key(tmp_path: Path, text: str, key: str, message: str) -> None:
-    with pytest.raises(InputError) as caught:
-        read_target(problem(tmp_path, text), flow)
-    assert caught.value.key == key
-    assert message in caught.value.message
+    assert refused(lambda: read_target(problem(tmp_path, text), flow), said=message).key == key
 
 
-SCENE = Scene(
-    domain=Domain(size=(1.0, 0.4), cell=0.02),
-    material=read_problem("friction-tall-42").scene.material,
-    masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),),
-    baffles=(Baffle(lower=(0.8, 0.0), size=(0.1, 0.1)),),
+SCENE = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.4), baffles=(Baffle(lower=(0.8, 0.0), size=(0.1, 0.1)),)
 )
 
 IMPULSE = build(ObservationSettings(kind="impulse"), SCENE)
@@ -187,11 +177,7 @@ def test_the_impulse_is_that_of_the_solid() -> None:
 
 
 def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
-    scene = Scene(
-        domain=Domain(size=(1.0, 0.5, 1.0), cell=0.05),
-        material=SCENE.material,
-        masses=(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)),),
-    )
+    scene = scene_of(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)), size=(1.0, 0.5, 1.0), cell=0.05)
     outline = Outline(ObservationSettings(kind="outline", directions_deg=(0.0, 90.0, 180.0, 270.0)), scene)
     angle = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
     rim = np.stack([0.5 + 0.3 * np.cos(angle), np.zeros(4000), 0.5 + 0.2 * np.sin(angle)], axis=1)

@@ -5,17 +5,13 @@ import pytest
 import torch
 
 from datasets import measures
-from datasets.material import Material
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Mass
 from inverse.observations import Observation, build
 from inverse.observations.observation import fitted_tail
 from inverse.settings import ObservationSettings
+from tests.scenes import scene_of
 
-SCENE = Scene(
-    domain=Domain(size=(1.0, 0.5), cell=0.01),
-    material=Material(friction_deg=30.0),
-    masses=(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)),),
-)
+SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=0.01)
 
 
 def deposit(points: int, seed: int = 0) -> np.ndarray:

@@ -8,22 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 from scipy import stats
 
-from datasets.errors import InputError
 from datasets.records import changed, from_mapping
 from inverse import Correlation, Parameter, Prior
 from inverse.found import Answer, Combination, unidentified
 from inverse.optimise import inverted
 from inverse.parameters.prior import JointPrior
+from inverse.posterior import Matrix
 from inverse.posterior.posterior import posterior
 from inverse.posterior.sampling import Samples, sample
 from inverse.problem import Problem, read_problem
 from tests.inverse.posterior.test_posterior import SCATTER, SLOPES, target_of
 from tests.inverse.test_optimise import NAMES, Formula, WithGradient
+from tests.refusals import refused
 
-Matrix = NDArray[np.float64]
 LOWER, UPPER = 16.0, 45.0
 NORMAL = Prior(kind="normal", mean=24.0, deviation=6.0)
 LOGNORMAL = Prior(kind="lognormal", mean=30.0, deviation=9.0)
@@ -123,8 +122,8 @@ def test_normal_scores_have_the_stated_correlation(coefficient: float) -> None:
     assert np.isfinite(prior(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))).all()
 
 
-def test_how_wide_a_prior_is_decides_what_was_identified() -> None:
-    problem = stated()
+def test_how_wide_a_prior_is_decides_what_was_identified(tmp_path: Path) -> None:
+    problem = stated(tmp_path)
     wide, narrow = problem.prior_widths
     assert wide == pytest.approx(2.0 * 1.96 * 2.0 / 0.95, rel=0.01)
     half = np.array([0.3 * wide, 0.2 * narrow])
@@ -157,23 +156,7 @@ value = 0.55
 """
 
 
-def stated(folder: Path | None = None, text: str = GOOD) -> Problem:
-    if folder is None:
-        return dataclasses.replace(
-            read_problem("cohesion-friction"),
-            parameters=(
-                Parameter(
-                    name="friction_deg", lower=16.0, upper=45.0, prior=Prior(kind="normal", mean=30.0, deviation=2.0)
-                ),
-                Parameter(
-                    name="cohesion",
-                    lower=30.0,
-                    upper=3000.0,
-                    prior=Prior(kind="lognormal", mean=600.0, deviation=400.0),
-                ),
-            ),
-            correlations=(Correlation(between=("friction_deg", "cohesion"), coefficient=-0.5),),
-        )
+def stated(folder: Path, text: str = GOOD) -> Problem:
     (folder / "problem.toml").write_text(text)
     return read_problem(str(folder / "problem.toml"))
 
@@ -182,18 +165,16 @@ def plain(problem: Problem) -> tuple[Parameter, ...]:
     return tuple(dataclasses.replace(each, prior=None, initial=each.start) for each in problem.parameters)
 
 
-def test_toml_and_python_state_the_same(tmp_path: Path) -> None:
-    read, made = stated(tmp_path), stated()
-    assert read.parameters == made.parameters
-    assert read.correlations == made.correlations
+def test_a_stated_prior_is_read_and_a_uniform_one_is_none(tmp_path: Path) -> None:
+    read = stated(tmp_path)
     assert read.prior is not None
     # The search starts at the median: of a lognormal number exp(mu), all but what the bounds cut off.
     np.testing.assert_allclose(read.initial, [30.0, 600.0 / np.sqrt(1.0 + (4.0 / 6.0) ** 2)], rtol=0.01)
     for each in read.parameters:
         assert from_mapping(Parameter, changed(each)) == each
     assert read_problem("cohesion-friction").prior is None
-    uniform = tuple(dataclasses.replace(each, prior=Prior(kind="uniform")) for each in plain(made))
-    assert dataclasses.replace(made, parameters=uniform, correlations=()).prior is None
+    uniform = tuple(dataclasses.replace(each, prior=Prior(kind="uniform")) for each in plain(read))
+    assert dataclasses.replace(read, parameters=uniform, correlations=()).prior is None
 
 
 @pytest.mark.parametrize(
@@ -222,23 +203,17 @@ def test_toml_and_python_state_the_same(tmp_path: Path) -> None:
 )
 def test_a_wrong_prior_is_named(old: str, new: str, key: str, tmp_path: Path) -> None:
     assert old in GOOD
-    with pytest.raises(InputError) as caught:
-        stated(tmp_path, GOOD.replace(old, new))
-    assert caught.value.key == key
+    assert refused(stated, tmp_path, GOOD.replace(old, new)).key == key
 
 
 def test_a_lognormal_velocity_below_0_and_pairs_that_contradict_each_other_are_refused() -> None:
-    with pytest.raises(InputError) as caught:
-        LOGNORMAL.check(-1.0, 5.0, "unknowns[0].prior")
-    assert caught.value.key == "unknowns[0].prior.kind"
+    assert refused(LOGNORMAL.check, -1.0, 5.0, "unknowns[0].prior").key == "unknowns[0].prior.kind"
     numbers = [number(None, name) for name in ("a", "b", "c")]
     pairs = [
         Correlation(between=between, coefficient=coefficient)
         for between, coefficient in ((("a", "b"), 0.9), (("b", "c"), 0.9), (("a", "c"), -0.9))
     ]
-    with pytest.raises(InputError) as caught:
-        JointPrior(numbers, pairs)
-    assert caught.value.key == "correlations"
+    assert refused(JointPrior, numbers, pairs).key == "correlations"
 
 
 @pytest.mark.parametrize("made", [Formula, WithGradient])

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from inverse.posterior import Matrix
 from inverse.posterior.emulator import Emulator, correlation, fitted, linear
-
-Matrix = NDArray[np.float64]
 
 
 def spread(count: int, unknowns: int, seed: int = 0) -> Matrix:

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from inverse.observations import build
+from inverse.posterior import Matrix
 from inverse.posterior.emulator import linear
 from inverse.posterior.information import information
 from inverse.posterior.posterior import Posterior, Regime, Region, next_points, posterior, regime_of, repeated_scatter
@@ -14,7 +14,6 @@ from inverse.problem import read_problem
 from inverse.settings import ObservationSettings
 from inverse.target import Target
 
-Matrix = NDArray[np.float64]
 SLOPES = np.array([[3.0, 0.2, 0.0, -1.0], [0.0, 1.5, 0.4, 1.0]])
 SCATTER = 0.02
 
@@ -170,9 +169,7 @@ def inferred_across(truth: tuple[float, float], seed: int = 0) -> Posterior:
     points = rng.random((40, 2))
     numbers = jumping(points) + ROUGHNESS * rng.standard_normal((40, 2))
     values = jumping(np.array([truth]))[0] + ROUGHNESS * rng.standard_normal(2)
-    front = build(ObservationSettings(kind="front"), read_problem("friction-tall-42").scene)
-    target = Target(observation=front, values=values, deviation=np.zeros(len(values)))
-    return posterior(points, numbers, target, scatter=np.full(2, ROUGHNESS), rng=rng)
+    return posterior(points, numbers, target_of(values), scatter=np.full(2, ROUGHNESS), rng=rng)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from inverse.posterior import Matrix
 from inverse.posterior.answers import parts
 from inverse.posterior.sampling import sample
-
-Matrix = NDArray[np.float64]
 
 
 def whole(unknowns: int) -> dict[str, Matrix]:
