@@ -67,7 +67,7 @@ def main(
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
         if targets is None:
             result = solve(asked, out, model=model, simulate=simulate)
-            if scheduler is None and result.mpm_runs:
+            if scheduler is None and not asked.fields:
                 work, _ = planned([each.trajectory.scene for each in result.mpm_runs])
                 learn(kind_of(asked.scene, many=True), work, result.seconds["mpm"], processors=processors())
             print_outcome(result, out)

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.command_line import WorkFailed
+from datasets.command_line import WorkFailed, run
 from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.found import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS
+from tests.inverse.test_fields import files
 from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, Uneven, layers, length, wedge
 from validation.loop import verdict
-from validation.loop.__main__ import print_outcome
+from validation.loop.__main__ import main, print_outcome
 from validation.loop.search import first
 from validation.loop.solve import solve
 
@@ -169,10 +170,10 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
         mean = float(file["weights"] @ file["samples"][:, 0])
         assert len(file["samples"]) == len(file["weights"])
     assert mean == pytest.approx(result["unknowns"]["friction_deg"], abs=result["certainty"]["friction_deg"])
-    for run in found.mpm_runs:
-        trajectory = Trajectory.load(out / run.file)
-        assert trajectory.scene.material.friction_deg == run.parameters[0]
-        np.testing.assert_allclose(case.target.observation.observe(trajectory), run.observation)
+    for each in found.mpm_runs:
+        trajectory = Trajectory.load(out / each.file)
+        assert trajectory.scene.material.friction_deg == each.parameters[0]
+        np.testing.assert_allclose(case.target.observation.observe(trajectory), each.observation)
         assert len(trajectory.time) == 1
     assert {run.purpose for run in found.mpm_runs} == {Purpose.WAVE, Purpose.CHECK}
     report = (out / "report.md").read_text()
@@ -221,3 +222,10 @@ def test_a_design_is_confirmed_where_the_mpm_shows_it_is_better(
         assert all(0.0 < width <= WIDTH for width in result.certainty.values())
         result.save(tmp_path)
         assert "NaN" not in (tmp_path / "result.json").read_text()
+
+
+def test_the_same_command_finds_fields(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert run(main, "validation.loop", [files(tmp_path), "--out", str(out)]) in (0, 1)
+    assert "velocity_x: The observation removes" in capfd.readouterr().out
+    assert (out / "result.json").is_file()
