@@ -22,7 +22,7 @@ from mpm.arrays.table import DEVICE, RECORD, STEP, kernel_of
 from mpm.output.recorder import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
 from mpm.physics.grid import clear, relaxation_factor, update_grid, update_node
 from mpm.physics.particles import update_block, update_particles
-from mpm.physics.transfer import block_to_grid, particles_to_grid
+from mpm.physics.transfer import number_to_grid, particles_to_grid, prepare_contributions
 
 ITERATIONS = 512
 """The fewest iterations of a loop that Taichi gives to a thread: with fewer per worker, one thread would get several
@@ -114,10 +114,13 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
             arrays.grid[n] = 0.0 * arrays.grid[n]
         for block in range(arrays.owner.shape[0]):
             scene = arrays.owner[block]
-            dt = arrays.step_control[scene, StepControl.DT]
-            if dt > 0.0:
-                at, strides = arrays.workers[scene, Worker.NODE], node_strides(scene, arrays)
-                block_to_grid(at, scene, block, block * arrays.features.scratch, strides, arrays)
+            if arrays.step_control[scene, StepControl.DT] > 0.0:
+                prepare_contributions(scene, block, block * arrays.features.scratch, arrays)
+        for number in range(arrays.owner.shape[0] * arrays.features.node):
+            block, k = number // arrays.features.node, number % arrays.features.node
+            scene = arrays.owner[block]
+            if k < arrays.features.used and arrays.step_control[scene, StepControl.DT] > 0.0:
+                number_to_grid(arrays.workers[scene, Worker.NODE], block, k, node_strides(scene, arrays), arrays)
         for q in range(last * arrays.offsets.shape[0]):
             update_node(q % last, q // last, arrays)
         for block in range(arrays.owner.shape[0]):

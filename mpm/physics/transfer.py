@@ -138,6 +138,31 @@ def block_to_grid(grid, scene, block, scratch, strides: ti.template(), arrays: t
 
 
 @ti.func
+def number_to_grid(grid, block, k, strides: ti.template(), arrays: ti.template()):
+    """Add the k-th of the numbers that a block of one particle has left to its nodes from `grid` on, on a GPU.
+
+    There each number has a thread: those of a node, which are neighbours in memory, are added in one transaction.
+    """
+    features = arrays.features
+    scratch = no_overflow(block * features.scratch)
+    n, values = lowest_node(arrays, scratch, 0, grid, strides), scratch + features.values + k
+    value = arrays.scratch_lanes[values]
+    slope = ti.Vector([0.0 * value for _ in ti.static(range(features.dimension))])
+    if k != features.dimension and k <= 2 * features.dimension:
+        for axis in ti.static(range(features.dimension)):
+            slope[axis] = arrays.scratch_lanes[values + (1 + axis) * features.node]
+    w = [three_vectors(arrays, scratch + 3 * axis) for axis in ti.static(range(features.dimension))]
+    for a, b in ti.static(ti.ndrange(3, 3)):
+        along, at = w[0][a] * w[1][b], n + a * strides[0] + b * strides[1]
+        here = value + a * slope[0] + b * slope[1]
+        if ti.static(features.dimension == 2):
+            ti.atomic_add(arrays.grid[at][k], along * here)
+        else:
+            for c in ti.static(range(3)):
+                ti.atomic_add(arrays.grid[at + c][k], along * w[2][c] * (here + c * slope[2]))
+
+
+@ti.func
 def weights_of(block, scratch, per_dx, arrays: ti.template()):
     """Leave in `scratch` the weights and lowest nodes of a block; its places above these nodes [cells], D vectors."""
     features = arrays.features

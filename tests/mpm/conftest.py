@@ -1,8 +1,11 @@
 """Tests in double precision run last: Taichi starts, and compiles every kernel, anew where the precision changes."""
 
+import shutil
 from pathlib import Path
 
 import pytest
+
+from mpm import runtime
 
 FOLDER = Path(__file__).parent
 
@@ -21,3 +24,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = [index for index, item in enumerate(items) if FOLDER in item.path.parents]
     for index, item in zip(here, sorted((items[index] for index in here), key=precision), strict=True):
         items[index] = item
+
+
+@pytest.fixture
+def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there is no GPU, its kernels run on the CPU: with a thread per particle and atomic sums, as there."""
+    if shutil.which("nvidia-smi") is None:
+        monkeypatch.setitem(runtime.ARCHES, "cuda", runtime.ARCHES["cpu"])

@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.scene import Baffle, Mass, Scene
-from mpm import WITH_FIELDS, Recording, runtime, simulate, simulate_many
+from mpm import WITH_FIELDS, Recording, simulate, simulate_many
 from tests import scenes
 from tests.scenes import SAND, scaled, scene_of
 from validation.bench.stability.bench import FOLDER
@@ -143,9 +143,8 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
 
 @pytest.mark.slow
 @pytest.mark.double
-def test_a_gpus_kernel_computes_the_same_flow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The kernel with a thread per particle and atomic sums, here on the CPU's threads."""
-    monkeypatch.setitem(runtime.ARCHES, "cuda", runtime.ARCHES["cpu"])
+@pytest.mark.usefixtures("gpu")
+def test_a_gpus_kernel_computes_the_same_flow() -> None:
     heavy = dataclasses.replace(SAND, density=2600.0)
     damped = partial(box, baffles=(Baffle(lower=(0.55, 0.0), size=(0.1, 0.2)),), damping=0.1, duration=0.05)
     thrown = Mass(lower=(0.1, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0))

@@ -14,7 +14,7 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Mass, Scene, Stage
 from datasets.training import check_known
-from mpm import AT_REST, LAST, Recording, runtime, simulate, simulate_many
+from mpm import AT_REST, LAST, Recording, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.initial.stages import particles_after
 from mpm.output.checkpoint import Checkpoint
@@ -115,12 +115,12 @@ def test_a_run_goes_on_across_a_stage(tmp_path: Path, time: float | str) -> None
 
 
 @pytest.mark.slow
-def test_side_by_side_on_one_thread_and_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("gpu")
+def test_side_by_side_on_one_thread_and_on_a_gpu() -> None:
     scenes = [staged(Stage(time=time, **LOST), duration=0.4, seed=seed) for seed, time in enumerate((0.1, "settled"))]
     together = simulate_many([*scenes, staged(duration=0.1)], threads=2, record=LAST)
     for scene, beside in zip(scenes, together, strict=False):
         np.testing.assert_array_equal(simulate(scene, threads=1, record=LAST).positions, beside.positions)
-    monkeypatch.setitem(runtime.ARCHES, "cuda", runtime.ARCHES["cpu"])
     cpu, gpu = (simulate_many(scenes, precision="f64", record=AT_REST, arch=arch) for arch in ("cpu", "cuda"))
     for one, other in zip(cpu, gpu, strict=True):
         assert one.summary["stage_time"] == other.summary["stage_time"]
