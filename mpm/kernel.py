@@ -17,9 +17,17 @@ import taichi as ti
 
 from mpm.arrays.access import node_strides
 from mpm.arrays.features import Features
-from mpm.arrays.layout import Offset, Setting, StepControl, Worker
+from mpm.arrays.layout import Energy, Offset, Setting, StepControl, Worker
 from mpm.arrays.table import DEVICE, RECORD, STEP, kernel_of
-from mpm.output.recorder import record_block, record_frame, record_scene, squared_speed, steps_at_speed, steps_of_frame
+from mpm.output.recorder import (
+    add_energies,
+    record_block,
+    record_frame,
+    record_scene,
+    squared_speed,
+    steps_at_speed,
+    steps_of_frame,
+)
 from mpm.physics.grid import clear, relaxation_factor, update_grid, update_node
 from mpm.physics.particles import update_block, update_particles
 from mpm.physics.transfer import number_to_grid, particles_to_grid, prepare_contributions
@@ -27,6 +35,9 @@ from mpm.physics.transfer import number_to_grid, particles_to_grid, prepare_cont
 ITERATIONS = 512
 """The fewest iterations of a loop that Taichi gives to a thread: with fewer per worker, one thread would get several
 workers, run them in turn, and in a shared scene wait for itself. A worker's work is in the first of its iterations."""
+
+SUMMED = 32
+"""Particles that a thread of a GPU takes the sum over, or the fastest of, before it adds to what all threads add to."""
 
 
 class Phase(Enum):
@@ -93,6 +104,13 @@ def advance_worker(worker, first, last, arrays: ti.template()):
 
 
 @ti.func
+def changes_owner(block, arrays: ti.template()):
+    """Whether a block is the last one of its scene."""
+    last = arrays.owner.shape[0] - 1
+    return block == last or arrays.owner[ti.min(block + 1, last)] != arrays.owner[block]
+
+
+@ti.func
 def advance(arrays: ti.template(), first, last, phase: ti.template()):
     """What a call of the kernel does; see `Phase`."""
     if ti.static(phase == Phase.FRAMES):
@@ -103,9 +121,14 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
     if ti.static(phase == Phase.SPEED):
         for scene in range(arrays.offsets.shape[0]):
             arrays.step_control[scene, StepControl.SPEED] = 0.0
-        for block in range(arrays.owner.shape[0]):
-            speed = ti.sqrt(squared_speed(block, arrays))
-            ti.atomic_max(arrays.step_control[arrays.owner[block], StepControl.SPEED], speed)
+        for portion in range((arrays.owner.shape[0] + SUMMED - 1) // SUMMED):
+            fastest = 0.0 * arrays.settings[0, 0]
+            for block in range(portion * SUMMED, ti.min((portion + 1) * SUMMED, arrays.owner.shape[0])):
+                fastest = ti.max(fastest, squared_speed(block, arrays))
+                if block + 1 == (portion + 1) * SUMMED or changes_owner(block, arrays):
+                    speed = ti.sqrt(fastest)
+                    ti.atomic_max(arrays.step_control[arrays.owner[block], StepControl.SPEED], speed)
+                    fastest = 0.0 * fastest
         for scene in range(arrays.offsets.shape[0]):
             fastest = arrays.step_control[scene, StepControl.SPEED]
             arrays.step_control[scene, StepControl.STEPS] = steps_at_speed(scene, fastest, arrays)
@@ -131,9 +154,15 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
                 kappa, strides = relaxation_factor(scene, dt, arrays), node_strides(scene, arrays)
                 update_block(scene, at, scene, block, block * arrays.features.scratch, dt, kappa, strides, arrays)
     if ti.static(phase == Phase.RECORD):
-        for block in range(arrays.owner.shape[0]):
-            if arrays.step_control[arrays.owner[block], StepControl.STEPS] > 0.0:
-                record_block(arrays.owner[block], first, block, arrays)
+        for portion in range((arrays.owner.shape[0] + SUMMED - 1) // SUMMED):
+            sums = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(len(Energy)))])
+            for block in range(portion * SUMMED, ti.min((portion + 1) * SUMMED, arrays.owner.shape[0])):
+                scene = arrays.owner[block]
+                if arrays.step_control[scene, StepControl.STEPS] > 0.0:
+                    sums += record_block(scene, first, block, arrays)
+                    if block + 1 == (portion + 1) * SUMMED or changes_owner(block, arrays):
+                        add_energies(scene, first, sums, arrays)
+                        sums = 0.0 * sums
         for scene in range(arrays.offsets.shape[0]):
             if arrays.step_control[scene, StepControl.STEPS] > 0.0:
                 record_scene(scene, first, arrays)

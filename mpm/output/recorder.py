@@ -58,9 +58,19 @@ def steps_at_speed(scene, speed, arrays: ti.template()):
 @ti.func
 def record_frame(scene, frame, arrays: ti.template()):
     """Record a frame of a scene: what its particles carry, its energies, what solids have taken, whether it rests."""
+    sums = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(len(Energy)))])
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
-        record_block(scene, frame, block, arrays)
+        sums += record_block(scene, frame, block, arrays)
+    add_energies(scene, frame, sums, arrays)
     record_scene(scene, frame, arrays)
+
+
+@ti.func
+def add_energies(scene, frame, sums, arrays: ti.template()):
+    """Add what `record_block` found of some blocks to the energies of a frame."""
+    line = (frame + arrays.offsets[scene, Offset.ENERGY]) * ti.static(len(Energy))
+    for kind in ti.static(range(len(Energy))):
+        add(arrays.energy, line + kind, sums[kind], arrays)
 
 
 @ti.func
@@ -76,7 +86,7 @@ def record_scene(scene, frame, arrays: ti.template()):
 
 @ti.func
 def record_block(scene, frame, block, arrays: ti.template()):
-    """Record energies of the particles of a block, and positions where every frame keeps them.
+    """Energies of the particles of a block, as `Energy` lists them; records positions where every frame keeps them.
 
     Kinetic energy is that of the particles and of the affine motion around them, m C : C dx^2 / 8, which APIC carries
     too; elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E). Where the scene may rest also the
@@ -102,11 +112,11 @@ def record_block(scene, frame, block, arrays: ti.template()):
     height = along * arrays.state[first] + down * arrays.state[first + 1]
     deviator = property_of(scene, block, Property.ELASTIC_DEVIATOR, arrays)
     spherical = property_of(scene, block, Property.ELASTIC_TRACE, arrays)
-    line = (frame + arrays.offsets[scene, Offset.ENERGY]) * ti.static(len(Energy))
-    add(arrays.energy, line + Energy.KINETIC, lane_sum(0.5 * mass * (vv + 0.25 * dx * dx * cc), arrays), arrays)
-    add(arrays.energy, line + Energy.POTENTIAL, lane_sum(0.0 - mass * height, arrays), arrays)
+    sums = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(len(Energy)))])
+    sums[Energy.KINETIC] = lane_sum(0.5 * mass * (vv + 0.25 * dx * dx * cc), arrays)
+    sums[Energy.POTENTIAL] = lane_sum(0.0 - mass * height, arrays)
     elastic = volume * present * (deviator * ss - spherical * trace * trace)
-    add(arrays.energy, line + Energy.ELASTIC, lane_sum(elastic, arrays), arrays)
+    sums[Energy.ELASTIC] = lane_sum(elastic, arrays)
     if ti.static(features.until_rest):
         change = 0.0 * mass
         for k in ti.static(range(features.dimension)):
@@ -115,7 +125,7 @@ def record_block(scene, frame, block, arrays: ti.template()):
             change = change + apart * apart
             arrays.state[first + features.before + k] = new
         impulse = ti.max(arrays.settings[scene, Setting.WEIGHT], 1.0e-30) * arrays.settings[scene, Setting.FRAME_DT]
-        add(arrays.energy, line + Energy.UNBALANCED, lane_sum(mass * ti.sqrt(change), arrays) / impulse, arrays)
+        sums[Energy.UNBALANCED] = lane_sum(mass * ti.sqrt(change), arrays) / impulse
     at = arrays.offsets[scene, Offset.RECORD]
     if at >= 0:
         at += frame * arrays.offsets[scene, Offset.PARTICLES]
@@ -123,6 +133,7 @@ def record_block(scene, frame, block, arrays: ti.template()):
             particle = at + arrays.order[block * features.lanes + lane]
             for k in ti.static(range(features.dimension)):
                 arrays.positions[particle * features.dimension + k] = arrays.lanes[(first + k) * features.lanes + lane]
+    return sums
 
 
 @ti.func
