@@ -98,43 +98,40 @@ def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, vari
 @ti.func
 def particles_to_grid(worker, scene, strides: ti.template(), arrays: ti.template()):
     """Add mass, momentum and force of every particle of `worker` to its nodes."""
-    scratch = arrays.workers[worker, Worker.SCRATCH]
-    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        block_to_grid(arrays.workers[worker, Worker.NODE], scene, block, scratch, strides, arrays)
-
-
-@ti.func
-def block_to_grid(grid, scene, block, scratch, strides: ti.template(), arrays: ti.template()):
-    """Add mass, momentum and force of the particles of a block to the nodes from `grid` on."""
     features, lanes = arrays.features, arrays.features.lanes
-    prepare_contributions(scene, block, scratch, arrays)
+    grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
     stride_x, stride_y = strides[0], strides[1]
-    for lane in range(particles_in(scene, block, arrays)):
-        n = lowest_node(arrays, scratch, lane, grid, strides)
-        weight = no_overflow(scratch * lanes + lane)
-        wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
-        value = node_vector(arrays, scratch, 0, lane, False)
-        slope_x, slope_y = node_vector(arrays, scratch, 1, lane, False), node_vector(arrays, scratch, 2, lane, False)
-        if ti.static(features.dimension == 2):
-            for a in ti.static(range(3)):
-                at = no_overflow(n + a * stride_x)
-                here, y_step = wx[a] * value, wx[a] * slope_y
-                for b in ti.static(range(3)):
-                    add(arrays.grid, at + b, wy[b] * here, arrays)
-                    here = here + y_step
-                value = value + slope_x
-        else:
-            wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane, False)
-            for a in ti.static(range(3)):
-                along, y_step, z_slope = wx[a] * value, wx[a] * slope_y, wx[a] * slope_z
-                for b in ti.static(range(3)):
-                    at = no_overflow(n + a * stride_x + b * stride_y)
-                    here, z_step = wy[b] * along, wy[b] * z_slope
-                    for c in ti.static(range(3)):
-                        add(arrays.grid, at + c, wz[c] * here, arrays)
-                        here = here + z_step
-                    along = along + y_step
-                value = value + slope_x
+    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+        prepare_contributions(scene, block, scratch, arrays)
+        for lane in range(particles_in(scene, block, arrays)):
+            n = lowest_node(arrays, scratch, lane, grid, strides)
+            weight = no_overflow(scratch * lanes + lane)
+            wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
+            value = node_vector(arrays, scratch, 0, lane, False)
+            slope_x, slope_y = (
+                node_vector(arrays, scratch, 1, lane, False),
+                node_vector(arrays, scratch, 2, lane, False),
+            )
+            if ti.static(features.dimension == 2):
+                for a in ti.static(range(3)):
+                    at = no_overflow(n + a * stride_x)
+                    here, y_step = wx[a] * value, wx[a] * slope_y
+                    for b in ti.static(range(3)):
+                        add(arrays.grid, at + b, wy[b] * here, arrays)
+                        here = here + y_step
+                    value = value + slope_x
+            else:
+                wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane, False)
+                for a in ti.static(range(3)):
+                    along, y_step, z_slope = wx[a] * value, wx[a] * slope_y, wx[a] * slope_z
+                    for b in ti.static(range(3)):
+                        at = no_overflow(n + a * stride_x + b * stride_y)
+                        here, z_step = wy[b] * along, wy[b] * z_slope
+                        for c in ti.static(range(3)):
+                            add(arrays.grid, at + c, wz[c] * here, arrays)
+                            here = here + z_step
+                        along = along + y_step
+                    value = value + slope_x
 
 
 @ti.func

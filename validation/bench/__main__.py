@@ -27,6 +27,7 @@ BENCHES = {
     "problems": "the shipped inverse problems, beside their criteria and the reference paper",
     "coverage": "how often the posterior of an inverse problem holds the truth, in twin experiments",
     "speed": "rates of the MPM over sizes, price of a gradient, a network's step, a large terrain",
+    "gpu": "rates of the MPM over sizes and a network's step on a GPU, beside all processors",
     "efficiency": "price of a gradient by surrogate, adjoint and differences; whole searches by each, and by Optuna",
     "gns": "the shipped surrogates beside the MPM: error, price, bands, ranges",
 }

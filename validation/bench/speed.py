@@ -89,15 +89,6 @@ class Price:
         return self.gradient / self.run
 
 
-GPU_CASES = (
-    Case(dimension=2, cells=100, scenes=1, frames=200),
-    Case(dimension=2, cells=100, scenes=64, frames=40),
-    Case(dimension=2, cells=1770, scenes=1, frames=4),
-    Case(dimension=3, cells=32, scenes=1, frames=100),
-    Case(dimension=3, cells=32, scenes=64, frames=20),
-    Case(dimension=3, cells=106, scenes=1, frames=20),
-    Case(dimension=3, cells=212, scenes=1, frames=4),
-)
 Mode = tuple[Precision, int]
 """Precision and threads; no threads: a GPU."""
 Rates = Mapping[tuple[Case, Mode], Spread]
@@ -243,7 +234,7 @@ def network_rows(*, rounds: int, sizes: int, device: str = "cpu") -> list[dict[s
     return rows
 
 
-def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2, gpu: bool = False) -> str:
+def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     """Measure rates over sizes, the price of a gradient, a step of the network, a large terrain; needs a quiet machine.
 
     KEEP has the stages of the large terrain; other times are of one command.
@@ -254,14 +245,10 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2, gpu: bool = Fa
         A single frame of two small cases, one small gradient, a coarse terrain.
     rounds
         How often everything is measured, in turn; the tables give the median and the range.
-    gpu
-        Rates of the MPM and steps of the networks on a GPU beside those on all processors, in OUT/speed-gpu.md.
     """
     if rounds < 1:
         raise InputError(f"expected at least 1, got {rounds}", key="--rounds")
     rounds = 1 if quick else rounds
-    if gpu:
-        return gpu_page(rounds=rounds, quick=quick).write(out / "speed-gpu.md")
     cases = [replace(each, frames=1) for each in CASES[:2]] if quick else CASES
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in cases for mode in modes(case)), key=lambda key: key[1])
@@ -272,39 +259,6 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2, gpu: bool = Fa
     terrain = large.measured(keep, quick=quick)
     draw(out / "speed.png", rates, prices)
     return page(rates, prices, networks, terrain, rounds=rounds, quick=quick).write(out / "speed.md")
-
-
-def gpu_page(*, rounds: int, quick: bool) -> Page:
-    """Measure rates and steps on a GPU, and beside them on all processors. Raises InputError where there is no GPU."""
-    from torch import cuda
-
-    if not cuda.is_available():
-        raise InputError("expected a GPU that torch can use, there is none", key="--gpu")
-    cases = [replace(each, frames=1) for each in GPU_CASES[:2]] if quick else GPU_CASES
-    places: list[Mode] = [("f32", processors()), ("f32", 0), ("f64", 0)]
-    timed = turns({(case, mode): partial(rate, case, mode) for mode in places for case in cases}, rounds, "rates")
-    rates = {key: Spread(found) for key, found in timed.items()}
-    beside = [network_rows(rounds=rounds, sizes=1 if quick else 3, device=device) for device in ("cpu", "cuda")]
-    gains = [rates[case, ("f32", 0)].median / rates[case, ("f32", processors())].median for case in cases]
-    best = max(rates[case, ("f32", 0)].median for case in cases)
-    on_cpu, on_gpu = ([float(row["µs per node"]) for row in rows] for rows in beside)
-    said = [
-        f"One {cuda.get_device_name()} makes up to {best:.0f} million particle-steps a second,"
-        f" {between(gains, '.1f')} times what {processors()} threads of the processor make of the same scenes.",
-        f"A step of the networks with its gradient takes {between(on_gpu, '.1f')} µs for each node there,"
-        f" {between(on_cpu, '.0f')} on one thread.",
-    ]
-    text = Page("Speed on a GPU", f"speed --gpu --rounds {rounds}", said, packages=MPM | GNS, quick=quick)
-    text.section("Million particle-steps a second of the MPM")
-    text.text("""
-        The scenes of `speed`, one or copies side by side; a body of 4 million particles besides. Medians of rounds in
-        turn, in brackets minimum and maximum. The transfer to and from the GPU is included, compilation is not.
-    """)
-    text.table(rate_rows(rates))
-    text.section("A step of the network")
-    text.text("Seconds of one step, with its gradient with respect to the friction; the processor on one thread.")
-    text.table([row | {f"GPU, {key}": other[key] for key in list(row)[2:]} for row, other in zip(*beside, strict=True)])
-    return text
 
 
 def page(

@@ -1,6 +1,7 @@
 """The dispatcher: names, flags of a page, one line for a wrong name; the writer of pages; the page of speeds."""
 
 import inspect
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -142,3 +143,10 @@ def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:
     moved = positions.copy()
     moved[0, 3, 0] += 1e-6
     assert (mean_x(moved, moved)[0] - value) / 1e-6 == pytest.approx(slope[0, 3, 0])
+
+
+@pytest.mark.skipif(shutil.which("nvidia-smi") is not None, reason="there may be a GPU here")
+def test_a_page_of_a_gpu_needs_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["gpu", "--out", str(tmp_path)]) == 2
+    assert "expected a GPU that torch can use, there is none" in capsys.readouterr().err
+    assert not (tmp_path / "gpu.md").exists()
