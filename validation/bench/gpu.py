@@ -46,15 +46,13 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     beside = [network_rows(rounds=rounds, sizes=1 if quick else 3, device=device) for device in ("cpu", "cuda")]
     gains = {case: rates[case, ("f32", 0)].median / rates[case, ("f32", threads)].median for case in cases}
     least, most = min(gains, key=gains.__getitem__), max(gains, key=gains.__getitem__)
-    best = {size: [rates[case, ("f32", 0)].median for case in cases if case.dimension == size] for size in (2, 3)}
+    sizes = {case.dimension: case for case in sorted(cases, key=lambda case: rates[case, ("f32", 0)].median)}
+    best = [f"{rates[case, ('f32', 0)].median:.0f} in {size}D" for size, case in sorted(sizes.items())]
     on_cpu, on_gpu = ([float(row["µs per node"]) for row in rows] for rows in beside)
     said = [
-        f"One {cuda.get_device_name()} makes up to"
-        + " and ".join(
-            f" {max(found):.0f} million particle-steps a second in {size}D" for size, found in best.items() if found
-        )
-        + f": {gains[least]:.1f} ({described(least)}) to {gains[most]:.1f} times ({described(most)}) what {threads}"
-        " threads beside it make of the same scenes.",
+        f"One {cuda.get_device_name()} makes up to {' and '.join(best)} million particle-steps a second:"
+        f" {gains[least]:.1f} ({described(least)}) to {gains[most]:.1f} times ({described(most)}) what {threads} threads"
+        " beside it make of the same scenes.",
         f"A step of the networks with its gradient takes {between(on_gpu, '.0f')} µs for each node there, the fewest"
         f" where there are the most nodes; {between(on_cpu, '.0f')} on one thread.",
     ]
