@@ -51,8 +51,8 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     on_cpu, on_gpu = ([float(row["µs per node"]) for row in rows] for rows in beside)
     said = [
         f"One {cuda.get_device_name()} makes up to {' and '.join(best)} million particle-steps a second:"
-        f" {gains[least]:.1f} ({described(least)}) to {gains[most]:.1f} times ({described(most)}) what {threads} threads"
-        " beside it make of the same scenes.",
+        f" {gains[least]:.1f} ({described(least)}) to {gains[most]:.1f} times ({described(most)}) what {threads}"
+        " threads beside it make of the same scenes.",
         f"A step of the networks with its gradient takes {between(on_gpu, '.0f')} µs for each node there, the fewest"
         f" where there are the most nodes; {between(on_cpu, '.0f')} on one thread.",
     ]
