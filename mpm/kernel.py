@@ -37,7 +37,7 @@ ITERATIONS = 512
 workers, run them in turn, and in a shared scene wait for itself. A worker's work is in the first of its iterations."""
 
 SUMMED = 32
-"""Particles that a thread of a GPU takes the sum over, or the fastest of, before it adds to what all threads add to."""
+"""Particles over which a thread of a GPU takes a sum or a maximum of its own, before that of all threads."""
 
 
 class Phase(Enum):
@@ -104,10 +104,11 @@ def advance_worker(worker, first, last, arrays: ti.template()):
 
 
 @ti.func
-def changes_owner(block, arrays: ti.template()):
-    """Whether a block is the last one of its scene."""
+def ends_sum(block, arrays: ti.template()):
+    """Whether a block is the last of its scene or of the SUMMED that a thread of a GPU has."""
     last = arrays.owner.shape[0] - 1
-    return block == last or arrays.owner[ti.min(block + 1, last)] != arrays.owner[block]
+    changes = block == last or arrays.owner[ti.min(block + 1, last)] != arrays.owner[block]
+    return changes or (block + 1) % SUMMED == 0
 
 
 @ti.func
@@ -125,9 +126,8 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
             fastest = 0.0 * arrays.settings[0, 0]
             for block in range(portion * SUMMED, ti.min((portion + 1) * SUMMED, arrays.owner.shape[0])):
                 fastest = ti.max(fastest, squared_speed(block, arrays))
-                if block + 1 == (portion + 1) * SUMMED or changes_owner(block, arrays):
-                    speed = ti.sqrt(fastest)
-                    ti.atomic_max(arrays.step_control[arrays.owner[block], StepControl.SPEED], speed)
+                if ends_sum(block, arrays):
+                    ti.atomic_max(arrays.step_control[arrays.owner[block], StepControl.SPEED], ti.sqrt(fastest))
                     fastest = 0.0 * fastest
         for scene in range(arrays.offsets.shape[0]):
             fastest = arrays.step_control[scene, StepControl.SPEED]
@@ -155,14 +155,15 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
                 update_block(scene, at, scene, block, block * arrays.features.scratch, dt, kappa, strides, arrays)
     if ti.static(phase == Phase.RECORD):
         for portion in range((arrays.owner.shape[0] + SUMMED - 1) // SUMMED):
-            sums = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(len(Energy)))])
+            sums = ti.Vector.zero(ti.f64, ti.static(len(Energy)))
             for block in range(portion * SUMMED, ti.min((portion + 1) * SUMMED, arrays.owner.shape[0])):
                 scene = arrays.owner[block]
                 if arrays.step_control[scene, StepControl.STEPS] > 0.0:
                     sums += record_block(scene, first, block, arrays)
-                    if block + 1 == (portion + 1) * SUMMED or changes_owner(block, arrays):
+                    if ends_sum(block, arrays):
                         add_energies(scene, first, sums, arrays)
-                        sums = 0.0 * sums
+                        # Not zero times the sums: those of a scene that blew up are not numbers.
+                        sums = ti.Vector.zero(ti.f64, ti.static(len(Energy)))
         for scene in range(arrays.offsets.shape[0]):
             if arrays.step_control[scene, StepControl.STEPS] > 0.0:
                 record_scene(scene, first, arrays)

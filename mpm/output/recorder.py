@@ -58,7 +58,7 @@ def steps_at_speed(scene, speed, arrays: ti.template()):
 @ti.func
 def record_frame(scene, frame, arrays: ti.template()):
     """Record a frame of a scene: what its particles carry, its energies, what solids have taken, whether it rests."""
-    sums = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(len(Energy)))])
+    sums = ti.Vector.zero(ti.f64, ti.static(len(Energy)))
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
         sums += record_block(scene, frame, block, arrays)
     add_energies(scene, frame, sums, arrays)
@@ -86,7 +86,7 @@ def record_scene(scene, frame, arrays: ti.template()):
 
 @ti.func
 def record_block(scene, frame, block, arrays: ti.template()):
-    """Energies of the particles of a block, as `Energy` lists them; records positions where every frame keeps them.
+    """Energies of the particles of a block, as `Energy` lists them; positions are recorded where every frame is kept.
 
     Kinetic energy is that of the particles and of the affine motion around them, m C : C dx^2 / 8, which APIC carries
     too; elastic energy V0 [(1 + nu) sigma : sigma - nu (tr sigma)^2] / (2 E). Where the scene may rest also the
@@ -112,7 +112,7 @@ def record_block(scene, frame, block, arrays: ti.template()):
     height = along * arrays.state[first] + down * arrays.state[first + 1]
     deviator = property_of(scene, block, Property.ELASTIC_DEVIATOR, arrays)
     spherical = property_of(scene, block, Property.ELASTIC_TRACE, arrays)
-    sums = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(len(Energy)))])
+    sums = ti.Vector.zero(ti.f64, ti.static(len(Energy)))
     sums[Energy.KINETIC] = lane_sum(0.5 * mass * (vv + 0.25 * dx * dx * cc), arrays)
     sums[Energy.POTENTIAL] = lane_sum(0.0 - mass * height, arrays)
     elastic = volume * present * (deviator * ss - spherical * trace * trace)

@@ -108,10 +108,8 @@ def particles_to_grid(worker, scene, strides: ti.template(), arrays: ti.template
             weight = no_overflow(scratch * lanes + lane)
             wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
             value = node_vector(arrays, scratch, 0, lane, False)
-            slope_x, slope_y = (
-                node_vector(arrays, scratch, 1, lane, False),
-                node_vector(arrays, scratch, 2, lane, False),
-            )
+            slope_x = node_vector(arrays, scratch, 1, lane, False)
+            slope_y = node_vector(arrays, scratch, 2, lane, False)
             if ti.static(features.dimension == 2):
                 for a in ti.static(range(3)):
                     at = no_overflow(n + a * stride_x)

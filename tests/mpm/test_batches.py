@@ -1,6 +1,7 @@
 """Scenes that run side by side: each as it would alone, and one that fails fails alone."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Worker, node_shape
+from mpm.kernel import SUMMED
 from tests.scenes import COLUMN, SAND, box, room
 
 
@@ -54,6 +56,27 @@ def test_one_that_fails_fails_alone() -> None:
     assert [type(outcome) for outcome in caught.value.outcomes] == [Trajectory, WorkFailed, Trajectory]
     with pytest.raises(ScenesFailed, match=r"^scene 0 \(and 1 more of 2\) failed: "):
         simulate_many([box(TOO_FAST, seed=1), box(TOO_FAST, seed=2)])
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("gpu")
+def test_on_a_gpu_a_scene_beside_one_without_numbers_keeps_its_energies(monkeypatch: pytest.MonkeyPatch) -> None:
+    def last_one_broken(scene: Scene) -> Particles:
+        particles = initial_particles(scene)
+        gradients = particles.velocity_gradients.copy()
+        gradients[-1] = math.nan if scene.seed == 1 else 0.0
+        return dataclasses.replace(particles, velocity_gradients=gradients)
+
+    monkeypatch.setattr("mpm.arrays.batch.initial_particles", last_one_broken)
+    # Particles that are no multiple of those that a thread sums over: one of the threads has both scenes.
+    small = Mass(lower=(0.1, 0.0), size=(0.14, 0.22))
+    failed, beside = simulate_each([box(small, seed=1), box(small, seed=2)], arch="cuda")
+    assert isinstance(failed, WorkFailed)
+    assert isinstance(beside, Trajectory)
+    assert len(beside.positions[0]) % SUMMED != 0
+    alone = simulate(box(small, seed=2))
+    for kind, series in alone.summary["energy"].items():
+        np.testing.assert_allclose(beside.summary["energy"][kind], series, rtol=1e-3, atol=1e-6)
 
 
 def test_sand_faster_than_its_waves_wants_a_stiffer_material_and_gets_by_with_it() -> None:

@@ -47,7 +47,7 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     gains = {case: rates[case, ("f32", 0)].median / rates[case, ("f32", threads)].median for case in cases}
     least, most = min(gains, key=gains.__getitem__), max(gains, key=gains.__getitem__)
     sizes = {case.dimension: case for case in sorted(cases, key=lambda case: rates[case, ("f32", 0)].median)}
-    best = [f"{rates[case, ('f32', 0)].median:.0f} in {size}D" for size, case in sorted(sizes.items())]
+    best = [f"{rates[case, ('f32', 0)].median:.0f} ({size}D)" for size, case in sorted(sizes.items())]
     on_cpu, on_gpu = ([float(row["µs per node"]) for row in rows] for rows in beside)
     said = [
         f"One {cuda.get_device_name()} makes up to {' and '.join(best)} million particle-steps a second:"

@@ -339,7 +339,8 @@ def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
     return found
 
 
-def mode_name(threads: int) -> str:
+def threads_named(threads: int) -> str:
+    """The threads of a `Mode`, for the heading of a column."""
     return f"{threads} thread{'s' if threads > 1 else ''}" if threads else "GPU"
 
 
@@ -353,7 +354,7 @@ def rate_rows(rates: Rates) -> list[Row]:
             "scenes": str(case.scenes),
         }
         cells = {
-            f"{precision}, {mode_name(threads)}": rates.get((case, (precision, threads)))
+            f"{precision}, {threads_named(threads)}": rates.get((case, (precision, threads)))
             for _, (precision, threads) in rates
         }
         rows.append(row | {head: each.written(1) if each else "-" for head, each in sorted(cells.items())})
