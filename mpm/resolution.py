@@ -1,9 +1,9 @@
 """How fine a scene must be for a given error: what `--tolerance` reads, picks and promises.
 
-The error is that of one run at a resolution against a run on a much finer grid: of the front (the x that 99.5 % of the
-volume is behind) or of the profile (the rms distance along x of equal shares of the two deposits), whichever is
-larger, over the extent: from the rear of the masses at the start to the front, which is the runout distance of a column
-at the left wall. The promise is that at least nine of ten scenes like those measured keep within the tolerance: columns
+The error is that of one run at a resolution against a run on a grid at least twice as fine: of the front (the x that
+99.5 % of the volume is behind) or of the profile (the rms distance along x of equal shares of the two deposits),
+whichever is larger, over the extent: from the rear of the masses at the start to the front, which is the runout
+distance of a column at the left wall. The promise is that at least nine of ten scenes like those measured keep within the tolerance: columns
 and thrown masses, dry and cohesive, damped and not. It covers the grid, the step and the chance of a jitter, not
 whether the material is right.
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.processes import processors
-from validation.bench.speed import Case, Mode, network_rows, rate, rate_rows
+from validation.bench.network import network_rows
+from validation.bench.speed import Case, Mode, rate, rate_rows
 from validation.report.measuring import Spread, turns
 from validation.report.page import GNS, MPM, Page, between
 

@@ -1,4 +1,4 @@
-"""`python -m validation.bench speed`: rates, price of a gradient, a step of the network, a large terrain."""
+"""`python -m validation.bench speed`: rates, cost of baffles, price of a gradient, networks, a large terrain."""
 
 import statistics
 from collections.abc import Mapping, Sequence
@@ -15,12 +15,13 @@ from datasets.library import read_scene
 from datasets.material import Material
 from datasets.particles import particle_count
 from datasets.processes import processors
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene
 from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
 from validation.bench import large
+from validation.bench.network import network_rows
 from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
 from validation.report.page import GNS, MPM, Page, Row, between
 from validation.report.plots import BLUE, ORANGE, figure
@@ -32,10 +33,6 @@ GRADIENT_MIB = 1024.0
 PRICED = "column-tall-42"
 SCALES: tuple[tuple[float, float], ...] = ((1.0, 0.5), (2.0, 0.5), (2.0, 1.0), (4.0, 0.25))
 """Length and height over the shipped column's, and duration [s], of the runs whose gradient is priced."""
-LENGTHS = {2: (0.2, 1.5, 15.0), 3: (0.3, 1.2, 4.8)}
-"""Of the body of a network's step [m], by dimension: it costs per node, and a longer one has as many neighbours."""
-ACROSS = {2: 0.4, 3: 0.3}
-"""Its height, in 3D its width too [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +132,28 @@ def rate(case: Case, mode: Mode) -> float:
     return float(sum(each["particles"] * each["steps"] for each in summaries) / summaries[0]["wall_s"] / 1.0e6)
 
 
+def behind_baffles() -> dict[str, Scene]:
+    """By name: the paper's short column, which runs against a baffle, and the shipped scenes with baffles in 3D."""
+    baffle = Baffle(lower=(0.6, 0.0), size=(0.05, 0.1))
+    column = replace(read_scene("column-short-21"), baffles=(baffle,), baffle_friction=0.385)
+    return {"column-short-21": column} | {name: read_scene(name) for name in ("baffles-2", "baffles-5")}
+
+
+def baffle_row(name: str, scene: Scene, rounds: int) -> Row:
+    """Nanoseconds of a particle-step on one thread, with baffles and without, in turn."""
+
+    def nanoseconds(scene: Scene) -> float:
+        summary = simulate(scene, record=LAST, threads=1).summary
+        return float(1.0e9 * summary["wall_s"] / (summary["particles"] * summary["steps"]))
+
+    work = {"with [ns]": scene, "without [ns]": replace(scene, baffles=())}
+    found = turns({key: partial(nanoseconds, each) for key, each in work.items()}, rounds, name)
+    ratio = Spread([one / other for one, other in zip(*found.values(), strict=True)])
+    counts = {"particles": f"{particle_count(scene):,}", "baffles": str(len(scene.baffles))}
+    times = {key: Spread(each).written(1) for key, each in found.items()}
+    return {"scene": f"`{name}`"} | counts | times | {"ratio": ratio.written(3)}
+
+
 def enlarged(scale: float, duration: float) -> Scene:
     """The shipped column, longer and higher on the same cells, for another duration [s]."""
     scene = read_scene(PRICED)
@@ -175,65 +194,6 @@ def price(scene: Scene, repeats: int) -> Price:
     )
 
 
-def body(dimension: int, length: float) -> Scene:
-    """A body of sand at rest at the left wall of a box."""
-    across, cell = ACROSS[dimension], 0.01 if dimension == 2 else 0.03
-    return Scene(
-        domain=Domain(size=(length + 0.6, 1.5 * across, across)[:dimension], cell=cell),
-        material=Material(friction_deg=30.0),
-        masses=(Mass(lower=(0.0,) * dimension, size=(length, across, across)[:dimension]),),
-        floor_friction=0.4,
-    )
-
-
-def network_rows(*, rounds: int, sizes: int, device: str = "cpu") -> list[dict[str, str]]:
-    """A row for each model that ships and each of so many sizes: seconds of a step; one thread, medians of rounds."""
-    # Here, because `--help` and the processes that price a gradient do without PyTorch.
-    import torch
-
-    import gns
-    from gns.initial import initial_state
-    from gns.library import models
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    rows = []
-    for path in models():
-        simulator = gns.load(path)
-        # A model scales every scene to the body of its training data; as it is, a longer one has more nodes.
-        simulator.settings = replace(simulator.settings, body_length=None)
-        for length in LENGTHS[simulator.settings.dimension][:sizes]:
-            initial = initial_state(body(simulator.settings.dimension, length), simulator.settings)
-            state, conditions = initial.state.to(device), initial.conditions.to(device)
-            friction = conditions.friction.clone().requires_grad_()
-            conditions = replace(conditions, friction=friction)
-            simulator.to(device)
-
-            def forward() -> None:
-                with torch.no_grad():
-                    float(simulator(state, conditions).positions.sum())  # noqa: B023
-
-            def backward() -> None:
-                moved = simulator(state, conditions).positions.sum()  # noqa: B023
-                # As a number, which waits for a GPU, as does the one above.
-                float(torch.autograd.grad(moved, friction)[0].sum())  # noqa: B023
-
-            forward()
-            backward()
-            own, both = (Spread([seconds_of(work) for _ in range(rounds)]) for work in (forward, backward))
-            rows.append(
-                {
-                    "model": f"`{path.stem}`",
-                    "nodes": f"{len(initial.indices):,}",
-                    "forward [s]": own.written(4),
-                    "with gradient [s]": both.written(4),
-                    "µs per node": f"{1.0e6 * both.median / len(initial.indices):.0f}",
-                }
-            )
-    torch.set_num_threads(threads)
-    return rows
-
-
 def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     """Measure rates over sizes, the price of a gradient, a step of the network, a large terrain; needs a quiet machine.
 
@@ -254,15 +214,18 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     keys = sorted(((case, mode) for case in cases for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
     rates = {key: Spread(found) for key, found in timed.items()}
+    scenes = list(behind_baffles().items())[: 1 if quick else None]
+    solids = [baffle_row(name, each, 3 * rounds) for name, each in scenes]
     prices = [isolated(price, enlarged(*each), rounds) for each in (((0.5, 0.1),) if quick else SCALES)]
     networks = network_rows(rounds=rounds, sizes=1 if quick else 3)
     terrain = large.measured(keep, quick=quick)
     draw(out / "speed.png", rates, prices)
-    return page(rates, prices, networks, terrain, rounds=rounds, quick=quick).write(out / "speed.md")
+    return page(rates, solids, prices, networks, terrain, rounds=rounds, quick=quick).write(out / "speed.md")
 
 
 def page(
     rates: Rates,
+    solids: Sequence[Row],
     prices: Sequence[Price],
     networks: Sequence[Mapping[str, str]],
     terrain: Mapping[str, large.Found],
@@ -286,6 +249,12 @@ def page(
     text.table(
         [{"": code["name"]} | dict(zip(others["columns"], code["rates"], strict=True)) for code in others["codes"]]
     )
+    text.section("Baffles")
+    text.text("""
+        Nanoseconds of a particle-step, one thread, in turn with the same scene without its baffles. Part of the ratio
+        is the flow's: sand that baffles throw up makes the box of nodes that a step goes through larger.
+    """)
+    text.table(solids)
     text.section("A gradient by the adjoint")
     text.text(f"""
         A run of `{PRICED}`, longer and higher on its own cells, and the gradient of its mean x with respect to all that

@@ -108,7 +108,7 @@ TERRAIN: dict[str, Found] = {
 
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     networks = [{"model": "`flow2d`", "nodes": "500", "µs per node": "148"}]
-    text = page(RATES, PRICES, networks, TERRAIN, rounds=1, quick=False)
+    text = page(RATES, [], PRICES, networks, TERRAIN, rounds=1, quick=False)
     assert "In 2D the MPM makes 22 to 55 million particle-steps a second, at 3,200 to " in text.conclusion
     assert "5.0 to 5.5 runs, for any number of unknowns, and at most 16 MiB (12,800" in text.conclusion
     assert "takes 148 µs for each node" in text.conclusion

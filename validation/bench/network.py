@@ -1,0 +1,71 @@
+"""Seconds of a step of the shipped networks, on the CPU or a GPU."""
+
+from dataclasses import replace
+
+from datasets.material import Material
+from datasets.scene import Domain, Mass, Scene
+from validation.report.measuring import Spread, seconds_of
+
+LENGTHS = {2: (0.2, 1.5, 15.0), 3: (0.3, 1.2, 4.8)}
+"""Of the body of a network's step [m], by dimension: it costs per node, and a longer one has as many neighbours."""
+ACROSS = {2: 0.4, 3: 0.3}
+"""Its height, in 3D its width too [m]."""
+
+
+def body(dimension: int, length: float) -> Scene:
+    """A body of sand at rest at the left wall of a box."""
+    across, cell = ACROSS[dimension], 0.01 if dimension == 2 else 0.03
+    return Scene(
+        domain=Domain(size=(length + 0.6, 1.5 * across, across)[:dimension], cell=cell),
+        material=Material(friction_deg=30.0),
+        masses=(Mass(lower=(0.0,) * dimension, size=(length, across, across)[:dimension]),),
+        floor_friction=0.4,
+    )
+
+
+def network_rows(*, rounds: int, sizes: int, device: str = "cpu") -> list[dict[str, str]]:
+    """A row for each model that ships and each of so many sizes: seconds of a step; one thread, medians of rounds."""
+    # Here, because `--help` and processes that only price a gradient do without PyTorch.
+    import torch
+
+    import gns
+    from gns.initial import initial_state
+    from gns.library import models
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    rows = []
+    for path in models():
+        simulator = gns.load(path)
+        # A model scales every scene to the body of its training data; as it is, a longer one has more nodes.
+        simulator.settings = replace(simulator.settings, body_length=None)
+        for length in LENGTHS[simulator.settings.dimension][:sizes]:
+            initial = initial_state(body(simulator.settings.dimension, length), simulator.settings)
+            state, conditions = initial.state.to(device), initial.conditions.to(device)
+            friction = conditions.friction.clone().requires_grad_()
+            conditions = replace(conditions, friction=friction)
+            simulator.to(device)
+
+            def forward() -> None:
+                with torch.no_grad():
+                    float(simulator(state, conditions).positions.sum())  # noqa: B023
+
+            def backward() -> None:
+                moved = simulator(state, conditions).positions.sum()  # noqa: B023
+                # As a number, which waits for a GPU, as does the one above.
+                float(torch.autograd.grad(moved, friction)[0].sum())  # noqa: B023
+
+            forward()
+            backward()
+            own, both = (Spread([seconds_of(work) for _ in range(rounds)]) for work in (forward, backward))
+            rows.append(
+                {
+                    "model": f"`{path.stem}`",
+                    "nodes": f"{len(initial.indices):,}",
+                    "forward [s]": own.written(4),
+                    "with gradient [s]": both.written(4),
+                    "µs per node": f"{1.0e6 * both.median / len(initial.indices):.0f}",
+                }
+            )
+    torch.set_num_threads(threads)
+    return rows
