@@ -7,8 +7,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from datasets.errors import InputError
-from datasets.errors import WorkFailed as WorkFailed
+from datasets.errors import InputError, WorkFailed
 from datasets.processes import Terminated, terminable
 
 DISK_ERRORS = {"ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "EIO", "ESTALE"}

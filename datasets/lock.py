@@ -16,7 +16,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout, UnixFileLock
 
-from datasets.command_line import WorkFailed
+from datasets.errors import WorkFailed
 from datasets.files import make_folder, remove_parts, write_text
 
 LOCK = ".talus-lock"

@@ -11,8 +11,6 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from datasets.errors import InputError, OutOfRange
 from datasets.files import line_of
-from datasets.files import read_json as read_json
-from datasets.files import read_toml as read_toml
 
 T = TypeVar("T")
 TYPES = ("float", "str")

@@ -22,9 +22,8 @@ from tqdm import tqdm
 from datasets import measures
 from datasets.definitions.definition import DEPOSITS, Definition, Split, Storage, Stream
 from datasets.errors import InputError
-from datasets.files import make_folder, write_json
+from datasets.files import make_folder, read_json, write_json
 from datasets.processes import processors
-from datasets.records import read_json
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, trajectory_files
 from gns import card, checkpoint

@@ -11,9 +11,10 @@ import numpy as np
 
 from datasets.errors import InputError, naming
 from datasets.field import Field
+from datasets.files import read_toml
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
-from datasets.records import Record, from_mapping, read_toml
+from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from inverse import checks
 from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_parameters

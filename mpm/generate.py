@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from datasets.command_line import WorkFailed, disk_failed, run
+from datasets.command_line import disk_failed, run
 from datasets.definitions import read_definition
 from datasets.definitions.definition import DEPOSITS, Definition, Entry, Split, Storage
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
 from datasets.files import write_json
 from datasets.lock import locked
 from datasets.particles import mass_counts

@@ -3,9 +3,9 @@
 The error is that of one run at a resolution against a run on a grid at least twice as fine: of the front (the x that
 99.5 % of the volume is behind) or of the profile (the rms distance along x of equal shares of the two deposits),
 whichever is larger, over the extent: from the rear of the masses at the start to the front, which is the runout
-distance of a column at the left wall. The promise is that at least nine of ten scenes like those measured keep within the tolerance: columns
-and thrown masses, dry and cohesive, damped and not. It covers the grid, the step and the chance of a jitter, not
-whether the material is right.
+distance of a column at the left wall. The promise is that at least nine of ten scenes like those measured keep within
+the tolerance: columns and thrown masses, dry and cohesive, damped and not. It covers the grid, the step and the chance
+of a jitter, not whether the material is right.
 
 Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
 (docs/accuracy.md, `python -m validation.bench accuracy`, which also writes `resolution.toml` and
@@ -21,9 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from datasets.errors import InputError
+from datasets.files import read_toml
 from datasets.geometry.placement import connected, corners
 from datasets.particles import particle_count
-from datasets.records import Record, fraction, from_mapping, read_toml
+from datasets.records import Record, fraction, from_mapping
 from datasets.scene import TOLERANCE, Domain, Scene
 from mpm.arrays.layout import Precision
 from mpm.arrays.properties import substeps_per_frame

@@ -9,8 +9,7 @@ from tqdm import tqdm
 
 from datasets.arrays import FrameWriter
 from datasets.checks import warn_if_unlikely
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
 from datasets.particles import particle_count, warn_if_unresolved
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory

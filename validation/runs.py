@@ -15,8 +15,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from datasets import __version__
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
 from datasets.particles import particle_count
 from datasets.processes import processors
 from datasets.scene import Scene

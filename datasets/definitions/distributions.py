@@ -11,8 +11,9 @@ import numpy as np
 
 from datasets.definitions.definition import Definition, Split
 from datasets.errors import InputError, OutOfRange, naming, require
+from datasets.files import read_toml
 from datasets.library import scene_from
-from datasets.records import Record, dotted, from_mapping, read_toml
+from datasets.records import Record, dotted, from_mapping
 from datasets.scene import TOLERANCE, Scene, keyed
 
 Key = tuple[int | str, ...]

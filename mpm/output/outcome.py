@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.command_line import WorkFailed
+from datasets.errors import WorkFailed
 from datasets.measures import front, runout, toe
 from datasets.particles import Particles
 from datasets.remarks import remarks

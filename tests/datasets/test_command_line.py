@@ -10,8 +10,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from datasets.command_line import WorkFailed, run
-from datasets.errors import InputError
+from datasets.command_line import run
+from datasets.errors import InputError, WorkFailed
 from datasets.processes import Terminated, stopping
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import pyvista
 
-from datasets.command_line import WorkFailed
+from datasets.errors import WorkFailed
 from datasets.exchange import vtk
 from datasets.exchange.vtk import write_vtk
 from datasets.material import Material

@@ -6,7 +6,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from datasets.command_line import WorkFailed
+from datasets.errors import WorkFailed
 from gns.graph import mean_envelope_sum, radius_graph
 from gns.messages import messages
 

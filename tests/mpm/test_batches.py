@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mpm
-from datasets.command_line import WorkFailed
+from datasets.errors import WorkFailed
 from datasets.material import Material
 from datasets.particles import Particles, initial_particles
 from datasets.scene import Mass, Scene

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
 from mpm.cluster import Workers, connected
 from tests.mpm.test_generate import TINY
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.command_line import WorkFailed, run
+from datasets.command_line import run
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split, Storage
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm.cluster import Workers

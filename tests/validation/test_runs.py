@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.command_line import WorkFailed
+from datasets.errors import WorkFailed
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from mpm import ALL, AT_REST, LAST, Recording, ScenesFailed

@@ -10,7 +10,8 @@ import pyvista
 from matplotlib import colormaps
 from matplotlib.image import imread
 
-from datasets.command_line import WorkFailed, run
+from datasets.command_line import run
+from datasets.errors import WorkFailed
 from datasets.exchange.vtk import Colour
 from datasets.scene import Baffle, Mass
 from datasets.trajectory import Trajectory

@@ -19,8 +19,8 @@ from scipy.stats import chisquare, kstest
 from tqdm import tqdm
 
 from datasets.errors import InputError
-from datasets.files import write_json
-from datasets.records import Record, from_mapping, read_json
+from datasets.files import read_json, write_json
+from datasets.records import Record, from_mapping
 from inverse.parameters.prior import Correlation, Prior
 from inverse.problem import Problem, read_problem
 from inverse.result import Result

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from datasets.errors import InputError, WorkFailed
-from datasets.files import write_text
-from datasets.records import Record, from_mapping, read_json, read_toml
+from datasets.files import read_json, read_toml, write_text
+from datasets.records import Record, from_mapping
 from gns import library
 from inverse.found import Verdict
 from inverse.problem import Problem, read_problem

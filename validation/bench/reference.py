@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.files import write_json
-from datasets.records import read_json
+from datasets.files import read_json, write_json
 from inverse.parameters.prior import JointPrior
 from inverse.posterior.sampling import systematic
 from inverse.problem import Problem

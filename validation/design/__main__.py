@@ -3,7 +3,8 @@
 import sys
 from pathlib import Path
 
-from datasets.command_line import WorkFailed, run
+from datasets.command_line import run
+from datasets.errors import WorkFailed
 
 
 def main(problem: str, /, *, out: Path, scheduler: str | None = None) -> None:

@@ -15,10 +15,10 @@ from scipy.stats import qmc
 
 from datasets.arrays import read_arrays
 from datasets.errors import naming, require
-from datasets.files import reading
+from datasets.files import read_toml, reading
 from datasets.forces import forces_of
 from datasets.library import SCENES, find, read_scene, scene_from
-from datasets.records import Record, from_mapping, read_toml
+from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
 from inverse.checks import check_bounds, check_number

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import naming, require
+from datasets.files import read_toml
 from datasets.library import read_scene
 from datasets.measures import Positions, front, height_profile, profile_stations
 from datasets.particles import particle_volumes
-from datasets.records import Record, from_mapping, read_toml
+from datasets.records import Record, from_mapping
 from datasets.scene import Domain, Scene
 from datasets.trajectory import Trajectory
 

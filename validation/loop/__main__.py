@@ -4,7 +4,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datasets.command_line import WorkFailed, run
+from datasets.command_line import run
+from datasets.errors import WorkFailed
 from inverse.settings import Surrogate
 
 if TYPE_CHECKING:

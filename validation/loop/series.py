@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError, naming
+from datasets.errors import InputError, WorkFailed, naming
 from datasets.files import make_folder, write_json, write_text
 from datasets.trajectory import SUFFIXES, Trajectory
 from inverse.forward import Simulate

@@ -15,7 +15,7 @@ from typing import ParamSpec, TypeVar
 
 from tqdm import tqdm
 
-from datasets.command_line import WorkFailed
+from datasets.errors import WorkFailed
 from datasets.processes import end_with_parent
 
 P = ParamSpec("P")

@@ -15,8 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
 from datasets.exchange.vtk import FIELDS, RANGE_QUANTILE, Colour, Meshes, edges, extent, spatial
 from datasets.files import replacing
 from datasets.geometry.surface import body_of, solids_of

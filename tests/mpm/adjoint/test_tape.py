@@ -6,8 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
 from datasets.library import read_scene
 from datasets.scene import Scene
 from mpm import simulate

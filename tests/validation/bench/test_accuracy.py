@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets.files import read_toml
 from datasets.library import read_scene
-from datasets.records import from_mapping, read_toml
+from datasets.records import from_mapping
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm.resolution import COVERAGE, Measurements, characteristic_length, read_measured, resolved, with_resolution

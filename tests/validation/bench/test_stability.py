@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Scene
 from datasets.trajectory import Trajectory

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.command_line import WorkFailed
+from datasets.errors import WorkFailed
 from datasets.scene import Mass
 from inverse.found import Verdict
 from inverse.parameters import Parameter

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.command_line import WorkFailed, run
+from datasets.command_line import run
+from datasets.errors import WorkFailed
 from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.found import Purpose, Verdict

@@ -9,8 +9,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from datasets.files import read_toml
 from datasets.material import Material
-from datasets.records import Record, from_mapping, read_toml
+from datasets.records import Record, from_mapping
 from datasets.scene import Baffle, Domain, Mass, Scene
 
 GRAVITY = 9.81

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.command_line import WorkFailed
-from datasets.errors import InputError
+from datasets.errors import InputError, WorkFailed
+from datasets.files import read_toml
 from datasets.geometry.surface import surface_of
 from datasets.library import read_scene
 from datasets.measures import front
-from datasets.records import Record, from_mapping, read_toml
+from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many

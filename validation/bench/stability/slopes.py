@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from datasets.files import read_toml
 from datasets.material import Material
-from datasets.records import Record, from_mapping, read_toml
+from datasets.records import Record, from_mapping
 from datasets.scene import Domain, Mass, Scene
 from mpm.safety import Safety, safety_factor
 from validation.report.page import Row, percent
