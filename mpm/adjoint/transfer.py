@@ -20,7 +20,7 @@ import taichi as ti
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import add, no_overflow
 from mpm.arrays.layout import PADDING, Setting
-from mpm.physics.transfer import held_affine, lowest_node, node_vector, three_vectors, zero_node
+from mpm.physics.transfer import held_affine, lowest_node, node_sums, node_vector, three_vectors, zero_node
 
 
 @ti.func
@@ -109,31 +109,13 @@ def outer_weights(w: ti.template(), d: ti.template(), a: ti.template(), b: ti.te
 @ti.func
 def gather_moments(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
     """Leave sum_i w_ip n_i and sum_i w_ip x_ip n_i of what lies at the nodes, for each particle of a block."""
-    features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
-    size = ti.static(features.dimension)
+    lanes = arrays.features.lanes
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
-        lever = weight + layout.levers * lanes
-        around, x_sum, y_sum, z_sum = zero_node(arrays), zero_node(arrays), zero_node(arrays), zero_node(arrays)
-        for a, b in ti.static(ti.ndrange(3, 3)):
-            wx, wy = arrays.scratch_lanes[weight + a * lanes], arrays.scratch_lanes[weight + (3 + b) * lanes]
-            lx, ly = arrays.scratch_lanes[lever + a * lanes], arrays.scratch_lanes[lever + (3 + b) * lanes]
-            at = n + a * strides[0] + b * strides[1]
-            column, z_column = zero_node(arrays), zero_node(arrays)
-            if ti.static(size == 2):
-                column = arrays.grid[at]
-            else:
-                for c in ti.static(range(3)):
-                    column = column + arrays.scratch_lanes[weight + (6 + c) * lanes] * arrays.grid[at + c]
-                    z_column = z_column + arrays.scratch_lanes[lever + (6 + c) * lanes] * arrays.grid[at + c]
-            around, x_sum, y_sum = around + wx * wy * column, x_sum + lx * wy * column, y_sum + wx * ly * column
-            z_sum = z_sum + wx * wy * z_column
-        store_sum(around, 0, scratch, lane, arrays)
-        store_sum(x_sum, 1, scratch, lane, arrays)
-        store_sum(y_sum, 2, scratch, lane, arrays)
-        if ti.static(size == 3):
-            store_sum(z_sum, 3, scratch, lane, arrays)
+        sums = node_sums(n, weight, weight + arrays.layout.levers * lanes, strides, arrays)
+        for k in ti.static(range(1 + arrays.features.dimension)):
+            store_sum(sums[k], k, scratch, lane, arrays)
 
 
 @ti.func

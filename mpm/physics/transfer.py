@@ -203,8 +203,7 @@ def leave_contributions(
     velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(features.dimension))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    carried = velocity, affine, stress
-    momentum, slopes, pull, forces = contributions(carried, mass, volume, pushed, f, dx, features)
+    momentum, slopes, pull, forces = contributions((velocity, affine, stress), mass, volume, pushed, f, dx, features)
     for i in ti.static(range(features.dimension)):
         arrays.scratch[values + i] = momentum[i]
         arrays.scratch[values + features.force + i] = pull[i]
@@ -260,40 +259,18 @@ def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.templa
     """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.block)
-    size = ti.static(features.dimension)
     # Weights, and weights times distance, of three nodes along each axis.
     f = weights_of(block, scratch, per_dx, arrays)
     for k in ti.static(range(features.dimension)):
         for a in ti.static(range(3)):
             w, apart = arrays.scratch[scratch + 3 * k + a], ti.static(float(a)) - f[k]
             arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (4.0 * per_dx) * w * apart
-    stride_x, stride_y = strides[0], strides[1]
     for lane in range(lanes):
         if ti.static(features.prefetch):
             read_ahead(scene, block, scratch, lane, arrays)
-        n = lowest_node(arrays, scratch, lane, grid, strides)
-        weight = no_overflow(scratch * lanes + lane)
-        lever = weight + 3 * features.dimension * lanes
-        wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
-        lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
-        v, x_slope, y_slope, z_slope = zero_node(arrays), zero_node(arrays), zero_node(arrays), zero_node(arrays)
-        # Sums along the last axis first: they share the weights of the others.
-        for a in ti.static(range(3)):
-            u, s, t = zero_node(arrays), zero_node(arrays), zero_node(arrays)
-            if ti.static(size == 2):
-                u, s = line_sums(n + a * stride_x, wy, ly, arrays)
-            else:
-                wz, lz = three_vectors(arrays, weight + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
-                for b in ti.static(range(3)):
-                    along, across = line_sums(n + a * stride_x + b * stride_y, wz, lz, arrays)
-                    u = u + wy[b] * along
-                    s = s + ly[b] * along
-                    t = t + wy[b] * across
-            v = v + wx[a] * u
-            x_slope = x_slope + lx[a] * u
-            y_slope = y_slope + wx[a] * s
-            z_slope = z_slope + wx[a] * t
-        store_sums(v, [x_slope, y_slope, z_slope], first, scratch, lane, arrays)
+        n, weight = lowest_node(arrays, scratch, lane, grid, strides), no_overflow(scratch * lanes + lane)
+        sums = node_sums(n, weight, weight + 3 * features.dimension * lanes, strides, arrays)
+        store_sums(sums[0], sums[1:], first, scratch, lane, arrays)
     if ti.static(features.volume_correction):
         hold_affine(first, scratch, kappa, arrays)
 
@@ -313,6 +290,32 @@ def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
         found = found + arrays.lanes[at + ti.static(k * features.block // lines)]
     # Kept, though nobody needs it: else nothing would be read.
     arrays.scratch_lanes[no_overflow(scratch * lanes + lane) + features.ahead * lanes] = found
+
+
+@ti.func
+def node_sums(n, weight, lever, strides: ti.template(), arrays: ti.template()):
+    """Sums over a particle's nodes, from `n` on, times its weights, and times its levers along each axis."""
+    lanes = arrays.features.lanes
+    wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
+    lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
+    v, x_slope, y_slope, z_slope = zero_node(arrays), zero_node(arrays), zero_node(arrays), zero_node(arrays)
+    # Sums along the last axis first: they share the weights of the others.
+    for a in ti.static(range(3)):
+        u, s, t = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+        if ti.static(arrays.features.dimension == 2):
+            u, s = line_sums(n + a * strides[0], wy, ly, arrays)
+        else:
+            wz, lz = three_vectors(arrays, weight + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
+            for b in ti.static(range(3)):
+                along, across = line_sums(n + a * strides[0] + b * strides[1], wz, lz, arrays)
+                u = u + wy[b] * along
+                s = s + ly[b] * along
+                t = t + wy[b] * across
+        v = v + wx[a] * u
+        x_slope = x_slope + lx[a] * u
+        y_slope = y_slope + wx[a] * s
+        z_slope = z_slope + wx[a] * t
+    return v, x_slope, y_slope, z_slope
 
 
 @ti.func
