@@ -195,7 +195,7 @@ def price(scene: Scene, repeats: int) -> Price:
 
 
 def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
-    """Measure rates over sizes and at baffles, gradients, a step of the network, a large terrain; needs a quiet machine.
+    """Measure rates over sizes and at baffles, gradients, steps of networks, a large terrain; needs a quiet machine.
 
     KEEP has the stages of the large terrain; other times are of one command.
 
