@@ -35,9 +35,9 @@ Array = NDArray[Any]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-FADE = (0.0, 0.5)
-"""Depths [cells] in a solid between which its hold of a node grows from nothing to all. A deeper node that is held in
-part gives way while a bed is laid against the solid: up to three quarters of a cell, the thrust falls by 15 %."""
+FADE = 0.5
+"""Depth [cells] in a solid by which its hold of a node has grown from nothing to all. Where it is three quarters of a
+cell, nodes give way while a bed is laid against the solid, and its thrust is up to 15 % too low."""
 BLEND = 0.5
 """Distance beyond that of the nearest face [cells] from which another one holds a node no more."""
 
@@ -124,7 +124,7 @@ def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float
     """Where the holds of each node begin, and these, of those `nodes` that are up to `cutoff` cells deep."""
     cell = domain.cell
     depth = -nearest(surface, node_positions(domain, nodes), cutoff * cell).distance
-    deep = (depth > FADE[0] * cell) & (depth <= cutoff * cell)
+    deep = (depth > 0.0) & (depth <= cutoff * cell)
     nodes, depth = nodes[deep], depth[deep]
     places = node_positions(domain, nodes)
     found = [(np.zeros(0, np.int64), np.zeros(0, np.int64)), *Search(surface).pairs(places, depth + BLEND * cell)]
@@ -135,7 +135,7 @@ def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float
     behind = ((foot - places[node]) * surface.normals[face]).sum(axis=1) / distance
     near = 1.0 - (distance - depth[node]) / (BLEND * cell)
     weight = np.maximum(behind, 0.0) * np.maximum(near, 0.0) ** 2
-    part = np.clip((depth / cell - FADE[0]) / (FADE[1] - FADE[0]), 0.0, 1.0)
+    part = np.minimum(depth / (FADE * cell), 1.0)
     whole = np.maximum(np.bincount(node, weight, len(nodes)), np.finfo(float).tiny)
     share = (part * part * (3.0 - 2.0 * part) / whole)[node] * weight
     corners = np.minimum(surface.friction, NO_SLIP)[face]

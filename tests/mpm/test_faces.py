@@ -97,8 +97,8 @@ def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int
     here = removed(0.0)
     depth = -nearest(whole, node_positions(scene.domain, nodes)).distance / CELL
     share = np.trace(here, axis1=1, axis2=2)
-    assert np.abs(share[depth <= FADE[0]]).max() == 0.0
-    held = (depth > FADE[1]) & (depth < 2.0)
+    assert np.abs(share[depth <= 0.0]).max() == 0.0
+    held = (depth > FADE) & (depth < 2.0)
     assert held.sum() > 10
     np.testing.assert_allclose(share[held], 1.0, atol=1e-12)
     # Shares fall from 1 to 0 over half a cell.
