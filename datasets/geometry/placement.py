@@ -1,5 +1,6 @@
 """Where bodies stand: clear of solids and of each other, and how high above what is beneath them."""
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -99,14 +100,19 @@ def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> boo
 
 
 def remembers_gaps(scene: Scene) -> bool:
-    """Whether gaps between particles are remembered: as `volume_correction` says, or if a body is in flight."""
+    """Whether gaps between particles are remembered: as `volume_correction` says, or if sand may fall or splash.
+
+    It may where solids, gates or barriers stand in its way, where a mass is fast enough to rise by a cell, and where a
+    body is in flight. A column that collapses on a flat floor keeps its volume without.
+    """
     if scene.volume_correction is not None:
         return scene.volume_correction
-    upwards = [max(0.0, mass.velocity[1]) if mass.velocity else 0.0 for mass in scene.masses]
-    thrown = [each.values for each in scene.fields if each.quantity == "velocity_y"]
-    upwards += [max(0.0, sum(values) / len(values)) for values in thrown]
+    speeds = [math.hypot(*mass.velocity) for mass in scene.masses if mass.velocity]
+    speeds += [abs(sum(each.values) / len(each.values)) for each in scene.fields if "velocity" in each.quantity]
     return scene.gravity > 0.0 and (
-        max(upwards) ** 2 >= 2.0 * scene.gravity * scene.domain.cell
+        bool(scene.solids or scene.baffles)
+        or any(mass.release is not None for mass in scene.masses)
+        or max(speeds, default=0.0) ** 2 >= 2.0 * scene.gravity * scene.domain.cell
         or bool((heights_above_ground(scene) >= scene.domain.cell - TOLERANCE).any())
     )
 

@@ -55,7 +55,7 @@ def update_block_reverse(
             moment = arrays.scratch[scratch + layout.sums + (1 + k) * features.node + size]
             arrays.scratch[scratch + features.density + 1 + k] = (4.0 * per_dx * per_dx) * moment
     stress_reverse(worker, grid, scene, block, scratch, after, dt, strides, arrays)
-    slope_bar, change_bar, affine_bar, kappa_bar = affine_reverse(block, scratch, per_dx, kappa, arrays)
+    slope_bar, change_bar, affine_bar, kappa_bar = affine_reverse(scene, block, scratch, per_dx, kappa, arrays)
     for i in ti.static(range(size)):
         x_bar = arrays.adjoints[own + i]
         x, length = arrays.history[after + i], arrays.offsets[scene, Offset.CELLS_X + i] * dx

@@ -20,7 +20,7 @@ import taichi as ti
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import add, no_overflow
 from mpm.arrays.layout import PADDING, Setting
-from mpm.physics.transfer import held_affine, lowest_node, node_sums, node_vector, three_vectors, zero_node
+from mpm.physics.transfer import held_affine, in_spray, lowest_node, node_sums, node_vector, three_vectors, zero_node
 
 
 @ti.func
@@ -140,10 +140,10 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
 
 
 @ti.func
-def affine_reverse(block, scratch, per_dx, kappa, arrays: ti.template()):
+def affine_reverse(scene, block, scratch, per_dx, kappa, arrays: ti.template()):
     """Bars of the D x D slopes of the grid's velocity u and of its change, of C before the step, and of kappa.
 
-    From that of C after it. Only where volume correction holds a loose particle back, C is not the slope of u alone.
+    From that of C after it. Only where a particle of a spray is held back, C is not the slope of u alone.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
@@ -154,8 +154,7 @@ def affine_reverse(block, scratch, per_dx, kappa, arrays: ti.template()):
         slopes = [(4.0 * per_dx * per_dx) * arrays.scratch[n] for n in ti.static(at)]
         changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.change] for n in ti.static(at)]
         affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
-        stress = [arrays.state[first + features.stress + k] for k in ti.static(range(3))]
-        constants = ti.static((stress, arrays.state[first + features.gap], size))
+        constants = ti.static((in_spray(scene, block, arrays), size))
         held = ti.static([Pullback(held_affine, ((slopes, changes), affine, kappa), constants)])[0]
         moved_bar, affine_bar, kappa_bar = ti.static(held(bar))
         return moved_bar[0], moved_bar[1], affine_bar, kappa_bar

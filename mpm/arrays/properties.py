@@ -18,7 +18,7 @@ from mpm.output.request import REST_ENERGY, height
 
 Array = NDArray[Any]
 
-GAP_RATE = 8.0
+GAP_RATE = 4.0
 """Rate at which a gap follows the grid's density, times sqrt(cell / gravity) [-] (`mpm.physics.volume_correction`)."""
 GAP_CUTOFF = 1.7
 """Cells from a wall or a solid within which it hides mass from a particle."""

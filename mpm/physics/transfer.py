@@ -15,10 +15,9 @@ What the grid cannot represent of a particle's velocity decays with the relaxati
 of the step. APIC is tau = 0: it loses that part in every step, so that a shorter step or a stiffer sand, which needs
 shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i.
 
-While v_p is kept, C_p is made anew of it in every step. Where particles that bear nothing cross in a spray, the energy
-of their affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction
-(`mpm.physics.volume_correction`), what C_p of such a loose particle has without the forces of the step therefore never
-grows:
+While v_p is kept, C_p is made anew of it in every step. Where particles cross in a spray, the energy of their affine
+motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction, what C_p of a particle whose gap is
+larger than `mpm.physics.volume_correction.SPRAY` has without the forces of the step therefore never grows:
 
     C_p = C_p* - kappa (1 - |C_p| / |C_p'|)_+ C_p',      C_p' = (4 / dx^2) sum_i w_ip v_i x_ip^T
 
@@ -31,11 +30,12 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.arrays.access import add, magnitude, no_overflow
+from mpm.arrays.access import add, no_overflow
 from mpm.arrays.features import REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import push, touches
+from mpm.physics.volume_correction import SPRAY
 
 
 @ti.func
@@ -272,7 +272,7 @@ def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.templa
         sums = node_sums(n, weight, weight + 3 * features.dimension * lanes, strides, arrays)
         store_sums(sums[0], sums[1:], first, scratch, lane, arrays)
     if ti.static(features.volume_correction):
-        hold_affine(first, scratch, kappa, arrays)
+        hold_affine(scene, block, scratch, kappa, arrays)
 
 
 @ti.func
@@ -362,32 +362,36 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, arrays: ti.templa
 
 
 @ti.func
-def hold_affine(first, scratch, kappa, arrays: ti.template()):
-    """Leave C of the particles of a block, that of those which are open or not yet loaded held back."""
+def hold_affine(scene, block, scratch, kappa, arrays: ti.template()):
+    """Leave C of the particles of a block, that of those in a spray held back."""
     features = arrays.features
+    first = no_overflow(block * features.block)
     count = ti.static(features.dimension**2)
     slopes = [arrays.scratch[scratch + features.gradient + k] for k in ti.static(range(count))]
     changes = [arrays.scratch[scratch + features.changes + k] for k in ti.static(range(count))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(count))]
-    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(3))]
-    gap = arrays.state[first + features.gap]
-    held = held_affine((slopes, changes), affine, kappa, stress, gap, features.dimension)
+    held = held_affine((slopes, changes), affine, kappa, in_spray(scene, block, arrays), features.dimension)
     for k in ti.static(range(count)):
         arrays.state[first + features.affine + k] = held[k]
 
 
 @ti.func
-def held_affine(moved: ti.template(), affine: ti.template(), kappa, stress: ti.template(), gap, size: ti.template()):
-    """C [1/s] from `moved`, the slopes of the grid's velocity and of its change, and C, stress and gap before."""
+def in_spray(scene, block, arrays: ti.template()):
+    """Which particles of a block have a gap beyond SPRAY, before the step."""
+    lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
+    opened = arrays.state[no_overflow(block * arrays.features.block) + arrays.features.gap]
+    return opened > SPRAY * (lame + shear * (2.0 / 3.0))
+
+
+@ti.func
+def held_affine(moved: ti.template(), affine: ti.template(), kappa, spray, size: ti.template()):
+    """C [1/s] from `moved`, the slopes of the grid's velocity and of its change, C before, and whether in a spray."""
     slopes, changes = moved
-    bears = 0.0 * gap
-    before_squared, now_squared = bears, bears
-    for k in ti.static(range(3)):
-        bears = bears + magnitude(stress[k])
+    before_squared, now_squared = 0.0 * slopes[0], 0.0 * slopes[0]
     for k in ti.static(range(size**2)):
         old, new = kappa * affine[k], slopes[k] - changes[k]
         before_squared, now_squared = before_squared + old * old, now_squared + new * new
-    held = ((gap > 0.0) | (bears <= 0.0)) & (now_squared > before_squared)
+    held = spray & (now_squared > before_squared)
     excess = ti.select(held, 1.0 - ti.sqrt(before_squared / ti.select(held, now_squared, 1.0)), 0.0)
     return [slopes[k] - excess * (slopes[k] - changes[k]) for k in ti.static(range(size**2))]
 

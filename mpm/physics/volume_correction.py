@@ -7,7 +7,7 @@ the direction of cracks: `mpm.physics.stress.with_cracks`).
 
 Integrated strain alone drifts: particles move with the grid's velocities, not with the affine fit C that strains them,
 and a lone particle keeps its C for ever. Where a particle that carries no tension is open, its gap therefore follows
-that of the grid's density, backward in time over T_g = sqrt(dx / g) / 8:
+that of the grid's density, backward in time over T_g = sqrt(dx / g) / 4:
 
     e <- (e + dt / T_g e_s) / (1 + dt / T_g),    e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3)
     r = rho_p / (rho_0 f (1 - 2 |o|)),           rho_p = sum_i w_ip m_i / dx^D
@@ -15,22 +15,33 @@ that of the grid's density, backward in time over T_g = sqrt(dx / g) / 8:
 
 rho_p is exact in the mean inside a body (single particles scatter by 3 % at the default jitter) but falls short beside
 a free surface, to 0.62 rho_0 at the outer one of two particles in a cell. There the centre of mass o lies inwards, by
-0.2 cells, and 1 - 2 |o| is the share that such a surface leaves. A wall of the box hides mass, too, but is no surface:
-y cells from it the share f = 1 - (1 - y / 1.7)^2 / 2 is left, and what o points away from it is not counted. So sand
-that comes down is on the floor before it bears, and does not stop above it where the floor's nodes begin to act.
+0.2 cells, and 1 - 2 |o| is the share that such a surface leaves. A wall of the box and a solid hide mass, too, but are
+no surface: y cells from one the share f = 1 - n^2 / 2, n = 1 - y / 1.7, is left, and o points away from it by
+0.2 min(n - 0.1, 0.6)_+ / f (both fitted to a half-space whose nodes have B-spline weights). Only what o falls short of
+that is counted: so a dense layer of half a cell on a floor, both of whose surfaces a particle sees, is not taken for
+loose sand, and sand that comes down is on the floor before it bears.
 
 At a boundary of soils of different density the grid has another density than the particle's own.
 """
 
 import taichi as ti
 
-from mpm.arrays.access import maximum
+from mpm.arrays.access import clamp, maximum, minimum
 from mpm.arrays.layout import Contact
 from mpm.arrays.properties import GAP_CUTOFF
 from mpm.physics.principal import TINY
 
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
+SPRAY = 0.15
+"""Gap [-] from which sand is a spray, whose affine motion must not grow by itself (`mpm.physics.transfer`)."""
+
+
+@ti.func
+def slope_beside(near, mass, dx):
+    """Slope of the grid's mass [kg/m] away from a wall or solid that hides some, `near` = n [-]; of no surface."""
+    lever = 0.2 * clamp(near - 0.1, 0.0, 0.6)
+    return 4.0 * mass * lever / (dx * (1.0 - 0.5 * near * near))
 
 
 @ti.func
@@ -58,7 +69,7 @@ def grid_gap(
         full = full * (1.0 - 0.5 * near * near)
         for k in ti.static(range(features.dimension)):
             across = across + grid[1 + k] * contact[Contact.NORMAL + k]
-        across = ti.select(near > 0.0, maximum(across, 0.0), 0.0)
+        across = ti.select(near > 0.0, maximum(across, slope_beside(near, mass, dx)), 0.0)
     for k in ti.static(range(features.dimension)):
         slope = grid[1 + k]
         if ti.static(features.contact):
@@ -67,8 +78,9 @@ def grid_gap(
         length = cells[k] / GAP_CUTOFF
         low, high = maximum(1.0 - x_cells, 0.0), maximum(1.0 - length + x_cells, 0.0)
         full = full * (1.0 - 0.5 * (low * low + high * high))
-        behind = ((slope > 0.0) & (low > 0.0)) | ((slope < 0.0) & (high > 0.0))
-        square = square + ti.select(behind, 0.0, slope * slope)
+        slope = slope - ti.select(low > 0.0, maximum(slope, slope_beside(low, mass, dx)), 0.0)
+        slope = slope - ti.select(high > 0.0, minimum(slope, 0.0 - slope_beside(high, mass, dx)), 0.0)
+        square = square + slope * slope
     inwards = 0.25 * dx * ti.sqrt(square) / mass
     packed = mass / (full * maximum(1.0 - 2.0 * inwards, DEEPEST))
     return maximum(2.0 * (1.0 - packed) / (1.0 + packed), 0.0)
