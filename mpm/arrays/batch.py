@@ -158,6 +158,7 @@ class Batch:
         self.cell_distance = table(obstacles.cell_distance, real)
         self.cell_faces, self.near_faces = table(obstacles.cell_faces, np.int32), table(obstacles.near_faces, np.int32)
         self.node_holds = table(obstacles.node_holds, np.int32)
+        self.covered = table(obstacles.covered, np.int32)
 
     def add_barriers(self) -> None:
         """The lines of `barriers`, `retained` and `settling` of all scenes."""

@@ -37,7 +37,7 @@ STEP = named(
     NODES="grid",
     REAL="cell_distance",
     REAL_TABLE="settings properties faces holds",
-    INTEGER="cell_faces near_faces node_holds arrivals",
+    INTEGER="cell_faces near_faces node_holds covered arrivals",
     INTEGER_TABLE="offsets workers barriers retained",
     DOUBLE_TABLE="settling",
 )

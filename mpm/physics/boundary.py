@@ -2,12 +2,13 @@
 
 A node on or beyond a wall that moves into it by v_n loses v_n, and of its tangential velocity at most mu v_n
 (Bardenhagen et al. 2000, eq. 18): an impulse balance, so no step size appears in it. It is the contact of
-`mpm.physics.contact` where the surface lies on the nodes, at the price of a comparison.
+`mpm.physics.contact` where the surface lies on the nodes, at the price of a comparison. Where a solid covers a wall,
+under a terrain or behind a lining, there is no wall: its nodes are the solid's (`mpm.solids.obstacles`).
 """
 
 import taichi as ti
 
-from mpm.arrays.access import add
+from mpm.arrays.access import add, node_strides
 from mpm.arrays.layout import PADDING, Offset, Setting, Worker
 
 
@@ -58,7 +59,7 @@ def stopping_side(v, node, cells, axis: ti.template(), scene, arrays: ti.templat
         side = 2 * axis
     elif node[axis] >= PADDING + cells[axis] and v[axis] > 0.0:
         side = 2 * axis + 1
-    if side >= 0 and is_wall(side, scene, arrays) == 0:
+    if side >= 0 and (is_wall(side, scene, arrays) == 0 or is_covered(side, node, scene, arrays)):
         side = -1
     return side
 
@@ -78,6 +79,18 @@ def is_wall(side, scene, arrays: ti.template()):
     result = 1
     if ti.static(arrays.features.outflow):
         result = 1 - ((arrays.offsets[scene, Offset.OPEN] >> side) & 1)
+    return result
+
+
+@ti.func
+def is_covered(side, node, scene, arrays: ti.template()):
+    """1 where a solid lies between a node beyond a side of the box and the material, else 0; node: [D]."""
+    result = 0
+    if ti.static(arrays.features.contact):
+        strides, n = node_strides(scene, arrays), arrays.offsets[scene, Offset.GEOMETRY]
+        for k in ti.static(range(arrays.features.dimension)):
+            n += node[k] * strides[k]
+        result = (arrays.covered[n] >> side) & 1
     return result
 
 

@@ -12,9 +12,14 @@ that is continuous in the place of the solid. With d_k the distance of face k, N
 the node to its nearest point, b = `BLEND` and s a smooth step of the depth over `FADE`,
 
     share_k = s(min d) w_k / sum_l w_l,    w_k = (n_k . N_k)_+ (1 - (d_k - min d) / b)_+^2
+
+**Covered walls.** A floor under a terrain takes no part, nor a wall behind a lining. A node at or beyond a side of the
+box has no wall where the side lies in a solid, at the node and a cell around it, as far as its material reaches:
+beside a solid that stands on the floor the floor remains.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,7 +27,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, minimum_filter
 
 from datasets.geometry.nearest import Search, feet, nearest
 from datasets.geometry.surface import Surface, surface_of
@@ -30,6 +35,7 @@ from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import CONTACT_WIDTH, search_distance
+from mpm.solids.face_lookup import SKIN
 
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
@@ -59,6 +65,8 @@ class Obstacles:
     """Where those of each node begin in `holds`, shape [C + 1]."""
     holds: Array
     """Of each hold its face, the friction there [-] and its share [-], shape [K, 3]."""
+    covered: Array
+    """Of each node the sides of the box that a solid covers, bit k for side k of x-, x+, y-, ..., shape [C + 1]."""
 
 
 def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers, Integers]:
@@ -77,6 +85,7 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers, Integers
         lists["cell_distance"].append(part.cell_distance)
         lists["node_holds"].append(part.node_holds + hold)
         lists["holds"].append(part.holds + np.array([face, 0.0, 0.0]))
+        lists["covered"].append(part.covered)
     together = Obstacles(**{name: np.concatenate(each) for name, each in lists.items()})
     return together, np.array([cell for cell, *_ in firsts]), np.array([face for _, face, *_ in firsts])
 
@@ -96,6 +105,7 @@ def obstacles_in(scene: Scene) -> Obstacles:
             cell_distance=np.zeros(len(none)),
             node_holds=none,
             holds=np.zeros((0, 3)),
+            covered=none,
         )
     return obstacles_with(surface, scene.domain, 1.0 + search_distance(scene) / scene.domain.cell)
 
@@ -117,7 +127,28 @@ def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles
         cell_distance=np.append((cutoff + beyond) * domain.cell, 0.0),
         node_holds=node_holds,
         holds=holds,
+        covered=np.append(covered_sides(domain, surface, np.diff(cell_faces) > 0, cutoff=cutoff), np.int32(0)),
     )
+
+
+def covered_sides(domain: Domain, surface: Surface, near: NDArray[np.bool_], *, cutoff: float) -> NDArray[np.int32]:
+    """Of each node the sides of the box that a solid covers, as bits; near: nodes up to `cutoff` cells from one."""
+    shape, cell = node_shape(domain), domain.cell
+    near = near.reshape(shape)
+    covered = np.zeros(shape, np.int32)
+    for axis, side in itertools.product(range(len(shape)), (0, 1)):
+        row = shape[axis] - 1 - PADDING if side else PADDING
+        numbers = np.moveaxis(np.arange(near.size).reshape(shape), axis, 0)[row]
+        listed = np.moveaxis(near, axis, 0)[row]
+        places = node_positions(domain, numbers[listed])
+        places[:, axis] += (2 * side - 1) * SKIN * cell
+        inside = np.zeros(numbers.shape, bool)
+        inside[listed] = nearest(surface, places, cutoff * cell).distance < -0.5 * SKIN * cell
+        # What is not listed is far from a surface, beside a place inside deep in the solid.
+        whole = inside & minimum_filter(inside | ~listed, 3, mode="nearest")
+        beyond = np.moveaxis(covered, axis, 0)[row:] if side else np.moveaxis(covered, axis, 0)[: row + 1]
+        beyond |= whole.astype(np.int32) << (2 * axis + side)
+    return covered.ravel()
 
 
 def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float) -> tuple[NDArray[np.int32], Floats]:

@@ -12,10 +12,11 @@ from datasets.geometry.nearest import nearest
 from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.trajectory import Trajectory
-from mpm import LAST, WITH_FIELDS, runtime, simulate
+from mpm import LAST, WITH_FIELDS, runtime, simulate, simulate_many
 from mpm.arrays.batch import Batch
-from mpm.arrays.layout import Contact
+from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.kernel import Phase, kernel
+from mpm.solids.obstacles import obstacles_in
 from tests.datasets.geometry.solids import surface
 from tests.scenes import scene_of
 from validation.bench.stability.exact_solutions import settlement, total_energy
@@ -44,6 +45,48 @@ def layer(offset: float, *, dimension: int = 2, terrain: bool = False, **changes
     } | changes
     body = Mass(lower=(0.0, top, *(0.0 for _ in deep)), size=(width, DEPTH, *deep))
     return sand(body, **settings)
+
+
+def slide(height: float, **changes: Any) -> Scene:
+    """A block that slides on rough ground at `height` [cells], in a box whose floor and walls are smooth."""
+    top, dimension = height * CELL, 3 if "heights" in changes else 2
+    deep = (0.12,) * (dimension - 2)
+    points: dict[str, Any] = {"points": ((0.0, top), (1.0, top))}
+    if dimension == 3:
+        points = {"heights": ((top, top),) * 2, "origin": (0.0, 0.0), "spacing": (1.0, 0.12)}
+    ground = Solid(kind="terrain", friction=0.4, **points)
+    if "box" in changes:
+        ground = Solid(lower=(0.0, 0.0), size=(1.0, top), friction=0.4)
+    body = Mass(
+        lower=(0.1, top, *(0.0 for _ in deep)), size=(0.2, 0.1, *deep), velocity=(1.0, *(0.0,) * (dimension - 1))
+    )
+    return sand(body, size=(1.0, 0.3, *deep), solids=(ground,), duration=0.3)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"box": True}, pytest.param({"heights": True}, marks=pytest.mark.slow)],
+    ids=["line", "box", "raster"],
+)
+def test_under_ground_there_is_no_floor(changes: dict[str, Any]) -> None:
+    """Ground on the floor brakes a slide like the same ground cells higher, though the floor itself is smooth."""
+    heights = (1.0, 3.0) if "box" in changes else (0.0, 1.0, 3.0)
+    flows = simulate_many([slide(height, **changes) for height in heights], record=LAST)
+    moved = [float((flow.positions[-1] - flow.positions[0])[:, 0].mean(dtype=np.float64)) for flow in flows]
+    assert moved == pytest.approx([moved[-1]] * len(moved), rel=0.01)
+
+
+def test_only_a_covered_wall_takes_no_part() -> None:
+    """Beside a box the floor remains, on and around its rim; behind a lining of a side there is no wall."""
+    box = Solid(lower=(0.2, 0.0), size=(0.2, 0.02))
+    lining = Solid(lower=(0.98, 0.0), size=(0.02, 0.3))
+    scene = sand(Mass(lower=(0.5, 0.0), size=(0.1, 0.1)), size=(1.0, 0.3), solids=(box, lining))
+    sides = obstacles_in(scene).covered[:-1].reshape(node_shape(scene.domain))[PADDING:-PADDING, PADDING:-PADDING]
+    floor = np.flatnonzero(sides[:, 0] & 4)
+    assert floor.tolist() == [*range(12, 19)]
+    assert (sides[-1] & 2 == 2).all()
+    assert not (sides[:-1] & 2).any()
+    assert not (sides & (1 | 8)).any()
 
 
 @pytest.mark.parametrize(
@@ -157,7 +200,7 @@ def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
 def test_rough_surfaces_hold_what_touches_them() -> None:
     """A block on a rough floor stands at 40 degrees; a rough baffle has no slip; other words are refused."""
     strong = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, young=1.0e7)
-    body = Mass(lower=(0.1, 0.0), size=(0.2, 0.1))
+    body = Mass(lower=(0.1, 0.0), size=(0.2, 0.02))
     scene = sand(body, size=(0.6, 0.4), material=strong, slope_deg=40.0, floor_friction="rough", duration=0.2)
     moved = [
         float((flow.positions[-1] - flow.positions[0])[:, 0].mean())
