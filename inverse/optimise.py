@@ -108,10 +108,23 @@ class Inversion:
         )
 
     @cached_property
-    def answers(self) -> list[Part]:
-        """The separate parts of its 95 % region."""
+    def regions(self) -> list[Part]:
+        """The separate parts of its 95 % region, each with its median."""
         rng = np.random.default_rng([self.problem.optimiser.seed, 1])
         return parts(self.posterior.samples, self.posterior.likelihood, rng)
+
+    @cached_property
+    def answers(self) -> list[Part]:
+        """The same, each with its minimum of L: where runs of the MPM are led to."""
+        answers = []
+        for part in self.regions:
+            low, high = part.points.min(axis=0), part.points.max(axis=0)
+            # No sample lies at a bound.
+            slack = 0.05 * (high - low)
+            own = self.minima[np.all((self.minima >= low - slack) & (self.minima <= high + slack), axis=1)]
+            point = own[int(np.argmin(self.misfits(own) + self.penalty(own)))] if len(own) else part.point
+            answers.append(dataclasses.replace(part, point=point))
+        return answers
 
     def asked(self, points: Matrix) -> "Inversion":
         """With predictions at further points [k, U]."""

@@ -171,7 +171,9 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     does not fall steadily; half the cells cost sixteen runs in 3D. None where the numbers are those of single
     particles, and where the box does not divide into such cells.
     """
-    scene = task.problem.scene_at(answer.parameters)
+    # Where the checks are: the difference is of the cells alone.
+    location = answer.checks[0].parameters
+    scene = task.problem.scene_at(location)
     if task.target.cell == scene.domain.cell:
         return ()
     try:
@@ -179,7 +181,7 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
         scenes = [replace(scene, seed=each.trajectory.scene.seed) for each in answer.checks]
     except InputError:
         return ()
-    return task.compared([answer.parameters] * len(scenes), scenes, Purpose.CELLS)
+    return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
 
 
 def is_excluded(state: Search) -> bool:
