@@ -163,16 +163,21 @@ def test_scale_and_offset_of_a_raster_are_applied(tmp_path: Path) -> None:
     np.testing.assert_allclose(ground(found, [(1.0, 0.3, 0.5)]), 0.1, atol=1e-6)
 
 
-@pytest.mark.parametrize(("crs", "same"), [("EPSG:32632", True), ("EPSG:25832", True), ("EPSG:31287", False)])
-def test_reference_systems_of_one_scene(tmp_path: Path, crs: str, same: bool) -> None:
+@pytest.mark.parametrize(
+    ("crs", "east", "same"),
+    [("EPSG:32632", 5e5, True), ("EPSG:25832", 5e5, True), (None, 5e5, True), ("EPSG:31287", 4e5, False)],
+)
+def test_reference_systems_of_one_scene(tmp_path: Path, crs: str | None, east: float, same: bool) -> None:
     """UTM of ETRS89 and of WGS 84 lie on each other, Austria's Lambert does not."""
+    place = Affine(0.1, 0.0, east, 0.0, -0.1, 10.0 * east + 1.0 if same else east)
     write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:32632")
-    write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), crs)
+    write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), crs, transform=place)
     text = SPACE + TERRAIN + 'file = "dem.tif"\n' + '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
     if same:
         assert mass_volumes(scene(tmp_path, text))[0] == pytest.approx(0.012, rel=1e-9)
     else:
-        refused(scene, tmp_path, text, said="masses[0].thickness: expected the reference system")
+        found = refused(scene, tmp_path, text, said="expected the reference system of the scene's other raster")
+        assert found.key == "masses[0].thickness"
 
 
 @pytest.mark.parametrize("name", ["ball.stl", "ball.obj", "ball.msh"])
@@ -230,10 +235,10 @@ def test_vertices_that_all_but_meet_are_one(tmp_path: Path, apart: float) -> Non
 @pytest.mark.parametrize(
     ("second", "volume", "said"),
     [
-        (CUBE + [0.5, 0.0, 0.0], 1.5, True),
-        (CUBE + [1.0, 0.0, 0.0], 2.0, False),
-        (CUBE + [1.0, 1.0, 0.0], 2.0, False),
-        (CUBE + [3.0, 0.0, 0.0], 2.0, False),
+        (CUBE + np.array([0.5, 0.0, 0.0]), 1.5, True),
+        (CUBE + np.array([1.0, 0.0, 0.0]), 2.0, False),
+        (CUBE + np.array([1.0, 1.0, 0.0]), 2.0, False),
+        (CUBE + np.array([3.0, 0.0, 0.0]), 2.0, False),
         (0.5 * CUBE + 0.25, 1.0, True),
         ((0.5 * CUBE + 0.25)[[3, 2, 1, 0, 7, 6, 5, 4]], 0.875, False),
     ],
