@@ -18,6 +18,8 @@ MOST_FRAMES = 10_000_000
 MOST_PER_AXIS = 1000
 MOST_BODIES = 4096
 """Masses, baffles and solids: each pair of them is compared."""
+LOST = 1.0e-6
+"""Share of a layer that rounding may put beyond a side of the box."""
 SMALL_ANGLE = 3.0
 """Angle of friction [deg] below which no sand is: one in radians is."""
 SOFTEST = 10.0
@@ -202,10 +204,13 @@ def check_fields(scene: Scene) -> None:
         for name in ("origin", "spacing", "nodes"):
             count = len(getattr(field, name))
             require(count == dimension, f"{key}.{name}", f"{dimension} numbers", count)
+        check_vector(field.origin, f"{key}.origin", dimension)
+        check_vector(field.spacing, f"{key}.spacing", dimension)
         require(min(field.spacing) > 0.0, f"{key}.spacing", "positive lengths in m", list(field.spacing))
         require(min(field.nodes) > 0, f"{key}.nodes", "at least one along each axis", list(field.nodes))
         count = field.count
         require(len(field.values) == count, f"{key}.values", f"{count} numbers, one for each node", len(field.values))
+        require(all(map(usual, field.values)), f"{key}.values", "finite numbers", "others")
         masses = range(len(scene.masses))
         require(field.mass is None or field.mass in masses, f"{key}.mass", f"one of 0 to {masses[-1]}", field.mass)
         others = [each for each in scene.fields[:index] if each.quantity == field.quantity]
@@ -226,7 +231,17 @@ def check_fields(scene: Scene) -> None:
 
 
 def warn_if_unlikely(scene: Scene) -> None:
-    """One UserWarning for each number that looks like another unit's: an angle in radians, MPa, grains in mm."""
+    """One UserWarning for each number that looks like another unit's (radians, MPa, mm) and layer that the box cuts."""
+    layers = {key: mass for key, mass in keyed(scene, "masses").items() if mass.kind == "layer"}
+    if layers:
+        from datasets.geometry.bodies import Plan
+
+        for key, mass in layers.items():
+            lost = Plan(mass, scene.domain, key).lost
+            if lost > LOST:
+                warnings.warn(
+                    f"{key}: {lost:.2g} of the layer lies beyond the sides of the box and is left out", stacklevel=3
+                )
     own = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
     for key, material in {"material": scene.material, **own}.items():
         lines = []

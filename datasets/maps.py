@@ -33,7 +33,7 @@ from datasets.field import Floats, Grid
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.geometry.placement import tops_beneath
 from datasets.geometry.surface import surface_of
-from datasets.scene import Scene
+from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory, open_trajectory, trajectory_file
 
 KINDS = {
@@ -88,14 +88,15 @@ class PlanMaps:
 def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = None, progress: bool = False) -> PlanMaps:
     """The maps of `trajectory` over square cells of this edge [m]; the last may go beyond the box.
 
-    threshold: [m], above which a cell counts as covered; a particle's spacing at the start where absent, for thinner
-    layers the simulation does not resolve. Raises InputError for one that is not positive, for a flow in 2D, and for
+    threshold: [m], above which a cell counts as covered; where absent a particle's spacing at the start, at most half
+    the least thickness that was released. Raises InputError for one that is not positive, for a flow in 2D, and for
     cells that are finer than the particles, or longer than a side of the box. They lie where the first raster of the
     scene's terrain that knows says.
     """
     scene, meshes, volumes = trajectory.scene, Meshes(trajectory), trajectory.volumes
     if threshold is None:
-        threshold = float(np.mean(volumes) ** (1.0 / scene.dimension))
+        spacing = float(np.mean(volumes) ** (1.0 / scene.dimension))
+        threshold = min(spacing, 0.5 * min(least_thickness(mass) for mass in scene.masses))
     require(threshold > 0.0, "--threshold", "a thickness above 0 m", f"{threshold:g}")
     if scene.dimension == 2:
         raise InputError("expected a trajectory in 3D, a flow in 2D has no plan")
@@ -133,6 +134,14 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
         corner=corner,
         crs=crs,
     )
+
+
+def least_thickness(mass: Mass) -> float:
+    """Of a layer where it is thinnest, of another body its height [m]."""
+    if mass.kind != "layer":
+        return mass.size[1]
+    given = np.array(mass.thickness)
+    return float(given[given > 0.0].min())
 
 
 def ground(scene: Scene, grid: Grid) -> Floats:
@@ -281,7 +290,8 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
     cell
         Edge of a cell of the maps [m]; that of the scene's grid unless given.
     threshold
-        Thickness [m] above which the ground counts as covered; the spacing of the particles unless given.
+        Thickness [m] above which the ground counts as covered; unless given the spacing of the particles, at most half
+        the least thickness released.
     """
     flow = open_trajectory(trajectory_file(trajectory), "velocities")
     make_folder(out)
@@ -290,6 +300,13 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
     extent = "" if said["extent"] is None else f", extent x = {said['extent']:.4g} m"
     deposit = f"volume {maps.volume:.4g}, largest thickness {said['thickness_max']:.3g} m{extent}"
     print(f"t = {said['time']:g} s: {deposit}, written to {out}")
+    if maps.left > 0.0 and maps.volume == 0.0:
+        print("no map of the deposit: all of it left the box")
+    elif said["extent"] is None:
+        print(
+            f"no outline of the deposit: no cell of {maps.cell:g} m"
+            f" is thicker than the threshold of {maps.threshold:g} m"
+        )
 
 
 if __name__ == "__main__":

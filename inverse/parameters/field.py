@@ -35,6 +35,8 @@ from scipy.special import expit, logit
 
 from datasets.errors import require
 from datasets.field import FRICTION, VELOCITIES, Field, Floats, Grid
+from datasets.geometry.shapes import FARTHEST, usual
+from datasets.memory import require as require_memory
 from datasets.particles import initial_particles
 from datasets.scene import Scene
 from inverse.parameters import Parameter
@@ -53,6 +55,10 @@ WIDEST = 100.0
 """Deviation of u with which every band is as wide as its bounds."""
 COLUMNS = 256
 """Right-hand neighbours that are solved for at a time."""
+LEAST = 1.0e-6
+"""Least standard deviation of a field, in its unit."""
+BYTES = 24
+"""Of each node and right-hand neighbour: it, its solution and their squares."""
 UNITS = {FRICTION: "deg"} | dict.fromkeys(VELOCITIES, "m/s")
 LABELS = {FRICTION: "friction"} | {name: f"velocity along {name[-1]}" for name in VELOCITIES}
 
@@ -68,7 +74,9 @@ class UnknownField:
         upper = np.max([np.add(mass.lower, mass.size) for mass in masses], axis=0)
         extent, step = upper - lower, np.array(spacing)
         flat = step > extent * (1.0 + 1e-6)
-        cells = np.where(flat, 0, np.ceil(extent / step - 1e-6)).astype(int)
+        counts = np.where(flat, 0.0, np.ceil(extent / step - 1e-6))
+        check_size("spacing", counts + 1.0)
+        cells = counts.astype(int)
         self.grid = Grid(
             tuple((lower + np.where(flat, 0.5 * extent, 0.0)).tolist()),
             tuple(np.where(flat, step, extent / np.maximum(cells, 1)).tolist()),
@@ -77,10 +85,15 @@ class UnknownField:
         for length, between, count in zip(lengths, self.grid.spacing, self.grid.nodes, strict=True):
             fine = count == 1 or length >= NODES_PER_LENGTH * between * (1.0 - 1e-9)
             require(fine, "length", f"at least {NODES_PER_LENGTH:g} times the spacing of {between:.3g} m", length)
+        nodes, steps = np.array(self.grid.nodes), np.array(self.grid.spacing)
+        check_size("length", nodes + 2.0 * np.where(nodes == 1, 0.0, np.ceil(np.array(lengths) / steps)))
         self.offset, low, high = self.mean, settings.lower, settings.upper
         if low is not None and high is not None:
             self.offset = float(logit((self.mean - low) / (high - low)))
             stated = deviation
+            ends = [self.deviation(np.zeros(1), width)[0] for width in (1e-9, WIDEST)]
+            # Close beside a bound rounding leaves no band.
+            require(ends[0] < stated < ends[1], "deviation", f"one from {ends[0]:.3g} to {ends[1]:.3g}", stated)
             deviation = brentq(lambda width: self.deviation(np.zeros(1), width)[0] - stated, 1e-9, WIDEST)
         self.prior = Prior(self.grid, deviation, lengths)
         particles = initial_particles(scene)
@@ -152,9 +165,11 @@ def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple
     require(settings.mass is None or settings.mass in masses, "name", f"a mass of 0 to {masses[-1]}", settings.mass)
     lengths = length if isinstance(length, tuple) else (cast("float", length),) * scene.dimension
     for key, values in (("spacing", spacing), ("length", lengths)):
-        positive = len(values) == scene.dimension and min(values) > 0.0
-        require(positive, key, f"{scene.dimension} positive lengths in m", list(values))
-    require(deviation > 0.0, "deviation", "a positive standard deviation", deviation)
+        positive = len(values) == scene.dimension and all(0.0 < value <= FARTHEST for value in values)
+        require(positive, key, f"{scene.dimension} positive lengths in m, up to {FARTHEST:g}", list(values))
+    least = f"a standard deviation from {LEAST:g} to {FARTHEST:g}"
+    require(LEAST <= deviation <= FARTHEST, "deviation", least, deviation)
+    require(usual(mean), "mean", "a finite value", mean)
     low, high = settings.lower, settings.upper
     require((low is None) == (high is None), "upper" if high is None else "lower", "both bounds or none", "one")
     if settings.quantity == FRICTION:
@@ -165,6 +180,12 @@ def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple
         require(deviation < most, "deviation", message, deviation)
         require(low < mean < high, "mean", f"a value between the bounds {low:g} and {high:g}", mean)
     return spacing, lengths, mean, deviation
+
+
+def check_size(key: str, nodes: Floats) -> None:
+    """Raise InputError where a field with so many nodes along each axis, those beyond it included, fits no memory."""
+    count = float(np.prod(nodes))
+    require_memory(BYTES * COLUMNS * count, "an unknown field", f"{count:.3g} nodes are too many", key=key)
 
 
 class Prior:

@@ -150,6 +150,26 @@ def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path) -> None:
     assert shape(deposit["geometry"]).bounds == pytest.approx(corners, abs=1.0)
 
 
+@pytest.mark.parametrize(("thickness", "threshold"), [(0.02, 0.01), (((0.1, 0.02), (0.0, 0.1)), 0.01), (0.2, 0.025)])
+def test_the_threshold_is_at_most_half_of_the_thinnest_layer(thickness: object, threshold: float) -> None:
+    """A layer of less than a spacing of particles has maps; beside it stands a thick mass."""
+    extra = {"origin": (0.4, 0.2), "spacing": (0.2, 0.2)} if isinstance(thickness, tuple) else {}
+    layer = Mass(kind="layer", thickness=thickness, outline=((0.3, 0.1), (0.7, 0.1), (0.7, 0.5), (0.3, 0.5)), **extra)  # type: ignore[arg-type]
+    scene = scenes.scene_of(
+        layer, Mass(lower=(0.8, 0.0, 0.1), size=(0.1, 0.3, 0.1)), size=(1.0, 0.5, 0.6), cell=0.05, jitter=0.0
+    )
+    maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
+    assert maps.threshold == pytest.approx(threshold, rel=0.02)
+    assert outline(maps, maps.thickness).bounds[0] == pytest.approx(0.3, abs=0.05)
+
+
+def test_an_empty_map_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sliding(scene_of((1.0, 0.6, 0.4), ((0.1, 0.0, 0.0), (0.2, 0.1, 0.2)))).save(tmp_path / "trajectory.npz")
+    arguments = [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path), "--threshold", "0.5"]
+    assert run(command, "maps", arguments) == 0
+    assert "no cell of 0.05 m is thicker than the threshold of 0.5 m" in capsys.readouterr().out
+
+
 def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     box = (1.0, 0.6, 0.4)
     for dimension, flags, words in (

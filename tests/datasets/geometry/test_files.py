@@ -1,6 +1,7 @@
 """Terrain, thickness and meshes from files; one line for what cannot be read."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import meshio
@@ -9,6 +10,9 @@ import pytest
 import rasterio
 from rasterio.transform import Affine
 
+from datasets.checks import warn_if_unlikely
+from datasets.geometry.closed import manifold, outward
+from datasets.geometry.files import read_mesh
 from datasets.geometry.nearest import nearest
 from datasets.library import read_scene
 from datasets.particles import initial_particles, mass_volumes
@@ -90,11 +94,90 @@ def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path) -> None:
     write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), transform=transform)
     layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
     found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + layer)
-    # Between the centres of the raster's cells.
-    assert mass_volumes(found)[0] == pytest.approx(0.3 * 0.2 * 0.1, rel=1e-6)
+    # The raster's cells whole.
+    assert mass_volumes(found)[0] == pytest.approx(0.4 * 0.3 * 0.1, rel=1e-9)
     particles = initial_particles(found).positions
-    np.testing.assert_allclose(particles.min(axis=0), (1.05, 0.2, 0.55), atol=0.025)
-    np.testing.assert_allclose(particles.max(axis=0), (1.35, 0.3, 0.75), atol=0.025)
+    np.testing.assert_allclose(particles.min(axis=0), (1.0, 0.2, 0.5), atol=0.025)
+    np.testing.assert_allclose(particles.max(axis=0), (1.4, 0.3, 0.8), atol=0.025)
+
+
+NONE = -9999.0
+RINGED = np.full((7, 6), NONE)
+RINGED[2:5, 1:4] = 0.2
+VARIED = np.array([[0.1, 0.2, 0.3], [0.4, NONE, 0.2], [0.0, 0.1, 0.3]])
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("values", [np.full((3, 3), 0.2), RINGED, VARIED, np.array([[0.3]])])
+@pytest.mark.parametrize(("edge", "south"), [((0.1, 0.1), 1.0), ((0.2, 0.05), 1.0), ((0.1, 0.1), -1.0)])
+def test_a_release_has_the_volume_of_its_cells(
+    tmp_path: Path, cell: float, values: np.ndarray, edge: tuple[float, float], south: float
+) -> None:
+    """sum h A on any cells of the MPM, with the rows from north to south or the other way; no data is no layer."""
+    top = 5000000.0 + south * edge[1] * len(values)
+    write_raster(tmp_path / "release.tif", values, transform=Affine(edge[0], 0.0, 500000.0, 0.0, -south * edge[1], top))
+    layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\nat = [0.4, 0.2]\n'
+    found = scene(tmp_path, SPACE.replace("cell = 0.05", f"cell = {cell}") + layer)
+    expected = np.maximum(values, 0.0).sum() * edge[0] * edge[1]
+    assert mass_volumes(found)[0] == pytest.approx(expected, rel=1e-9)
+    assert initial_particles(found).volume.sum() == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_layer_that_the_box_cuts_is_said(tmp_path: Path) -> None:
+    write_raster(tmp_path / "release.tif", np.full((2, 4), 0.2))
+    layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\nat = [1.9, 0.2]\n'
+    found = scene(tmp_path, SPACE + layer)
+    assert mass_volumes(found)[0] == pytest.approx(0.1 * 0.2 * 0.2, rel=1e-9)
+    with pytest.warns(UserWarning, match=r"masses\[0\]: 0.75 of the layer lies beyond the sides"):
+        warn_if_unlikely(found)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "hole"),
+    [("float64", -9999.0), ("float64", -99999.0), ("int16", -32768), ("float32", -3.4028235e38), ("float64", 1e20)],
+)
+def test_undeclared_holes_are_no_ground(tmp_path: Path, dtype: str, hole: float) -> None:
+    values = np.ones((10, 20), dtype)
+    values[4, 5] = hole
+    write_raster(tmp_path / "dem.tif", values, nodata=None, dtype=dtype)
+    text = SPACE.replace("[2.0, 1.0, 1.0]", "[2.0, 3.0, 1.0]") + BODY_3D.replace("0.8,", "2.0,") + TERRAIN
+    with pytest.warns(UserWarning, match="dem.tif: 1 values such as .* taken as no data"):
+        refused(scene, tmp_path, text + 'file = "dem.tif"\n', said="without holes in the box, got 1 cells without data")
+
+
+def test_only_holes_that_the_box_needs_are_holes(tmp_path: Path) -> None:
+    """A ring of no data around the box, and a hole some cells of the box beyond it."""
+    values = np.full((14, 26), 0.2)
+    values[[0, 1, -2, -1]] = values[:, [0, 1, 2, -1]] = NONE
+    values[5, 24] = NONE
+    write_raster(tmp_path / "dem.tif", values)
+    found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\nat = [-0.3, -0.2]\n')
+    np.testing.assert_allclose(ground(found, [(0.01, 0.3, 0.5), (1.0, 0.3, 0.01), (1.99, 0.3, 0.99)]), 0.1, atol=1e-6)
+
+
+def test_scale_and_offset_of_a_raster_are_applied(tmp_path: Path) -> None:
+    write_raster(tmp_path / "dem.tif", np.full((10, 20), 1000, np.int16), dtype="int16", nodata=-32768)
+    with rasterio.open(tmp_path / "dem.tif", "r+") as file:
+        file.scales, file.offsets = (0.01,), (-9.8,)
+    found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\n')
+    np.testing.assert_allclose(ground(found, [(1.0, 0.3, 0.5)]), 0.1, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("crs", "east", "same"),
+    [("EPSG:32632", 5e5, True), ("EPSG:25832", 5e5, True), (None, 5e5, True), ("EPSG:31287", 4e5, False)],
+)
+def test_reference_systems_of_one_scene(tmp_path: Path, crs: str | None, east: float, same: bool) -> None:
+    """UTM of ETRS89 and of WGS 84 lie on each other, Austria's Lambert does not."""
+    place = Affine(0.1, 0.0, east, 0.0, -0.1, 10.0 * east + 1.0 if same else east)
+    write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:32632")
+    write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), crs, transform=place)
+    text = SPACE + TERRAIN + 'file = "dem.tif"\n' + '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
+    if same:
+        assert mass_volumes(scene(tmp_path, text))[0] == pytest.approx(0.012, rel=1e-9)
+    else:
+        found = refused(scene, tmp_path, text, said="expected the reference system of the scene's other raster")
+        assert found.key == "masses[0].thickness"
 
 
 @pytest.mark.parametrize("name", ["ball.stl", "ball.obj", "ball.msh"])
@@ -111,6 +194,62 @@ def test_a_mesh(tmp_path: Path, name: str) -> None:
     assert mass_volumes(body)[0] == pytest.approx(4.0 / 3.0 * np.pi * 0.2**3, rel=0.03)
 
 
+QUADS = ((1, 2, 3, 4), (5, 8, 7, 6), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 8, 4), (4, 8, 5, 1))
+"""Of a cube, outwards."""
+CUBE = np.array([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1), (0, 1, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1)], float)
+
+
+def volume_of(path: Path) -> float:
+    """Volume of the mesh in a file."""
+    vertices, triangles = outward(*read_mesh(path), "")
+    return float(manifold(vertices, triangles).volume())
+
+
+@pytest.mark.parametrize("corner", ["{0}", "{0}//1", "{0}/1", "{0}/1/1"])
+def test_an_obj_with_normals_and_texture(tmp_path: Path, corner: str) -> None:
+    lines = ["mtllib cube.mtl", "o cube", *(f"v {x} {y} {z}" for x, y, z in 2.0 * CUBE), "vn 0 1 0", "vt 0 0", "s off"]
+    lines += ["f " + " ".join(corner.format(number) for number in quad) for quad in QUADS]
+    (tmp_path / "cube.obj").write_text("\n".join(lines) + "\n")
+    assert volume_of(tmp_path / "cube.obj") == pytest.approx(8.0, rel=1e-6)
+
+
+def stl(*corners: np.ndarray, apart: float = 0.0) -> str:
+    """Cubes whose triangles have vertices of their own, up to `apart` from each other."""
+    random, lines = np.random.default_rng(0), ["solid"]
+    for places in corners:
+        for a, b, c, d in np.array(QUADS) - 1:
+            for triangle in ((a, b, c), (a, c, d)):
+                lines += ["facet normal 0 0 0", "outer loop"]
+                for place in places[list(triangle)] + apart * random.uniform(-0.5, 0.5, (3, 3)):
+                    lines.append("vertex {:.9f} {:.9f} {:.9f}".format(*place))
+                lines += ["endloop", "endfacet"]
+    return "\n".join([*lines, "endsolid", ""])
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-8, 1e-6])
+def test_vertices_that_all_but_meet_are_one(tmp_path: Path, apart: float) -> None:
+    (tmp_path / "cube.stl").write_text(stl(CUBE, apart=apart))
+    assert volume_of(tmp_path / "cube.stl") == pytest.approx(1.0, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("second", "volume", "said"),
+    [
+        (CUBE + np.array([0.5, 0.0, 0.0]), 1.5, True),
+        (CUBE + np.array([1.0, 0.0, 0.0]), 2.0, False),
+        (CUBE + np.array([1.0, 1.0, 0.0]), 2.0, False),
+        (CUBE + np.array([3.0, 0.0, 0.0]), 2.0, False),
+        (0.5 * CUBE + 0.25, 1.0, True),
+        ((0.5 * CUBE + 0.25)[[3, 2, 1, 0, 7, 6, 5, 4]], 0.875, False),
+    ],
+    ids=["half over each other", "touching", "at an edge", "apart", "one in the other", "a cavity"],
+)
+def test_what_shells_of_a_mesh_share_counts_once(tmp_path: Path, second: np.ndarray, volume: float, said: bool) -> None:
+    (tmp_path / "blocks.stl").write_text(stl(CUBE, second))
+    with pytest.warns(UserWarning, match="shells of the mesh are united") if said else nullcontext():
+        assert volume_of(tmp_path / "blocks.stl") == pytest.approx(volume, rel=1e-6)
+
+
 def holes(path: Path) -> None:
     values = tilted()
     values[2, 3] = values[4, 5] = -9999.0
@@ -120,6 +259,7 @@ def holes(path: Path) -> None:
 CASES: list[tuple[str, Callable[[Path], object], str]] = [
     ("dem.asc", holes, "expected a raster without holes in the box, got 2 cells without data"),
     ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
+    ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:3857"), "metres are metres on the ground"),
     ("dem.tif", lambda path: write_raster(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
     ("dem.asc", lambda path: None, "there is none"),
     ("dem.asc", lambda path: path.write_text("a,b\n1,2\n"), "expected a readable raster"),

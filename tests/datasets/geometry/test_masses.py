@@ -97,7 +97,8 @@ def test_a_layer_on_a_height_field(outline: tuple[tuple[float, float], ...] | No
         assert mass_volumes(scene)[0] == pytest.approx(volume, rel=1e-9)
         assert particles.volume.sum() == pytest.approx(volume, rel=1e-9)
         assert above.min() > 0.0
-        assert (above < (0.1 if extra == {} else 0.1 + 0.1 * x)).all()
+        # A thickness is that of the cell of 0.2 m around its place.
+        assert (above < (0.1 if extra == {} else 0.1 + 0.02 * np.rint(x / 0.2))).all()
         if outline is not None:
             assert shapely.contains_xy(shapely.Polygon(outline), x, z).all()
 
@@ -105,12 +106,14 @@ def test_a_layer_on_a_height_field(outline: tuple[tuple[float, float], ...] | No
 BOX, BALL = Mass(lower=(0.1, 0.3), size=(0.3, 0.3)), ball((1.0, 0.5, 0.5), 0.2)
 OPEN = dataclasses.replace(BALL, triangles=(BALL.triangles or ())[1:])
 SWAPPED = dataclasses.replace(BALL, triangles=((BALL.triangles or ())[0][::-1], *(BALL.triangles or ())[1:]))
+LAYER_BESIDE = Mass(kind="layer", thickness=((0.1,),), origin=(3.0, 0.5), spacing=(0.5, 0.5))
 THIN = Solid(lower=(1.4, 0.3), size=(0.001, 0.1), turned_deg=10.0)
 REFUSED: list[tuple[int, list[Mass], list[Solid], str]] = [
     (2, [polygon((0.1, 0.1), (0.5, 0.5), (0.5, 0.1), (0.1, 0.5))], [], "masses[0].vertices: expected a polygon that"),
     (2, [polygon((0.1, 0.1), (2.5, 0.1), (0.5, 0.5))], [], "masses[0]: expected a box inside the domain"),
     (2, [Mass(kind="layer", thickness=-1.0)], [], "masses[0].thickness: expected thicknesses in m of at least 0"),
     (2, [Mass(lower=(0.1, 0.1))], [], "masses[0].size: expected a value, the key is missing"),
+    (3, [BALL, LAYER_BESIDE], [], "masses[1]: expected a layer that lies in the box"),
     (3, [OPEN], [], "masses[0].triangles: expected a closed surface, got one with 3 open edges"),
     (3, [SWAPPED], [], "masses[0].triangles: expected a closed surface whose triangles all face the same way"),
     (2, [BOX], [SLOPE], "masses[0]: expected a body clear of solids[0]"),
