@@ -20,7 +20,7 @@ import taichi as ti
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import add, no_overflow
 from mpm.arrays.layout import PADDING, Setting
-from mpm.physics.transfer import held_affine, in_spray, lowest_node, node_sums, node_vector, three_vectors, zero_node
+from mpm.physics.transfer import beyond_spray, held_affine, lowest_node, node_sums, node_vector, three_vectors, zero_node
 
 
 @ti.func
@@ -154,7 +154,7 @@ def affine_reverse(scene, block, scratch, per_dx, kappa, arrays: ti.template()):
         slopes = [(4.0 * per_dx * per_dx) * arrays.scratch[n] for n in ti.static(at)]
         changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.change] for n in ti.static(at)]
         affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
-        constants = ti.static((in_spray(scene, block, arrays), size))
+        constants = ti.static((beyond_spray(scene, block, arrays), size))
         held = ti.static([Pullback(held_affine, ((slopes, changes), affine, kappa), constants)])[0]
         moved_bar, affine_bar, kappa_bar = ti.static(held(bar))
         return moved_bar[0], moved_bar[1], affine_bar, kappa_bar

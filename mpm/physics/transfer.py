@@ -370,28 +370,28 @@ def hold_affine(scene, block, scratch, kappa, arrays: ti.template()):
     slopes = [arrays.scratch[scratch + features.gradient + k] for k in ti.static(range(count))]
     changes = [arrays.scratch[scratch + features.changes + k] for k in ti.static(range(count))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(count))]
-    held = held_affine((slopes, changes), affine, kappa, in_spray(scene, block, arrays), features.dimension)
+    beyond = beyond_spray(scene, block, arrays)
+    held = held_affine((slopes, changes), affine, kappa, beyond, features.dimension)
     for k in ti.static(range(count)):
         arrays.state[first + features.affine + k] = held[k]
 
 
 @ti.func
-def in_spray(scene, block, arrays: ti.template()):
-    """Which particles of a block have a gap beyond SPRAY, before the step."""
+def beyond_spray(scene, block, arrays: ti.template()):
+    """K e - K SPRAY [Pa] of the particles of a block before the step: positive in a spray."""
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
-    opened = arrays.state[no_overflow(block * arrays.features.block) + arrays.features.gap]
-    return opened > SPRAY * (lame + shear * (2.0 / 3.0))
+    return arrays.state[block * arrays.features.block + arrays.features.gap] - SPRAY * (lame + shear * (2.0 / 3.0))
 
 
 @ti.func
-def held_affine(moved: ti.template(), affine: ti.template(), kappa, spray, size: ti.template()):
-    """C [1/s] from `moved`, the slopes of the grid's velocity and of its change, C before, and whether in a spray."""
+def held_affine(moved: ti.template(), affine: ti.template(), kappa, beyond, size: ti.template()):
+    """C [1/s] from `moved`, slopes of the grid's velocity and its change, C before and what `beyond_spray` gives."""
     slopes, changes = moved
-    before_squared, now_squared = 0.0 * slopes[0], 0.0 * slopes[0]
+    before_squared, now_squared = 0.0 * beyond, 0.0 * beyond
     for k in ti.static(range(size**2)):
         old, new = kappa * affine[k], slopes[k] - changes[k]
         before_squared, now_squared = before_squared + old * old, now_squared + new * new
-    held = spray & (now_squared > before_squared)
+    held = (beyond > 0.0) & (now_squared > before_squared)
     excess = ti.select(held, 1.0 - ti.sqrt(before_squared / ti.select(held, now_squared, 1.0)), 0.0)
     return [slopes[k] - excess * (slopes[k] - changes[k]) for k in ti.static(range(size**2))]
 

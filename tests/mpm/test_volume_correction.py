@@ -48,7 +48,7 @@ def test_the_floor_is_met_where_it_is(offset: float) -> None:
 def test_sand_that_falls_over_a_step_fills_its_own_volume(height: float) -> None:
     """Area under the top particles of columns of a cell beyond the step, over the particles' own; 1.37 and 2.4 without.
 
-    Grains that still fall are left out: the higher heap pours on for four seconds.
+    Grains that still fall are left out: over the higher step sand pours for four seconds.
     """
     step = Solid(kind="box", lower=(0.0, 0.0), size=(0.5, height), friction=0.4)
     scene = scene_of(

@@ -139,6 +139,6 @@ def test_bodies_on_and_above_solids(gap: float) -> None:
     on_box = Mass(lower=(1.7, 0.4 + gap), size=(0.1, 0.1))
     scene = scene_of(flat, along, on_box, solids=(SLOPE, box))
     np.testing.assert_allclose(heights_above_ground(scene), gap, atol=0.0125)
-    assert remembers_gaps(scene) == (gap > 0.05)
+    assert remembers_gaps(scene)
     deep = scene_of(Mass(lower=(0.4, 0.3 + gap, 0.0), size=(0.2, 0.1, 0.2)), solids=(VALLEY,), dimension=3)
     np.testing.assert_allclose(heights_above_ground(deep), gap, atol=1e-6)
