@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from datasets.errors import InputError
-from inverse.found import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
+from inverse.found import IDENTIFIABLE, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
 from inverse.posterior.answers import Part, half_widths
@@ -53,8 +53,9 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
         beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
         state, found = checked(state.inferred(cells=cells, discretisation=change, extrapolated=beyond), moves=moves)
     factor = 1.0 if found[0].fit is None else found[0].fit.factor
-    if factor > 1.0:
-        state, found = checked(state.inferred(factor=factor), again=False, moves=min(1, moves))
+    if factor > 1.0 and not excluded:
+        state = state.inferred(factor=factor)
+        found = answers_of(state, state.parts())
     return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
 
 
@@ -77,8 +78,8 @@ def nearer(led: Search, whole: Outcome) -> Outcome:
 def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) -> tuple[Search, tuple[Answer, ...]]:
     """Runs at every answer, and again where an answer moves by what these show, at most `moves` times.
 
-    The answer is the median of the posterior all the same, the checks those nearest to it. again: once more, too, where
-    the MPM does not confirm the first of them.
+    Then an answer is where it was checked: in a long region it would move on. again: once more, too, where the MPM does
+    not confirm the first of them.
     """
     for turn in range(CONSTANTS.rounds):
         found, close = state.parts(), CLOSE if turn < moves else math.inf
@@ -128,17 +129,15 @@ def is_checked(state: Search, part: Part, close: float) -> bool:
 
 
 def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
-    """The answer in each part, with the checks or else the runs nearest to it; those first that the MPM confirms."""
+    """The answer in each part: where it was checked, else where a run is nearest; those first that the MPM confirms."""
     task, answers = state.task, []
     for part in found:
         own = checks_of(state, part) or [state.every[int(np.argmin(distances(state, state.every, part)))]]
+        location = own[0].parameters
+        widths = half_widths(part.points, part.shares, task.bounds.shares(location)) * task.bounds.range
         answers.append(
             Answer(
-                parameters=task.bounds.at(part.point),
-                interval=task.bounds.at(part.interval),
-                weight=part.weight,
-                checks=tuple(own),
-                fit=fitted(state, own),
+                parameters=location, half_widths=widths, weight=part.weight, checks=tuple(own), fit=fitted(state, own)
             )
         )
     return tuple(sorted(answers, key=lambda each: not each.confirmed))
@@ -152,15 +151,7 @@ def fitted(state: Search, checks: Sequence[MpmRun]) -> Fit:
     if scatter.freedom == 0:
         scatter = Scatter.of_runs(state.points, numbers, task.scatter)
     shown = np.stack([each.observation for each in checks])
-    return fit(
-        task.target,
-        shown,
-        scatter,
-        cells=state.discretisation,
-        extrapolated=state.extrapolated,
-        parameters=unknowns,
-        slopes=None if shown.shape[1] > MAX_NUMBERS else state.slopes(checks[0].parameters),
-    )
+    return fit(task.target, shown, scatter, cells=state.discretisation, parameters=unknowns)
 
 
 def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
@@ -171,9 +162,7 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     does not fall steadily; half the cells cost sixteen runs in 3D. None where the numbers are those of single
     particles, and where the box does not divide into such cells.
     """
-    # Where the checks are: the difference is of the cells alone.
-    location = answer.checks[0].parameters
-    scene = task.problem.scene_at(location)
+    scene = task.problem.scene_at(answer.parameters)
     if task.target.cell == scene.domain.cell:
         return ()
     try:
@@ -181,7 +170,7 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
         scenes = [replace(scene, seed=each.trajectory.scene.seed) for each in answer.checks]
     except InputError:
         return ()
-    return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
+    return task.compared([answer.parameters] * len(scenes), scenes, Purpose.CELLS)
 
 
 def is_excluded(state: Search) -> bool:
@@ -204,9 +193,8 @@ def of_design(state: Search) -> Outcome:
     state = state.ran(np.repeat(design, count, axis=0), Purpose.CHECK)
     state = state.ran(np.repeat(start, count, axis=0), Purpose.START)
     checks, begun = state.runs[before : before + count], state.runs[before + count :]
-    widths = half_widths(samples.points, samples.weights, design[0])
-    interval = task.bounds.at(np.clip(np.stack([design[0] - widths, design[0] + widths]), 0.0, 1.0))
-    answer = Answer(parameters=checks[0].parameters, interval=interval, checks=checks)
+    widths = half_widths(samples.points, samples.weights, design[0]) * task.bounds.range
+    answer = Answer(parameters=checks[0].parameters, half_widths=widths, checks=checks)
     gain = float(np.mean([each.observation[0] for each in begun]) - answer.observation[0])
     # By all runs: few checks show little of it.
     scatter = float(np.sqrt(state.posterior.emulator.scatter[0, 0]) / state.posterior.reduction.weights[0])
