@@ -25,7 +25,7 @@ calculation of errors by the method of least squares, Phys. Rev. 40 (1932) 207-2
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -97,14 +97,8 @@ class Fit:
     """M."""
     parameters: int
     """U."""
-    standardised: tuple[float, ...] = ()
-    """z of each number, where they are few enough to be told apart."""
-
-    @property
-    def outliers(self) -> list[int]:
-        """Numbers that lie off what all others predict by more than chance explains in one of a hundred flows."""
-        limit = float(norm.isf(0.5 * (1.0 - CONFIDENCE) / max(1, self.numbers)))
-        return [index for index, off in enumerate(self.standardised) if abs(off) > limit]
+    outliers: dict[int, float] = field(default_factory=dict)
+    """Numbers that others do not predict, with z of each (`outlying`)."""
 
     @property
     def allowed(self) -> float:
@@ -158,13 +152,14 @@ def fit(
     """Of runs at one answer that show numbers [k, M].
 
     cells: d [M]; extrapolated: see `biases`; parameters: how many were fitted; slopes: by them [U, M], with which each
-    number is judged by itself (`standardised`).
+    number is judged by itself (`outlying`).
     """
     share, residual = 1.0 + 1.0 / len(shown), shown.mean(axis=0) - target.values
     own, variance = target.deviation**2, share * scatter.variance
     total, free = np.maximum(own + variance, 1e-300), max(1, scatter.freedom)
+    bias = None if cells is None else biases(target, cells, extrapolated)
     size, flows = len(residual), scatter.deviations * math.sqrt(share / free)
-    if cells is None:
+    if cells is None or bias is None:
         whitened, flows = residual / np.sqrt(total), flows / np.sqrt(total)
         # |R|_F^2 of R = (N + F^T F) / total without the matrix of a whole deposit.
         rest = np.maximum(1.0 - (flows**2).sum(axis=0), 0.0)
@@ -175,7 +170,6 @@ def fit(
             known = target.covariance / np.sqrt(np.outer(total, total))
             square += float(np.sum(known**2)) + 2.0 * float(np.sum((flows @ known) * flows))
     else:
-        bias = biases(target, cells, extrapolated)
         lower = np.linalg.cholesky(np.diag(total + FLOOR * (total.max() + float(np.diag(bias).max()))) + bias)
         noise = np.diag(own) if target.covariance is None else target.covariance
         rest = np.maximum(variance - (flows**2).sum(axis=0), 0.0)
@@ -183,6 +177,10 @@ def fit(
         square = float(np.sum(solve_triangular(lower, half.T, lower=True) ** 2))
         whitened = solve_triangular(lower, residual, lower=True)
         own = own + cells**2
+    predicted = None
+    if slopes is not None:
+        # Parameters in fractions of their ranges have the variance 1/12.
+        predicted = np.diag(total) + slopes.T @ slopes / 12.0 + (0.0 if bias is None else bias)
     first = float(np.clip(size**2 / max(square, 1.0), 1.0, size))
     # Those with which the scatter is known, and with what its prior adds; many where nothing but the prior is.
     counted = scatter.freedom + PRIOR_FREEDOM if scatter.freedom else 1e6
@@ -196,22 +194,30 @@ def fit(
         freedom=(first, min(second, 1e9)),
         numbers=size,
         parameters=parameters,
-        standardised=() if slopes is None else standardised(residual, total, slopes, None if cells is None else bias),
+        outliers={} if predicted is None else outlying(residual, predicted),
     )
 
 
-def standardised(residual: Floats, total: Floats, slopes: Floats, bias: Floats | None) -> tuple[float, ...]:
-    """Each residual [M] less what all others predict, over the standard deviation of that.
+def outlying(residual: Floats, covariance: Floats) -> dict[int, float]:
+    """Numbers whose residuals [M] lie off what the others predict by more than chance does once in a hundred flows.
 
-    z_i = (P r)_i / P_ii^(1/2),   P = (diag(total) + D + J^T J / 12)^-1
+    z_i = (P r)_i / P_ii^(1/2),   P = C^-1
 
     leaves out one number after the other (Dubrule, Cross validation of kriging in a unique neighborhood, Math. Geol. 15
-    (1983) 687-699); slopes J [U, M] are those by parameters in fractions of their ranges, 1/12 is their variance.
+    (1983) 687-699). The farthest is left out for good, then those that are left are judged again: it moves them all.
     """
-    covariance = np.diag(total * (1.0 + FLOOR)) + slopes.T @ slopes / 12.0 + (0.0 if bias is None else bias)
-    scale = np.sqrt(np.diag(covariance))
-    inverse = np.linalg.inv(covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
-    return tuple((inverse @ (residual / scale) / np.sqrt(np.diag(inverse))).tolist())
+    limit = float(norm.isf(0.5 * (1.0 - CONFIDENCE) / len(residual)))
+    scale, left, outliers = np.sqrt(np.diag(covariance)), np.arange(len(residual)), {}
+    correlation = covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+    while len(left) > 0.5 * len(residual):
+        inverse = np.linalg.inv(correlation[np.ix_(left, left)])
+        off = inverse @ (residual / scale)[left] / np.sqrt(np.diag(inverse))
+        worst = int(np.argmax(np.abs(off)))
+        if abs(off[worst]) <= limit:
+            break
+        outliers[int(left[worst])] = float(off[worst])
+        left = np.delete(left, worst)
+    return dict(sorted(outliers.items()))
 
 
 def shrunk(sample: Floats) -> Floats:

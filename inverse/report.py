@@ -328,8 +328,8 @@ def outlying(found: "Result") -> list[tuple[str, float]]:
     if fit is None:
         return []
     return [
-        (f"{part.name} {index - (part.numbers.start or 0) + 1}", fit.standardised[index])
-        for index in fit.outliers
+        (f"{part.name} {index - (part.numbers.start or 0) + 1}", off)
+        for index, off in fit.outliers.items()
         for part in parts
         if index in range(*part.numbers.indices(fit.numbers))
     ]

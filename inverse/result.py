@@ -189,8 +189,10 @@ class Result:
         if fit := first.fit:
             keys = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
             found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.factor}
-            standardised = {str(index): fit.standardised[index] for index in fit.outliers}
-            found["check"] |= {"outliers": standardised, "probability": fit.probability}
+            found["check"] |= {
+                "outliers": {str(index): off for index, off in fit.outliers.items()},
+                "probability": fit.probability,
+            }
         if self.posterior is not None:
             samples = self.posterior.samples
             found["combinations"] = [

@@ -1,7 +1,7 @@
 """Bodies that are no boxes: what shape a mass has, its exact volume, and the particles that fill it.
 
 A body is filled with the lattice of `datasets.particles`, cut by its shape; each of the N particles has the volume of
-the shape over N; that of a layer whose thickness varies is the area times its mean at places half a spacing apart. A
+the shape over N; that of a layer whose thickness varies is the sum over the cells in which it is given, sum h_c A_c. A
 particle that its jitter would put outside stays where the lattice has it. A layer's lattice follows the ground: it is
 laid in x, z and the height above the ground, a shear that keeps volumes.
 """
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import require
 from datasets.geometry.closed import Body, check_simple, manifold, outward, sliced
-from datasets.geometry.ground import TOUCHING, Floats, elevation, interpolated, plan_axes
+from datasets.geometry.ground import TOUCHING, Floats, elevation, plan_axes
 from datasets.geometry.shapes import FARTHEST, check_grid, check_shape
 from datasets.memory import require as require_memory
 from datasets.scene import Domain, Mass, Scene, Solid, keyed
@@ -114,8 +114,7 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     from datasets.geometry.nearest import inside
     from datasets.geometry.surface import boundary
 
-    vertices = np.array(mass.vertices)
-    triangles = outward(vertices, np.array(mass.triangles, np.int64), f"{key}.triangles")
+    vertices, triangles = outward(np.array(mass.vertices), np.array(mass.triangles, np.int64), f"{key}.triangles")
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     lattice, spacing = lattice_in(lower, upper, share)
     within = sliced(vertices, triangles, lattice)
@@ -148,11 +147,10 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
     flat = lattice[:, level]
     lattice = lattice[plan.contains(flat) & (lattice[:, 1] < plan.thickness(flat))]
     places, _ = lattice_in(plan.lower, plan.upper, 0.5 * share)
-    places = places[plan.contains(places)]
-    thickness = plan.thickness(places)
-    require(bool(thickness.any()), f"{key}.thickness", "a layer with some thickness in the box", "none")
-    floor = elevation(ground, domain, places)[thickness > 0.0]
-    top = floor + thickness[thickness > 0.0]
+    places = places[plan.contains(places) & (plan.thickness(places) > 0.0)]
+    require(len(places) > 0, key, f"a layer that a lattice of {share:g} m puts particles into", "one without")
+    floor = elevation(ground, domain, places)
+    top = floor + plan.thickness(places)
     fits = top.max() <= domain.size[1] + TOUCHING
     require(fits, key, f"a layer inside the domain {list(domain.size)}", f"its top at y = {top.max():g}")
 
@@ -167,7 +165,7 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
     return Filling(
         lattice=lattice,
         spacing=spacing,
-        volume=plan.area * (float(thickness.mean()) if plan.stations else float(plan.values)),
+        volume=plan.volume,
         lower=np.insert(plan.lower, 1, float(floor.min())),
         upper=np.insert(plan.upper, 1, float(top.max())),
         outside=outside,
@@ -186,50 +184,73 @@ class Plan:
         for name in ("origin", "spacing"):
             expected = "x and z of a grid of thicknesses, and only of that"
             require((getattr(mass, name) is not None) == gridded, f"{key}.{name}", expected, "others")
-        self.stations: tuple[Floats, ...] = ()
-        """Where thicknesses are given along each axis in plan [m]; nowhere where it is the same everywhere."""
+        self.edges: tuple[Floats, ...] = ()
+        """Of the cells around the places where thicknesses are given, along each axis in plan [m]; none of a number."""
+        self.values = np.array(given, np.float64)
+        """The thickness [m]: a number, or that of each cell."""
         if isinstance(given, tuple):
             check_grid(mass, given, key, "thickness")
-            steps = zip(mass.origin or (), mass.spacing or (), np.shape(given), strict=True)
-            self.stations = tuple(np.asarray(first + step * np.arange(count)) for first, step, count in steps)
-        self.values = np.array(given, np.float64)
-        """The thickness [m]: a number, or those at the stations."""
+            steps = zip(mass.origin or (), mass.spacing or (), self.values.shape, strict=True)
+            self.edges = tuple(np.asarray(first + step * (np.arange(count + 1) - 0.5)) for first, step, count in steps)
         some = self.values.min() >= 0.0 and 0.0 < self.values.max() <= FARTHEST
         require(some, f"{key}.thickness", "thicknesses in m of at least 0, and some above", f"{self.values.min():g}")
         size = np.array(domain.size)[plan_axes(domain.dimension)]
-        lower, upper = np.zeros_like(size), size
-        if self.stations:
-            lower = np.maximum(lower, [axis[0] for axis in self.stations])
-            upper = np.minimum(upper, [axis[-1] for axis in self.stations])
         outline = None if mass.outline is None else np.array(mass.outline)
-        if outline is not None:
-            lower, upper = np.maximum(lower, outline.min(axis=0)), np.minimum(upper, outline.max(axis=0))
-        require(bool((upper > lower).all()), key, "a layer that lies in the box", "one that in plan does not")
-        self.region = shapely.box(*lower, *upper) if spatial else None
-        if self.region is not None and outline is not None:
+        lower, upper = (np.zeros_like(size), size) if outline is None else (outline.min(axis=0), outline.max(axis=0))
+        if self.edges:
+            filled = [np.flatnonzero(self.values.any(axis=1 - axis)) for axis in (0, 1)]
+            ends = [edges[[cells[0], cells[-1] + 1]] for edges, cells in zip(self.edges, filled, strict=True)]
+            given_lower, given_upper = np.array(ends).T
+            lower, upper = (
+                (given_lower, given_upper)
+                if outline is None
+                else (np.maximum(lower, given_lower), np.minimum(upper, given_upper))
+            )
+        shape = shapely.box(*lower, *upper) if spatial else shapely.box(lower[0], 0.0, upper[0], 1.0)
+        if outline is not None and spatial:
             check_simple(outline, f"{key}.outline")
-            self.region = self.region.intersection(shapely.Polygon(outline))
-            require(self.region.area > 0.0, f"{key}.outline", "an outline that lies in the box", "one outside")
-            lower, upper = np.array(self.region.bounds).reshape(2, 2)
+            shape = shape.intersection(shapely.Polygon(outline))
+        box = shapely.box(0.0, 0.0, size[0], size[1] if spatial else 1.0)
+        self.region = shape.intersection(box)
+        """The layer in plan; in 2D as wide as 1 m."""
+        require(self.region.area > 0.0, key, "a layer that lies in the box", "one that in plan does not")
         shapely.prepare(self.region)
-        self.lower: Floats = lower
+        low_x, low_z, high_x, high_z = self.region.bounds
+        self.lower: Floats = np.array([low_x, low_z] if spatial else [low_x])
         """Least x, and z, of the layer [m], shape [D - 1]."""
-        self.upper: Floats = upper
+        self.upper: Floats = np.array([high_x, high_z] if spatial else [high_x])
         """Greatest [m]."""
-        self.area = float(upper[0] - lower[0]) if self.region is None else float(self.region.area)
-        """Of the layer in plan [m^2], in 2D its length [m]."""
+        self.volume = self.within(self.region)
+        """Of the layer in the box [m^D]."""
+        self.lost = 1.0 - self.volume / self.within(shape)
+        """Share of the layer that lies beyond the sides of the box."""
+        require(self.volume > 0.0, f"{key}.thickness", "a layer with some thickness in the box", "none")
+
+    def within(self, region: shapely.Geometry) -> float:
+        """Volume of the layer over a region in plan [m^D]."""
+        if not self.edges:
+            return float(self.values) * float(region.area)
+        i, k = np.nonzero(self.values)
+        x, z = self.edges
+        cells = shapely.box(x[i], z[k], x[i + 1], z[k + 1])
+        shapely.prepare(region)
+        cut = ~np.asarray(shapely.covers(region, cells))
+        cells[cut] = shapely.intersection(cells[cut], region)
+        return float(self.values[i, k] @ shapely.area(cells))
 
     def contains(self, plan: Floats) -> NDArray[np.bool_]:
         """Which places in plan [m], shape [N, D - 1], are in the layer's outline, shape [N]."""
-        if self.region is None:
+        if plan.shape[1] == 1:
             return np.asarray(((plan >= self.lower) & (plan <= self.upper)).all(axis=1))
         return np.asarray(shapely.contains_xy(self.region, plan), bool)
 
     def thickness(self, plan: Floats) -> Floats:
-        """Thickness [m] at places in plan, shape [N]."""
-        if not self.stations:
+        """Thickness [m] at places in plan, shape [N]: that of their cell, 0 beyond all cells."""
+        if not self.edges:
             return np.full(len(plan), float(self.values))
-        return interpolated(self.stations, self.values, plan)
+        padded = np.pad(self.values, 1)
+        cells = (np.searchsorted(edges, plan[:, axis], side="right") for axis, edges in enumerate(self.edges))
+        return np.asarray(padded[tuple(cells)])
 
 
 def lattice_of(scene: Scene, mass: Mass) -> Floats:

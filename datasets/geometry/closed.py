@@ -3,6 +3,7 @@
 Their normals, what of them goes on beyond the box, their union.
 """
 
+import warnings
 from dataclasses import dataclass, replace
 
 import manifold3d
@@ -19,6 +20,8 @@ from datasets.scene import Domain, Solid
 OUTSIDE = "expected a solid that reaches into the domain, this one lies outside of it"
 STEEPEST = 4.0
 """Slope, sideways over outwards, with which a face that ends on a side of the box is continued beyond it at most."""
+SHARED = 1.0e-6
+"""Share of a volume that rounding may change."""
 FLAT = 1.0e-6
 """What makes the place of a vertex between faces of one plane unique [-]."""
 
@@ -90,20 +93,43 @@ def check_simple(points: Floats, key: str) -> None:
     require(polygon.is_valid, key, "a polygon that does not cross or touch itself", f"one with {reason}")
 
 
-def outward(vertices: Floats, triangles: Integers, key: str) -> Integers:
-    """The triangles of a closed surface, turned to face outwards. Raises InputError where it is open."""
+def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, Integers]:
+    """Vertices [V, 3] and triangles [T, 3] of a closed surface, turned to face outwards, its shells united.
+
+    A shell that faces inwards within others is a cavity. What shells share counts once, which a warning says. Raises
+    InputError where the surface is open.
+    """
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     _, number = np.unique(edges, axis=0, return_counts=True)
-    opened, shared = int((number == 1).sum()), int((number > 2).sum())
-    fault = f"{opened} open edges" if opened else f"{shared} edges of more than two triangles"
-    require(opened == shared == 0, key, "a closed surface", f"one with {fault}")
-    if manifold(vertices, triangles).status() != manifold3d.Error.NoError:
+    opened, odd = int((number == 1).sum()), int((number % 2 == 1).sum())
+    fault = f"{opened} open edges" if opened else f"{odd} edges of three or more triangles"
+    require(opened == odd == 0, key, "a closed surface", f"one with {fault}")
+    body = manifold(vertices, triangles)
+    if body.status() != manifold3d.Error.NoError:
         raise InputError("expected a closed surface whose triangles all face the same way", key=key)
-    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    volume = float(np.einsum("ni,ni->", a, np.cross(b, c)))
-    if volume == 0.0:
-        raise InputError("expected a surface that encloses a volume", key=key)
-    return triangles if volume > 0.0 else triangles[:, ::-1].copy()
+    if body.volume() < 0.0:
+        triangles = triangles[:, ::-1].copy()
+        body = manifold(vertices, triangles)
+    require(body.volume() > 0.0, key, "a surface that encloses a volume", "one that does not")
+    shells = sorted(body.decompose(), key=lambda shell: -abs(shell.volume()))
+    if len(shells) == 1:
+        return vertices, triangles
+    united = manifold3d.Manifold()
+    for shell in shells:
+        if shell.volume() > 0.0:
+            united = united + shell
+            continue
+        mesh = shell.to_mesh64()
+        turned = manifold(np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts)[:, ::-1])
+        buried = (united ^ turned).volume() > (1.0 - SHARED) * turned.volume()
+        united = united - turned if buried else united + turned
+    if abs(united.volume() - body.volume()) <= SHARED * united.volume():
+        return vertices, triangles
+    volumes = f"{united.volume():.6g} m^3 in place of {body.volume():.6g}"
+    prefix = f"{key}: " if key else ""
+    warnings.warn(f"{prefix}the shells of the mesh are united, which makes {volumes}", stacklevel=2)
+    mesh = united.to_mesh64()
+    return np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64)
 
 
 def ground_body(solid: Solid, key: str, box: Domain) -> Body:

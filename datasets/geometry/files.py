@@ -15,7 +15,7 @@ import numpy as np
 from datasets.errors import InputError, require
 from datasets.files import file_size, read_columns, reading
 from datasets.geometry.closed import outward
-from datasets.geometry.ground import BEYOND, Floats, Integers
+from datasets.geometry.ground import BEYOND, TOUCHING, Floats, Integers
 from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 
@@ -23,16 +23,26 @@ Entry = dict[str, Any]
 
 FILES = {"terrain": "file", "layer": "thickness", "mesh": "file"}
 """The key that names the file of a kind."""
-MESHES = {".stl": "stl", ".obj": "obj", ".ply": "ply", ".off": "off", ".msh": "gmsh", ".vtk": "vtk", ".vtu": "vtu"}
-"""Endings of meshes, as which format of meshio: those that hold all they need and name no other file."""
+MESHES = (".stl", ".obj", ".ply", ".off", ".msh", ".vtk", ".vtu")
+"""Endings of meshes: those that hold all they need and name no other file."""
 LARGEST = 2**30
 """Bytes of a file."""
 VALUE = 32
 """Bytes that a value takes while a raster is read."""
 METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its values."""
-SAME = 1.0e-9
-"""Distance of vertices that are one, over the extent of the mesh."""
+UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)
+"""Values that stand for no data by custom, as they are in the file."""
+NO_ELEVATION = 2.0e4
+"""Elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38."""
+SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
+"""Distances of vertices that are one, over the extent of the mesh: the first with which its surface is closed."""
+LENGTH, EARTH = 100.0, 6.371e6
+"""Of the map over which its scale is looked at; radius of the earth [m]."""
+DISTORTED = 0.02
+"""What a metre of the map may differ from one on the ground; the earth's flattening makes up 0.5 % of it."""
+SAME_PLACE = 1.0
+"""How far two reference systems may be apart that are one for a flow [m]."""
 
 
 def with_files(data: Entry, folder: Path) -> Entry:
@@ -48,7 +58,7 @@ def with_files(data: Entry, folder: Path) -> Entry:
 
 
 class Reader:
-    """Reads the files of one scene; remembers where its terrain's raster lies."""
+    """Reads the files of one scene; remembers where its terrain's raster lies, and in which reference system."""
 
     def __init__(self, data: Entry, folder: Path) -> None:
         domain = data.get("domain")
@@ -58,6 +68,7 @@ class Reader:
         self.size = tuple(map(float, size)) if size and numbers else ()
         self.cell = float(cell) if isinstance(cell, int | float) else 0.0
         self.offset: tuple[float, float] | None = None
+        self.crs: str | None = None
 
     def complete(self, entry: Any, key: str) -> Any:
         """A solid or a mass with what its files hold; what is neither as it is."""
@@ -74,7 +85,8 @@ class Reader:
                 if kind == "mesh":
                     vertices, triangles = read_mesh(path)
                     vertices = scale * vertices + np.array(at or [0.0, 0.0, 0.0], np.float64)
-                    found = {"vertices": vertices.tolist(), "triangles": outward(vertices, triangles, "").tolist()}
+                    vertices, triangles = outward(vertices, triangles, "")
+                    found = {"vertices": vertices.tolist(), "triangles": triangles.tolist()}
                 elif len(self.size) == 3:
                     found = self.field(path, at, "heights" if kind == "terrain" else name)
                 elif kind == "terrain":
@@ -93,35 +105,69 @@ class Reader:
         return entry
 
     def field(self, path: Path, at: list[float] | None, name: str) -> Entry:
-        """What of a raster lies in and around the box, two values an axis at least, as keys of a solid or a mass.
+        """A raster as keys of a solid or a mass: of a terrain what lies in and around the box, of a layer where it is.
 
-        Its corner stands `at` a place [m], else beside the terrain's, else at x = z = 0. Raises InputError for holes.
+        Its corner stands `at` a place [m], else beside the terrain's, else at x = z = 0. Raises InputError for holes of
+        a terrain in the box, and for another reference system than the terrain's.
         """
-        raster, offset = read_raster(path), self.offset
-        if name == "heights" or at is not None or offset is None:
+        raster = read_raster(path)
+        terrain, offset = name == "heights", self.offset
+        self.crs = self.crs or raster.crs
+        same = same_system(self.crs, raster)
+        require(same, "", f"the reference system of the scene's other raster, {self.crs}", raster.crs)
+        if terrain or at is not None or offset is None:
             x, z = at or (0.0, 0.0)
             offset = float(x) - raster.corner[0], float(z) - raster.corner[1]
-        axes, parts, margin = [], [], BEYOND * self.cell
-        for coordinates, shift, length in zip((raster.x, raster.z), offset, self.size[::2], strict=True):
-            moved = coordinates + shift
-            low = max(0, int(np.searchsorted(moved, -margin, side="right")) - 1)
-            high = min(len(moved), int(np.searchsorted(moved, length + margin)) + 1)
-            parts.append(slice(min(low, len(moved) - 2), max(high, low + 2)))
-            axes.append(moved[parts[-1]])
-        values = raster.values[parts[0], parts[1]]
-        holes = np.argwhere(np.isnan(values))
-        for i, k in holes[:1]:
-            where = f"{len(holes)} cells without data, the first at x = {axes[0][i]:g}, z = {axes[1][k]:g}"
-            raise InputError(f"expected a raster without holes in the box, got {where}")
+        axes = [axis + shift for axis, shift in zip((raster.x, raster.z), offset, strict=True)]
+        values = raster.values
+        if terrain:
+            axes, values = self.around_box(axes, values)
+            self.offset = offset
+        else:
+            # A cell without data, or without material, is no layer.
+            values = np.nan_to_num(values, nan=0.0)
+            require(bool(values.any()), "", "a raster with some thickness", "none")
+            parts = [np.flatnonzero(values.any(axis=1 - axis)) for axis in (0, 1)]
+            ranges = [slice(part[0], part[-1] + 1) for part in parts]
+            axes = [axis[part] for axis, part in zip(axes, ranges, strict=True)]
+            values = values[ranges[0], ranges[1]]
         found: Entry = {
             "origin": [float(axis[0]) for axis in axes],
-            "spacing": [float(np.diff(axis).mean()) for axis in axes],
+            "spacing": list(raster.spacing),
             name: values.tolist(),
         }
-        if name == "heights":
-            self.offset = offset
+        if terrain:
             found |= {"corner": [-offset[0], -offset[1]], "crs": raster.crs}
         return found
+
+    def around_box(self, axes: list[Floats], values: Floats) -> tuple[list[Floats], Floats]:
+        """What of a terrain [X, Z] lies in and around the box, two values an axis at least; there without holes.
+
+        Holes beyond the box have the elevation of the nearest value. Raises InputError for those in it.
+        """
+        from scipy.ndimage import distance_transform_edt
+
+        parts, margin = [], BEYOND * self.cell
+        for axis, length in zip(axes, self.size[::2], strict=True):
+            low = max(0, int(np.searchsorted(axis, -margin, side="right")) - 1)
+            high = min(len(axis), int(np.searchsorted(axis, length + margin)) + 1)
+            parts.append(slice(min(low, len(axis) - 2), max(high, low + 2)))
+        x, z = axes = [axis[part] for axis, part in zip(axes, parts, strict=True)]
+        values = values[parts[0], parts[1]]
+        holes = np.isnan(values)
+        if not holes.any():
+            return axes, values
+        # The cells of the raster that reach into the box.
+        halves = [0.5 * (axis[1] - axis[0]) - TOUCHING for axis in axes]
+        sides = zip(axes, halves, self.size[::2], strict=True)
+        within = np.logical_and.outer(*[(axis > -half) & (axis < length + half) for axis, half, length in sides])
+        missing = np.argwhere(holes & within)
+        for i, k in missing[:1]:
+            where = f"{len(missing)} cells without data, the first at x = {x[i]:g}, z = {z[k]:g}"
+            raise InputError(f"expected a raster without holes in the box, got {where}")
+        require(not holes.all(), "", "a raster with values around the box", "none")
+        nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
+        return axes, np.asarray(values[tuple(nearest)])
 
 
 def refuse(entry: Entry, names: tuple[str, ...], key: str, expected: str = "no such key without a file") -> None:
@@ -156,6 +202,8 @@ class Raster(NamedTuple):
     """Ascending [m], shape [Z]."""
     values: Floats
     """NaN in holes, shape [X, Z]."""
+    spacing: tuple[float, float]
+    """Of the grid along x and z [m]."""
     corner: tuple[float, float]
     """Lower left corner of the extent in the file's own coordinates [m]."""
     crs: str | None
@@ -163,7 +211,11 @@ class Raster(NamedTuple):
 
 
 def read_raster(path: Path) -> Raster:
-    """A raster of one band, north up, in metres. Raises InputError."""
+    """A raster of one band whose rows run from west to east, in metres on the ground. Raises InputError.
+
+    Scale and offset of its band are applied. Values that no elevation or thickness has are no data, also where the file
+    does not say so, which a warning then does.
+    """
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
@@ -177,6 +229,7 @@ def read_raster(path: Path) -> Raster:
             require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
             georeferenced = not file.transform.is_identity
             transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
+            scale, offset = float(file.scales[0]), float(file.offsets[0])
             masked = file.read(1, masked=True).astype(np.float64)
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)
@@ -184,27 +237,75 @@ def read_raster(path: Path) -> Raster:
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
     require(name.lower() in METRES, "", "a projected coordinate system in metres", f"one in {name}")
     require(georeferenced, "", "a raster that says where it lies and how large its cells are", "one that does not")
-    northwards = transform.b == transform.d == 0.0 and transform.a > 0.0 > transform.e
-    require(northwards, "", "a raster with north up", "one that is turned or mirrored")
+    upright = transform.b == transform.d == 0.0 and transform.a > 0.0 and transform.e != 0.0
+    require(upright, "", "a raster whose rows run from west to east", "one that is turned or mirrored")
+    require(scale != 0.0 and usual(scale) and usual(offset), "", "a finite scale and offset", (scale, offset))
     rows, columns = masked.shape
-    require(min(rows, columns) >= 2, "", "at least 2 x 2 values", f"{rows} x {columns}")
-    values = masked.filled(np.nan)
-    values[~np.isfinite(values)] = np.nan
+    raw_values = masked.filled(np.nan)
+    values = scale * raw_values + offset
+    none = np.isfinite(values) & (np.isin(raw_values, UNDECLARED) | (np.abs(values) >= NO_ELEVATION))
+    if none.any():
+        which = f"{int(none.sum())} values such as {raw_values[none][0]:g}"
+        warnings.warn(f"{path}: {which} are taken as no data, which the file does not declare", stacklevel=2)
+    values[none | ~np.isfinite(values)] = np.nan
+    # From the south to the north.
+    height = abs(transform.e)
+    south = transform.f + (rows * transform.e if transform.e < 0.0 else 0.0)
+    values = values[::-1] if transform.e < 0.0 else values
+    x = np.asarray(transform.c + (np.arange(columns) + 0.5) * transform.a)
+    z = np.asarray(south + (np.arange(rows) + 0.5) * height)
+    if crs:
+        check_lengths(crs, float(x.mean()), float(z.mean()))
     return Raster(
-        x=np.asarray(transform.c + (np.arange(columns) + 0.5) * transform.a),
-        z=np.asarray(transform.f + (np.arange(rows)[::-1] + 0.5) * transform.e),
-        values=np.ascontiguousarray(values[::-1].T),
-        corner=(float(transform.c), float(transform.f + rows * transform.e)),
+        x=x,
+        z=z,
+        values=np.ascontiguousarray(values.T),
+        spacing=(float(transform.a), float(height)),
+        corner=(float(transform.c), float(south)),
         crs=crs.to_string() if crs else None,
     )
+
+
+def check_lengths(crs: Any, east: float, north: float) -> None:
+    """Raise InputError where a metre of the map at a place is not one on the ground, such as in Web Mercator."""
+    from rasterio.errors import RasterioError
+    from rasterio.warp import transform
+
+    steps = [(0.0, 0.0), (LENGTH, 0.0), (0.0, LENGTH)]
+    try:
+        longitude, latitude = np.radians(
+            transform(crs, "EPSG:4326", [east + step for step, _ in steps], [north + step for _, step in steps])
+        )
+    except RasterioError:
+        return  # a system of its own, without a place on the earth
+    ground = EARTH * np.hypot(np.cos(latitude[0]) * (longitude[1:] - longitude[0]), latitude[1:] - latitude[0]) / LENGTH
+    require(
+        bool((np.abs(ground - 1.0) <= DISTORTED).all()),
+        "",
+        "a projected coordinate system whose metres are metres on the ground (UTM or a country's own)",
+        f"{crs.to_string()[:60]}, where one is {ground[0]:.3g} m",
+    )
+
+
+def same_system(name: str | None, raster: Raster) -> bool:
+    """Whether a raster's corner lies at one place by its own reference system and by another; so where either is none."""
+    from rasterio.errors import RasterioError
+    from rasterio.warp import transform
+
+    if name is None or raster.crs is None or name == raster.crs:
+        return True
+    try:
+        (east,), (north,) = transform(raster.crs, name, *([each] for each in raster.corner))
+    except RasterioError:
+        return False
+    return bool(np.hypot(east - raster.corner[0], north - raster.corner[1]) <= SAME_PLACE)
 
 
 def read_mesh(path: Path) -> tuple[Floats, Integers]:
     """Vertices [V, 3] and triangles [T, 3] of the outer surface of a mesh, those at one place one vertex.
 
-    Raises InputError, which names the file.
+    Vertices further apart are one where the surface is open without. Raises InputError, which names the file.
     """
-    import meshio
     import pyvista
 
     file_size(path, "a mesh", most=LARGEST)
@@ -212,20 +313,22 @@ def read_mesh(path: Path) -> tuple[Floats, Integers]:
         raise InputError(f"expected a mesh, a file that ends in {' '.join(MESHES)}", where=str(path))
     output = io.StringIO()
     with (
-        reading(path, "a mesh that meshio reads"),
-        # Its test for a binary STL overflows on the text of one that is none; it prints what it leaves out.
+        reading(path, "a readable mesh"),
+        # Readers warn of normals that are none of a vertex's, and print what they leave out.
         warnings.catch_warnings(),
         redirect_stdout(output),
         redirect_stderr(output),
+        pyvista.vtk_verbosity("off"),
     ):
-        warnings.simplefilter("ignore", RuntimeWarning)
-        mesh = meshio.read(path, file_format=MESHES[path.suffix.lower()])
-        mesh.points = np.asarray(mesh.points, np.float64)
-        for block in mesh.cells:
-            if block.data.size and not 0 <= block.data.min() <= block.data.max() < len(mesh.points):
-                raise InputError(f"expected cells of the {len(mesh.points)} vertices in the file, got others")
+        warnings.simplefilter("ignore")
+        mesh = pyvista.read(path)
+        require(isinstance(mesh, pyvista.DataSet), "", "one mesh", type(mesh).__name__)
+        mesh.clear_data()
         require(bool(np.isfinite(mesh.points).all()), "", "vertices of finite coordinates", "others")
-        skin = pyvista.from_meshio(mesh).extract_surface(algorithm="dataset_surface").triangulate()
-        skin = skin.clean(tolerance=SAME)
-        require(skin.n_cells > 0, "", "a mesh with triangles", "none")
-        return np.asarray(skin.points, np.float64), np.asarray(skin.regular_faces, np.int64)
+        skin = mesh.extract_surface(algorithm="dataset_surface").triangulate()
+        for tolerance in SAME:
+            merged = skin.clean(tolerance=tolerance)
+            if merged.n_open_edges == 0:
+                break
+        require(merged.n_cells > 0, "", "a mesh with triangles", "none")
+        return np.asarray(merged.points, np.float64), np.asarray(merged.regular_faces, np.int64)

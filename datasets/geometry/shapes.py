@@ -67,12 +67,14 @@ def check_rows(rows: Rows, key: str, width: int, *, least: int = 1) -> None:
 
 
 def check_grid(shape: Solid | Mass, values: Rows, key: str, name: str) -> None:
-    """Raise InputError unless `values`, of the key `name`, are at least 2 x 2 numbers on a grid in x and z."""
+    """Raise InputError unless `values` of the key `name` are numbers on a grid in x and z, of a terrain 2 x 2 at least."""
+    least = 2 if name == "heights" else 1
     check_vector(shape.origin or (), f"{key}.origin", 2)
     check_vector(shape.spacing or (), f"{key}.spacing", 2)
     require(min(shape.spacing or ()) > 0.0, f"{key}.spacing", "positive lengths in m", list(shape.spacing or ()))
-    require(len(values) > 0 and len(values[0]) >= 2, f"{key}.{name}", "at least 2 x 2 numbers", "fewer")
-    check_rows(values, f"{key}.{name}", len(values[0]), least=2)
+    enough = len(values) > 0 and len(values[0]) >= least
+    require(enough, f"{key}.{name}", f"at least {least} x {least} numbers", "fewer")
+    check_rows(values, f"{key}.{name}", len(values[0]), least=least)
 
 
 def check_solid(solid: Solid, key: str, dimension: int) -> None:

@@ -162,7 +162,7 @@ def closed_body(solid: Solid, key: str, box: Domain) -> Body:
             check_simple(vertices, f"{key}.vertices")
             faces = ring(len(vertices))
         else:
-            faces = outward(vertices, np.array(solid.triangles, np.int64), f"{key}.triangles")
+            vertices, faces = outward(vertices, np.array(solid.triangles, np.int64), f"{key}.triangles")
     friction = np.broadcast_to(np.asarray(solid.friction, np.float64), len(vertices)).copy()
     if dimension == 2 and not shapely.is_ccw(shapely.linearrings(vertices)):
         vertices, friction = vertices[::-1].copy(), friction[::-1].copy()
