@@ -227,6 +227,8 @@ def check_fields(scene: Scene) -> None:
 
 def warn_if_unlikely(scene: Scene) -> None:
     """One UserWarning for each number that looks like another unit's: an angle in radians, MPa, grains in mm."""
+    from datasets.particles import height
+
     own = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
     for key, material in {"material": scene.material, **own}.items():
         lines = []
@@ -236,7 +238,7 @@ def warn_if_unlikely(scene: Scene) -> None:
             lines.append(f"friction_deg = {material.friction_deg:g} degrees is less than any sand's{hint}")
         if (grain := material.grain_diameter or 0.0) > scene.domain.cell:
             lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
-        heights = [mass.size[1] for mass in scene.masses if scene.material_of(mass) == material]
+        heights = [height(scene, mass) for mass in scene.masses if scene.material_of(mass) == material]
         least = SOFTEST * (material.density * scene.gravity * max(heights, default=0.0))
         if material.young < least:
             soft = f"young = {material.young:g} Pa is less than {SOFTEST:g} rho g h = {least:.3g} Pa"

@@ -39,7 +39,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from datasets.particles import Particles
+from datasets.particles import Particles, scene_height
 from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene, coefficient
 from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import properties_of
@@ -153,8 +153,11 @@ class Equilibrium:
         direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
         self.direct = np.flatnonzero(direct)
         self.theta = np.ones(len(chosen))
-        height = float(np.ptp(positions[chosen, 1])) + scene.domain.cell
-        slowest = np.pi / (2.0 * height) * max(material.wave_speed for material in particles.materials)
+        slowest = (
+            np.pi
+            / (2.0 * (scene_height(scene) + scene.domain.cell))
+            * max(material.wave_speed for material in particles.materials)
+        )
         touches = len(self.contact.touching) > 0
         self.inertia = INERTIA * slowest**2 * self.mass[:, None] if touches else np.zeros((len(self.mass), 1))
 
