@@ -87,6 +87,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
     """
     if scene.gravity <= 0.0:
         raise InputError("expected gravity above 0, nothing moves without", key="gravity")
+    tall = scene_height(scene)
     begin, options["record"] = time.perf_counter(), Recording(frames=FRAMES // 2)
     found: dict[float, float] = {}
     moving: set[float] = set()
@@ -100,8 +101,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
         for factor, flow in zip(factors, flows, strict=True):
             begun, middle, last = flow.positions
             first, second, whole = (
-                float(np.quantile(np.linalg.norm(end - start, axis=1), 1.0 - SHARE))
-                / (SETTLEMENT * scene_height(scene))
+                float(np.quantile(np.linalg.norm(end - start, axis=1), 1.0 - SHARE)) / (SETTLEMENT * tall)
                 for start, end in ((begun, middle), (middle, last), (begun, last))
             )
             found[factor] = whole
@@ -123,7 +123,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
         stands=stands,
         moves=moves,
         displacements=dict(sorted(found.items())),
-        cells=scene_height(scene) / scene.domain.cell,
+        cells=tall / scene.domain.cell,
         seconds=time.perf_counter() - begin,
     )
 

@@ -57,9 +57,8 @@ class Filling:
         """Of the material over one place in plan, at most [m]: on a slope less than that of the box around it."""
         plan = np.rint((self.lattice - self.lattice.min(axis=0)) / self.spacing).astype(np.int64)
         plan[:, 1] = 0
-        return float(np.bincount(np.ravel_multi_index(tuple(plan.T), tuple(plan.max(axis=0) + 1))).max()) * float(
-            self.spacing[1]
-        )
+        column = np.ravel_multi_index(tuple(plan.T), tuple(plan.max(axis=0) + 1))
+        return float(np.bincount(column).max() * self.spacing[1])
 
     def positions(self, offset: Floats) -> Floats:
         """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing."""
@@ -174,6 +173,10 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
         moved[:, 1] += elevation(ground, domain, places[:, level])
         return moved
 
+    def cover(places: Floats) -> Floats:
+        top = elevation(ground, domain, places[:, level]) + plan.thickness(places[:, level])
+        return np.asarray(np.maximum(top - places[:, 1], 0.0))
+
     def outside(places: Floats) -> NDArray[np.bool_]:
         return np.asarray(~plan.contains(places[:, level]) | (places[:, 1] >= plan.thickness(places[:, level])))
 
@@ -185,11 +188,7 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
         upper=np.insert(plan.upper, 1, float(top.max())),
         outside=outside,
         raised=raised,
-        cover=lambda places: np.asarray(
-            np.maximum(
-                plan.thickness(places[:, level]) + elevation(ground, domain, places[:, level]) - places[:, 1], 0.0
-            )
-        ),
+        cover=cover,
     )
 
 

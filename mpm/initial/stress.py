@@ -153,12 +153,10 @@ class Equilibrium:
         direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
         self.direct = np.flatnonzero(direct)
         self.theta = np.ones(len(chosen))
-        slowest = (
-            np.pi
-            / (2.0 * (scene_height(scene) + scene.domain.cell))
-            * max(material.wave_speed for material in particles.materials)
-        )
-        touches = len(self.contact.touching) > 0
+        height = scene_height(scene) + scene.domain.cell
+        slowest = np.pi / (2.0 * height) * max(material.wave_speed for material in particles.materials)
+        # A body that nothing holds along the floor slides there as a whole: K alone is singular.
+        touches = len(self.contact.touching) > 0 or scene.slope_deg != 0.0
         self.inertia = INERTIA * slowest**2 * self.mass[:, None] if touches else np.zeros((len(self.mass), 1))
 
     def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
@@ -181,7 +179,8 @@ class Equilibrium:
                     inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
                     self.behind_barriers[inside, axis] = True
         held = (walls != 0) | self.behind_barriers | self.rough[:, None]
-        self.free = ~(held | self.contact.fixed_components(scene, self.nodes))
+        self.in_solids = self.contact.fixed_components(scene, self.nodes)
+        self.free = ~(held | self.in_solids)
 
     def solution(self, stress: Floats) -> Floats:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3]; a warning where there is none."""
@@ -229,6 +228,7 @@ class Equilibrium:
     def missing(self, stress: Floats) -> float:
         """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""
         force = self.unbalanced(stress, self.contact.traction)
+        held = (self.walls != 0) | self.behind_barriers | self.rough[:, None]
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
         pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
@@ -237,7 +237,12 @@ class Equilibrium:
         along = np.where((self.walls[:, level] == 0) & ~self.behind_barriers[:, level], force[:, level], 0.0)
         shear = np.linalg.norm(along, axis=1)
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
-        return float(loose + pulled + slips) / self.weight
+        # Solids hold nodes altogether; along all faces they bear no more than friction, in the sum: single nodes pull.
+        borne = np.where(self.in_solids & ~held, force, 0.0)
+        across = (borne * self.contact.normals).sum(axis=1)
+        along = np.linalg.norm(borne - across[:, None] * self.contact.normals, axis=1)
+        slides = max(float(along.sum() - self.contact.frictions @ np.maximum(-across, 0.0)), 0.0)
+        return float(loose + pulled + slips + slides) / self.weight
 
     def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
         """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
