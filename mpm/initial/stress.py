@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from datasets.particles import Particles, scene_height
-from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene, coefficient
+from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene, coefficient, keyed
 from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import properties_of
 from mpm.initial.barriers import barriers
@@ -52,6 +52,9 @@ ITERATIONS = 100
 """Solutions for an unbalanced force at most."""
 PATIENCE, PROGRESS = 10, 0.9
 """How many in a row may leave more than this part of the least unbalanced force so far."""
+ROUNDS, NEAR, FAR = 4, 0.003, 0.03
+"""Solutions for the thrust of a box at most; how far off it may stay, over the largest stress; beyond which share of it
+a warning says so."""
 ROUNDING = 1.0e-9
 """Change of stress by the yield surface, over the largest stress, that does not count."""
 BALANCED = 1.0e-12
@@ -92,9 +95,18 @@ def initial_tractions(scene: Scene, particles: Particles, positions: Floats | No
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if chosen.any() and scene.gravity > 0.0:
         rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
-        problem = Equilibrium(scene, particles, rounded, np.flatnonzero(chosen))
-        stress[chosen] = problem.solution(geostatic(scene, particles, rounded)[chosen])
-        shear[np.flatnonzero(chosen)[problem.contact.touching]] = problem.contact.traction
+        guess, numbers = geostatic(scene, particles, rounded), np.flatnonzero(chosen)
+        start, off = guess[chosen], np.zeros_like(stress)
+        for _ in range(ROUNDS):
+            problem = Equilibrium(scene, particles, rounded, numbers)
+            stress[chosen] = problem.solution(start)
+            off = lateral_shortfall(scene, particles, guess, stress)
+            if np.abs(off).max() <= NEAR * np.abs(guess).max():
+                break
+            start = (stress + off)[chosen]
+        problem.warn(stress[chosen])
+        warn_of_ratio(scene, particles, guess, off)
+        shear[numbers[problem.contact.touching]] = problem.contact.traction
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: 4 if dimension == 2 else 6]
     return np.stack([stress[:, i, j] for i, j in pairs], axis=1), shear
 
@@ -109,6 +121,37 @@ def geostatic(scene: Scene, particles: Particles, positions: Floats) -> Floats:
         vertical = -overburden(scene, mass, positions[selected], particles.depth[selected])
         stress[selected] = vertical[:, None, None] * np.diag([mass.k0, 1.0, mass.k0])
     return stress
+
+
+def lateral_shortfall(scene: Scene, particles: Particles, guess: Floats, stress: Floats) -> Floats:
+    """What level stresses lack of those of `guess`, spread in proportion to them [Pa]; shapes [N, 3, 3].
+
+    Of boxes with a number for `k0`, between smooth walls: the mean over a box is then the thrust through each section
+    of it, whatever the jitter does to single particles (virtual work of a uniform strain).
+    """
+    off = np.zeros_like(stress)
+    for number, mass in enumerate(scene.masses):
+        if mass.k0 is None or clings(mass):
+            continue
+        own = particles.mass == number
+        for axis in (0, 2)[: scene.dimension - 1]:
+            wanted, found = (float(particles.volume[own] @ each[own, axis, axis]) for each in (guess, stress))
+            if wanted < 0.0:
+                off[own, axis, axis] = (1.0 - found / wanted) * guess[own, axis, axis]
+    return off
+
+
+def warn_of_ratio(scene: Scene, particles: Particles, guess: Floats, off: Floats) -> None:
+    """Say of which boxes the level stress is not as asked."""
+    for key, mass, number in zip(keyed(scene, "masses"), scene.masses, range(len(scene.masses)), strict=True):
+        own = particles.mass == number
+        share = float((np.abs(off[own]).sum(axis=0) / np.maximum(np.abs(guess[own]).sum(axis=0), 1.0e-30)).max())
+        if share > FAR and not isinstance(mass.k0, str):
+            warnings.warn(
+                f"no initial stress within the yield surface has the ratio {key}.k0 = {mass.k0:g} on this grid: "
+                f"the thrust is {100.0 * share:.2g} % off",
+                stacklevel=5,
+            )
 
 
 def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:
@@ -183,7 +226,7 @@ class Equilibrium:
         self.free = ~(held | self.in_solids)
 
     def solution(self, stress: Floats) -> Floats:
-        """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3]; a warning where there is none."""
+        """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3], or the nearest to one."""
         precondition = None
         best, smallest, patience = stress, np.inf, PATIENCE
         tractions = self.contact.traction
@@ -216,14 +259,17 @@ class Equilibrium:
             if pulled.any():
                 self.free |= pulled
                 precondition = None
-        missing = self.missing(best)
+        return best
+
+    def warn(self, stress: Floats) -> None:
+        """Say how much of the weight a solution leaves unbalanced, where that is more than single particles."""
+        missing = self.missing(stress)
         if missing > UNBALANCED:
             warnings.warn(
                 f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
                 "unbalanced at the start",
                 stacklevel=6,
             )
-        return best
 
     def missing(self, stress: Floats) -> float:
         """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datasets.checks import warn_if_unlikely
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.particles import initial_particles
+from datasets.particles import initial_particles, scene_height
 from datasets.scene import Mass, Scene, Solid
 from mpm import WITH_FIELDS, simulate
 from mpm.initial.stress import initial_tractions
+from mpm.resolution import characteristic_length
 from tests.mpm.element import tensor
 from tests.scenes import SAND, scene_of, with_masses
 
@@ -62,7 +64,16 @@ def test_rows_have_the_geostatic_stress() -> None:
     np.testing.assert_allclose(lateral[1:], 0.5, rtol=0.01)
 
 
+@pytest.mark.parametrize("k0", [0.45, 1.0, 2.0])
+def test_a_box_presses_on_its_walls_with_its_ratio(k0: float) -> None:
+    """The mean over the box is the thrust over rho g H^2 / 2."""
+    scene = with_masses(BED_2D, dataclasses.replace(BED_2D.masses[0], k0=k0))
+    volume = initial_particles(scene).volume
+    assert -(volume @ stress_of(scene)[:, 0]) == pytest.approx(k0 * 0.5 * SAND.density * 9.81 * 0.4**2, rel=0.01)
+
+
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:no initial stress within the yield surface has")
 @pytest.mark.parametrize("k0", [0.36, 0.5, 1.0, 2.5])
 @pytest.mark.parametrize("scene", [BED_2D, BED_3D], ids=["2D", "3D"])
 def test_no_particle_is_beyond_yield(scene: Scene, k0: float) -> None:
@@ -202,3 +213,25 @@ def test_a_ratio_beyond_yield_is_refused_with_both_limits(k0: float, cohesion: f
     ):
         with_masses(BED_2D, dataclasses.replace(mass, k0=k0), material=sand)
     with_masses(BED_2D, dataclasses.replace(mass, k0=0.334), material=sand)
+
+
+def test_a_ratio_that_jitter_does_not_allow_is_said() -> None:
+    mass = dataclasses.replace(BED_2D.masses[0], k0=0.34)
+    with pytest.warns(UserWarning, match=r"masses\[0\]\.k0 = 0\.34 on this grid: the thrust is \d+ % off"):
+        stress_of(with_masses(BED_2D, mass))
+
+
+def test_a_layer_on_a_slope_is_as_stiff_as_it_is_thick() -> None:
+    """10 rho g h of 1.5 m of snow are 29 kPa, whatever the slope under it falls."""
+    snow = Material(friction_deg=21.0, density=200.0, young=2.0e6)
+    ground = Solid(kind="terrain", points=((0.0, 140.0), (200.0, 5.0)))
+    layer = Mass(kind="layer", thickness=1.5, outline=((20.0,), (180.0,)))
+    scene = scene_of(layer, size=(200.0, 150.0), cell=0.5, material=snow, solids=(ground,))
+    assert scene_height(scene) == 1.5
+    assert characteristic_length(scene) == 1.5
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_if_unlikely(scene)
+    soft = dataclasses.replace(scene, material=dataclasses.replace(snow, young=2.0e4))
+    with pytest.warns(UserWarning, match=r"10 rho g h = 2\.94e\+04 Pa"):
+        warn_if_unlikely(soft)
