@@ -102,8 +102,8 @@ def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> boo
 def remembers_gaps(scene: Scene) -> bool:
     """Whether gaps between particles are remembered: as `volume_correction` says, or if sand may fall or splash.
 
-    It may where solids, gates or barriers stand in its way, where a mass is fast enough to rise by a cell, and where a
-    body is in flight. A column that collapses on a flat floor keeps its volume without.
+    It may where solids stand in its way, where a mass is fast enough to rise by a cell, and where a body is in flight.
+    A column that collapses on a flat floor keeps its volume without.
     """
     if scene.volume_correction is not None:
         return scene.volume_correction
@@ -111,7 +111,6 @@ def remembers_gaps(scene: Scene) -> bool:
     speeds += [abs(sum(each.values) / len(each.values)) for each in scene.fields if "velocity" in each.quantity]
     return scene.gravity > 0.0 and (
         bool(scene.solids or scene.baffles)
-        or any(mass.release is not None for mass in scene.masses)
         or max(speeds, default=0.0) ** 2 >= 2.0 * scene.gravity * scene.domain.cell
         or bool((heights_above_ground(scene) >= scene.domain.cell - TOLERANCE).any())
     )

@@ -16,8 +16,7 @@ of the step. APIC is tau = 0: it loses that part in every step, so that a shorte
 shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i.
 
 While v_p is kept, C_p is made anew of it in every step. Where particles cross in a spray, the energy of their affine
-motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction, what C_p of a particle whose gap is
-larger than `mpm.physics.volume_correction.SPRAY` has without the forces of the step therefore never grows:
+motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. So what C_p has without forces never grows beyond a gap SPRAY:
 
     C_p = C_p* - kappa (1 - |C_p| / |C_p'|)_+ C_p',      C_p' = (4 / dx^2) sum_i w_ip v_i x_ip^T
 
@@ -337,8 +336,7 @@ def three_vectors(arrays: ti.template(), at):
 def store_sums(v, slopes: ti.template(), first, scratch, lane, arrays: ti.template()):
     """Leave the grid's velocity at the particle in `lane`, its change and C, whose column j is D numbers of `slopes` j.
 
-    With volume correction C is left to `hold_affine`, with the slopes of the change; and the mass sum_i w_ip m_i [kg]
-    and its slopes 4 / dx^2 sum_i w_ip m_i x_ip [kg/m].
+    With volume correction C is left to `hold_affine`; and the grid's mass [kg] and its slopes [kg/m].
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
@@ -370,15 +368,14 @@ def hold_affine(scene, block, scratch, kappa, arrays: ti.template()):
     slopes = [arrays.scratch[scratch + features.gradient + k] for k in ti.static(range(count))]
     changes = [arrays.scratch[scratch + features.changes + k] for k in ti.static(range(count))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(count))]
-    beyond = beyond_spray(scene, block, arrays)
-    held = held_affine((slopes, changes), affine, kappa, beyond, features.dimension)
+    held = held_affine((slopes, changes), affine, kappa, beyond_spray(scene, block, arrays), features.dimension)
     for k in ti.static(range(count)):
         arrays.state[first + features.affine + k] = held[k]
 
 
 @ti.func
 def beyond_spray(scene, block, arrays: ti.template()):
-    """K e - K SPRAY [Pa] of the particles of a block before the step: positive in a spray."""
+    """K (e - SPRAY) [Pa] of the particles of a block before the step: positive in a spray."""
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     return arrays.state[block * arrays.features.block + arrays.features.gap] - SPRAY * (lame + shear * (2.0 / 3.0))
 
@@ -386,8 +383,8 @@ def beyond_spray(scene, block, arrays: ti.template()):
 @ti.func
 def held_affine(moved: ti.template(), affine: ti.template(), kappa, beyond, size: ti.template()):
     """C [1/s] from `moved`, slopes of the grid's velocity and its change, C before and what `beyond_spray` gives."""
-    slopes, changes = moved
     before_squared, now_squared = 0.0 * beyond, 0.0 * beyond
+    slopes, changes = moved
     for k in ti.static(range(size**2)):
         old, new = kappa * affine[k], slopes[k] - changes[k]
         before_squared, now_squared = before_squared + old * old, now_squared + new * new

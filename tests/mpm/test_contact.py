@@ -257,7 +257,8 @@ def test_an_impact_is_continuous_in_the_speed() -> None:
         body = Mass(lower=(0.1, 0.025, 0.1), size=(0.3, 0.2, 0.3), velocity=(speed, 0.0, 0.0))
         settings = {"size": (1.0, 0.5, 0.5), "cell": 1.0 / 32.0, "duration": 0.1, "step_fraction": 0.9}
         baffles = (Baffle(lower=(0.5, 0.0, 0.125), size=(0.125, 0.25, 0.125)),)
-        scene = sand(body, material=Material(friction_deg=35.0), baffles=baffles, **settings)
+        # Of contact alone: a gap begins to count at once, and sand that splashes is chaotic.
+        scene = sand(body, material=Material(friction_deg=35.0), baffles=baffles, volume_correction=False, **settings)
         return simulate(scene, precision="f64").positions[-1]
 
     assert np.abs(positions(2.0 + 1.0e-10) - positions(2.0)).max() < 2.0e-6

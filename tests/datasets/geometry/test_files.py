@@ -227,7 +227,7 @@ def stl(*corners: np.ndarray, apart: float = 0.0) -> str:
 
 
 @pytest.mark.parametrize("apart", [0.0, 1e-8, 1e-6])
-def test_vertices_that_all_but_meet_are_one(tmp_path: Path, apart: float) -> None:
+def test_near_vertices_are_merged(tmp_path: Path, apart: float) -> None:
     (tmp_path / "cube.stl").write_text(stl(CUBE, apart=apart))
     assert volume_of(tmp_path / "cube.stl") == pytest.approx(1.0, rel=1e-5)
 

@@ -69,7 +69,7 @@ HILL = Solid(
 )
 BAFFLED: dict[str, Any] = {"masses": NEAR, "baffles": (LEANING,), "baffle_friction": 0.3}
 SCENES = {
-    "2D": plane(slope_deg=-20.0),
+    "2D": plane(slope_deg=-20.0, volume_correction=False),
     "damped": plane(damping=0.05, slope_deg=-20.0),
     "APIC, dilating": plane(DILATING, relaxation_time=0.0),
     "open sides": plane(open_sides=("x-", "x+"), masses=LEAVING, slope_deg=20.0),
