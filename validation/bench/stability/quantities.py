@@ -120,6 +120,12 @@ def settles(flow: Trajectory) -> float:
     return float(surface_settlement(flow)[-1]) / exact.settlement(flow.scene)
 
 
+@quantity("volume over that of the raster", minimum=0.99, maximum=1.01)
+def fills_raster(flow: Trajectory) -> float:
+    """Volume of the particles over sum h A of the release raster: 3 x 3 cells of 1 m, 2 m thick, within no data."""
+    return float(flow.volumes.sum(dtype=np.float64)) / 18.0
+
+
 @quantity("deepest settlement over elastic", maximum=2.1)
 def settles_at_most_twice(flow: Trajectory) -> float:
     """The same of the deepest frame: undamped, it may sink twice as far as under a load that comes slowly."""
