@@ -131,7 +131,7 @@ def transport_distance(
 
 def particle_spacing(volume: NDArray[np.floating], dimension: int) -> float:
     """Mean distance s between neighbours [m]: the edge of a cube of their mean volume."""
-    return float(np.mean(volume)) ** (1.0 / dimension)
+    return float(np.mean(volume) ** (1.0 / dimension))
 
 
 def ground_of(scene: Scene) -> Ground:
@@ -172,14 +172,14 @@ def bulk(positions: Positions, spacing: float, own_volume: float, column: float)
 
         sum_c h(c) w^(D - 1) / V,    h: `thickness`
 
-    positions: with y from the ground; own_volume: V [m^D], of all these particles; column: w [m], two cells. The
+    positions: with y from the ground; own_volume: V [m^D], of all these particles; column: w [m], a cell or two. The
     highest particle of a column stands for the whole of it: that adds w tan(slope) / 2 to the mean thickness.
     """
     corner = column * np.floor(positions[:, ::2].min(axis=0).astype(np.float64) / column)
     moved = positions.astype(np.float64)
     moved[:, ::2] -= corner
     heights = thickness(moved, spacing, column, moved[:, ::2].max(axis=0).tolist())
-    return float(heights.sum()) * column ** (positions.shape[1] - 1) / own_volume
+    return float(heights.sum() * column ** (positions.shape[1] - 1) / own_volume)
 
 
 def overlap(one: Floats, other: Floats) -> float:
@@ -249,7 +249,7 @@ class Deposit:
         return (self.size[0] - self.front if self.side == 1 else self.front) < AT_WALL * self.size[0]
 
     def errors(self, positions: Positions, volume: NDArray[np.floating]) -> Errors:
-        """Those of another deposit of the same scene; as [m] over a particle's edge where none of this is in the box."""
+        """Those of another deposit of the same scene; thickness over a particle's edge where none of this is in the box."""
         beyond = ends(positions, volume)[self.side] - self.front
         apart = transport_distance(positions, volume, self.positions, self.volume)
         deposits = ((self.positions, self.volume), (positions, volume))
