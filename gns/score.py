@@ -90,7 +90,7 @@ def validation_score(scores: Sequence[Score]) -> float:
 
 
 def calibrated(scores: Sequence[Score]) -> Calibration:
-    """The calibration by the scores of flows that no training saw, without those whose front a wall holds unless all are.
+    """The calibration by scores of flows that no training saw; those whose front a wall holds count where all are so.
 
     A wall holds the model's front where it holds the MPM's: such flows would make the bands of all others too narrow.
     """

@@ -3,7 +3,7 @@
 The error is that of one run at a resolution against a run on a grid at least twice as fine: of the front (the x that
 99.5 % of the volume is behind) or of the profile (the rms distance along x of equal shares of the two deposits),
 whichever is larger, over the extent: from the rear of the masses at the start to the front, which is the runout
-distance of a column at the left wall. The error of the thickness is said beside it: it is a share of another length. The
+distance of a column at the left wall. The error of the thickness is said beside it, a share of another length. The
 promise is that at least nine of ten scenes like those measured keep within the tolerance: columns and thrown masses,
 dry and cohesive, damped and not. It covers the grid, the step and the chance of a jitter, not whether the material is
 right.

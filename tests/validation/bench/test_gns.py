@@ -92,7 +92,7 @@ def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypa
     assert "stable mounds" not in str(page([model()], [], flags="", quick=False))
     sentences = [line for line in text.splitlines() if line.startswith("- ")]
     assert "flow2d 4.0% on average, worst -4.0 % of 1 (the MPM, jittered anew, 0.5%), profiles 1.0%." in sentences[0]
-    assert "flow2d -20 % (20.0% of absolute values), thickness 10.0%, 90% of the plan." in sentences[1]
+    assert "flow2d -20.0 % (20.0% of absolute values), thickness 10.0%, 90% of the plan." in sentences[1]
     assert "flow2d off by 4.0% in 0.5 s, a coarse MPM takes 0.25 s for the same error." in sentences[2]
     assert "95% bands hold 1 of 1 fronts (flow2d)." in sentences[3]
     assert "| 1 of 2 " in text
