@@ -249,7 +249,7 @@ class Deposit:
         return (self.size[0] - self.front if self.side == 1 else self.front) < AT_WALL * self.size[0]
 
     def errors(self, positions: Positions, volume: NDArray[np.floating]) -> Errors:
-        """Those of another deposit of the same scene; thickness over a spacing where nothing of this lies in the box."""
+        """Those of another deposit of the same scene; thickness over a spacing where nothing lies in the box."""
         beyond = ends(positions, volume)[self.side] - self.front
         apart = transport_distance(positions, volume, self.positions, self.volume)
         deposits = ((self.positions, self.volume), (positions, volume))
