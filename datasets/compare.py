@@ -152,9 +152,9 @@ class Columns:
     @staticmethod
     def of_flows(flows: Sequence[Trajectory]) -> "Columns":
         """Columns that divide the length along x."""
-        wanted = 2.0 * max(max(each.scene.domain.cell, particle_spacing(each)) for each in flows)
+        width = 2.0 * max(max(each.scene.domain.cell, particle_spacing(each)) for each in flows)
         plan = tuple(np.max([each.scene.domain.size[::2] for each in flows], axis=0).tolist())
-        return Columns(plan[0] / max(2, round(plan[0] / wanted)), plan)
+        return Columns(plan[0] / max(2, round(plan[0] / width)), plan)
 
     @property
     def middles(self) -> Floats:
