@@ -33,10 +33,13 @@ Figures = dict[str, Floats]
 
 MOMENTS = 60
 """At most so many are compared, evenly in time."""
-FIGURES = {"front": "m", "runout": "m", "toe": "m", "kinetic": "J", "potential": "J"}
-"""Of a flow at a time, with their units, energies in 2D per metre of width; `toe` is its x, `kinetic` may be nan."""
-APART = {"heights": "profile", "equal shares along x": "transport", "same particles": "positions"}
+FIGURES = {"front": "m", "runout": "m", "toe": "m", "height": "m", "kinetic": "J", "potential": "J"}
+"""Of a flow at a time, with their units, energies in 2D per metre of width; `toe` is its x, `height` the mean of the
+volume above the ground, `kinetic` may be nan."""
+APART = {"thickness": "thickness", "equal shares along x": "transport", "same particles": "positions"}
 """Root mean square distances of two flows [m], what they are called; nan where no particles are the same."""
+OVERLAP = "overlap"
+"""What they have besides: `measures.overlap` in plan [-]."""
 CONSTANT = ("material", "friction_deg")
 """Fields that do not change."""
 
@@ -52,13 +55,13 @@ class Comparison:
     figures: tuple[Figures, Figures]
     """Of each flow the `FIGURES`, at these times and then at its own end, shape [T + 1] each."""
     apart: Figures
-    """The distances of `APART`, at these times and then of the ends, shape [T + 1] each."""
+    """The distances of `APART` and `OVERLAP`, at these times and then of the ends, shape [T + 1] each."""
     ends: tuple[float, float]
     """When each flow ends [s]."""
     stations: Floats
-    """Where heights are [m], shape [S]."""
+    """Middles of the columns in which the thickness is [m], shape [S]."""
     heights: tuple[Floats, Floats]
-    """Of the two deposits at their initial density [m], shape [S] each; in 3D their mean across the box."""
+    """Thickness of the two deposits [m], shape [S] each; in 3D its mean across the box."""
 
     def as_json(self) -> dict[str, Any]:
         """As `comparison.json` has it."""
@@ -77,11 +80,12 @@ class Comparison:
         """Markdown: both flows where they end, and how far they are apart there."""
         rows = [["time [s]", *map(spoken, self.ends), f"{self.ends[1] - self.ends[0]:+.3g}"]]
         for key, unit in FIGURES.items():
-            name = key if unit == "m" else f"{key} energy"
+            name = "mean height" if key == "height" else key if unit == "m" else f"{key} energy"
             per_width = "/m" if unit == "J" and self.dimension == 2 else ""
             one, other = (float(own[key][-1]) for own in self.figures)
             rows.append([f"{name} [{unit}{per_width}]", spoken(one), spoken(other), spoken(other - one, "+.3g")])
         rows += [[f"{name}, rms [m]", "", "", spoken(self.apart[key][-1], ".3g")] for name, key in APART.items()]
+        rows.append(["overlap in plan [-]", "", "", spoken(self.apart[OVERLAP][-1], ".3g")])
         return tabulate(rows, ["where they end", *self.labels, "difference"], "pipe", disable_numparse=True)
 
 
@@ -131,30 +135,46 @@ def figures_of(meshes: Meshes, fields: Fields) -> list[float]:
     mass = volume * np.array([each.density for each in meshes.materials])[meshes.material]
     kinetic = math.nan if velocity is None else float(0.5 * mass @ np.sum(velocity.astype(np.float64) ** 2, axis=1))
     potential = float(-mass @ (positions @ np.array(meshes.trajectory.scene.gravity_vector)))
+    raised = measures.above(positions, measures.ground_of(meshes.trajectory.scene))
     lengths = (measures.front(positions, volume), measures.runout(positions), measures.toe(positions)[0])
-    return [*lengths, kinetic, potential]
+    return [*lengths, measures.mean_height(raised, volume), kinetic, potential]
 
 
-def heights_of(meshes: Meshes, positions: NDArray[Any], stations: Floats) -> Floats:
-    """Heights [m] at `stations` [S] of particles at `positions`, in 3D their mean across the box; shape [S]."""
-    flow = meshes.trajectory
-    width = math.prod(flow.scene.domain.size[2:])
-    return np.asarray(measures.height_profile(positions, flow.volumes / width, stations))
+@dataclass(frozen=True)
+class Columns:
+    """Where the thickness of several flows is: columns as wide as two cells, or two particles where these are fewer."""
+
+    width: float
+    """[m]."""
+    plan: tuple[float, ...]
+    """Level lengths of the box around all [m]."""
+
+    @staticmethod
+    def of_flows(flows: Sequence[Trajectory]) -> "Columns":
+        """Columns that divide the length along x."""
+        width = 2.0 * max(max(each.scene.domain.cell, particle_spacing(each)) for each in flows)
+        plan = tuple(np.max([each.scene.domain.size[::2] for each in flows], axis=0).tolist())
+        return Columns(plan[0] / max(2, round(plan[0] / width)), plan)
+
+    @property
+    def middles(self) -> Floats:
+        """Their x [m], shape [S]."""
+        return self.width * (np.arange(round(self.plan[0] / self.width), dtype=np.float64) + 0.5)
+
+    def thickness(self, flow: Trajectory, positions: NDArray[Any]) -> Floats:
+        """Of a flow whose particles are at `positions` [m], shape [S], in 3D [S, Z]."""
+        raised = measures.above(positions, measures.ground_of(flow.scene))
+        return measures.thickness(raised, particle_spacing(flow), self.width, self.plan)
 
 
-def common_stations(flows: Sequence[Trajectory]) -> Floats:
-    """The x [m] at which heights of flows are compared, along the longest box; shape [S].
-
-    Two cells apart, or two particles where a flow has fewer of them than cells.
-    """
-    longest = max((each.scene for each in flows), key=lambda scene: scene.domain.size[0])
-    spacing = 2.0 * max(max(each.scene.domain.cell, particle_spacing(each)) for each in flows)
-    return measures.profile_stations(longest, min(spacing, 0.5 * longest.domain.size[0]))
+def along(thickness: Floats) -> Floats:
+    """The thickness [m] along x, in 3D its mean across the box, shape [S]."""
+    return thickness if thickness.ndim == 1 else np.asarray(thickness.mean(axis=1), np.float64)
 
 
 def particle_spacing(flow: Trajectory) -> float:
     """Between neighbours at the start [m]."""
-    return float(np.mean(flow.volumes) ** (1.0 / flow.scene.dimension))
+    return measures.particle_spacing(flow.volumes, flow.scene.dimension)
 
 
 def evenly(time: Floats, most: int = MOMENTS) -> Floats:
@@ -172,7 +192,7 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     """
     dimension, its = one.scene.dimension, other.scene.dimension
     require(dimension == its, "", f"a {dimension}D flow to compare with one", f"{its}D")
-    meshes, stations = (Meshes(one), Meshes(other)), common_stations((one, other))
+    meshes, columns = (Meshes(one), Meshes(other)), Columns.of_flows((one, other))
     same = pairs(*meshes)
     end = float(other.time[-1]) * (1.0 + 1e-9)
     # A first flow that begins after the end of the second has one moment.
@@ -182,23 +202,23 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     for at in [*((moment, moment) for moment in time.tolist()), ends]:
         fields = [fields_at(each, moment) for each, moment in zip(meshes, at, strict=True)]
         first, second = (each["position"] for each in fields)
-        heights = (heights_of(meshes[0], first, stations), heights_of(meshes[1], second, stations))
+        heights = (columns.thickness(one, first), columns.thickness(other, second))
         for own, each, known in zip(rows, meshes, fields, strict=False):
             own.append(figures_of(each, known))
-        profile = measures.rms((heights[0] - heights[1])[(heights[0] > 0.0) | (heights[1] > 0.0)])
+        thickness = measures.thickness_apart(*heights)
         transport = measures.transport_distance(first, one.volumes, second, other.volumes)
         moved = math.nan if same is None else measures.rms(np.linalg.norm(first[same[0]] - second[same[1]], axis=1))
-        rows[2].append([profile, transport, moved])
+        rows[2].append([thickness, transport, moved, measures.overlap(*heights)])
     figures = [dict(zip(FIGURES, np.array(own).T, strict=True)) for own in rows[:2]]
     return Comparison(
         labels=labels,
         dimension=dimension,
         time=time,
         figures=(figures[0], figures[1]),
-        apart=dict(zip(APART.values(), np.array(rows[2]).T, strict=True)),
+        apart=dict(zip((*APART.values(), OVERLAP), np.array(rows[2]).T, strict=True)),
         ends=ends,
-        stations=stations,
-        heights=heights,
+        stations=columns.middles,
+        heights=(along(heights[0]), along(heights[1])),
     )
 
 
@@ -220,7 +240,7 @@ def draw(path: Path, found: Comparison) -> None:
     for name, key in APART.items():
         apart.plot(found.time, found.apart[key][:-1], label=name)
     titles = ("where they end", "front", "kinetic energy", "distance, root mean square")
-    labels = ("height [m]", "x [m]", "[J]" if found.dimension == 3 else "[J/m]", "[m]")
+    labels = ("thickness [m]", "x [m]", "[J]" if found.dimension == 3 else "[J/m]", "[m]")
     for panel, title, label in zip((profile, front, energy, apart), titles, labels, strict=True):
         panel.set_title(title, loc="left", fontsize=10)
         panel.set(xlabel="x [m]" if panel is profile else "time [s]", ylabel=label)
@@ -231,7 +251,7 @@ def draw(path: Path, found: Comparison) -> None:
 
 
 def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
-    """Compare two flows: fronts, profiles, energies and distances.
+    """Compare two flows: fronts, thickness, energies and distances.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a deposit is judged by: runout, front, toe and height profile.
+"""What a deposit is judged by: runout, front, toe, profile, thickness, bulk; and how far one deposit is from another.
 
 Every function takes the positions of one moment [m], shape [N, D]; volumes are those of the particles [m^D], shape [N].
 
@@ -13,10 +13,14 @@ function as wide as its volume: the fit is continuous in the positions. The furt
 """
 
 import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.geometry.ground import elevation
 from datasets.scene import Scene
 
 FRONT_QUANTILE = 0.995
@@ -24,7 +28,17 @@ TAIL = (0.98, 0.999)
 """Shares of the volume p between which the front is fitted [-]."""
 TOE_FRACTION = 0.10
 
+AT_WALL = 0.01
+"""A front within this share of the box's length of the wall ahead leans on it, which then bounds everyone's."""
+OUTLINE = 0.1
+"""Thickness over a deposit's largest from which on a place in plan is covered [-]."""
+COLUMN = 3.0
+"""Width of the columns in which two deposits are compared, over the larger distance between their particles [-]."""
+
 Positions = NDArray[np.floating]
+Floats = NDArray[np.float64]
+Ground = Callable[[Floats], Floats]
+"""Elevation [m], shape [N], at places in plan [m], shape [N, D - 1]."""
 
 
 def runout(positions: Positions) -> float:
@@ -113,6 +127,152 @@ def transport_distance(
 ) -> float:
     """How far the parts of one deposit lie from those of another along x, rms over equal shares of the volume [m]."""
     return rms(equal_shares(positions, volume) - equal_shares(others, other_volume))
+
+
+def particle_spacing(volume: NDArray[np.floating], dimension: int) -> float:
+    """Mean distance s between neighbours [m]: the edge of a cube of their mean volume."""
+    return float(np.mean(volume) ** (1.0 / dimension))
+
+
+def ground_of(scene: Scene) -> Ground:
+    """Of a scene: the highest terrain, or the floor; baffles and solids that are no terrain are not ground."""
+    return partial(elevation, scene.solids, scene.domain)
+
+
+def above(positions: Positions, ground: Ground) -> Floats:
+    """The positions with their heights counted from the ground below each [m], shape [N, D]."""
+    raised = positions.astype(np.float64)
+    raised[:, 1] -= ground(raised[:, ::2])
+    return raised
+
+
+def mean_height(positions: Positions, volume: NDArray[np.floating]) -> float:
+    """Mean height of the volume [m], sum_i V_i y_i / sum_i V_i: the potential energy over the weight."""
+    return float(np.average(positions[:, 1].astype(np.float64), weights=volume))
+
+
+def thickness(positions: Positions, spacing: float, column: float, plan: Sequence[float]) -> Floats:
+    """Thickness of a deposit in columns of its plan [m], shape [X], in 3D [X, Z]: where the highest particle ends,
+
+        h(c) = max over i in c of y_i, plus s / 2,    0 in columns without particles.
+
+    positions: with y from the ground (`above`); spacing: s [m], between neighbours; column: width of the columns [m],
+    from the corner x = z = 0 on; plan: level lengths of the box [m], beyond which particles do not count.
+    """
+    counts = [max(1, math.ceil(length / column - 1.0e-6)) for length in plan]
+    level, heights = positions[:, ::2], np.zeros(counts)
+    within = ((level >= 0.0) & (level <= np.array(plan))).all(axis=1)
+    place = np.minimum((level[within] / column).astype(np.int64), np.array(counts) - 1)
+    np.maximum.at(heights, tuple(place.T), positions[within, 1] + 0.5 * spacing)
+    return heights
+
+
+def bulk(positions: Positions, spacing: float, own_volume: float, column: float) -> float:
+    """Volume under the surface of a deposit over its particles' own [-]; 1 where no gaps are between them.
+
+        sum_c h(c) w^(D - 1) / V,    h: `thickness`
+
+    positions: with y from the ground; own_volume: V [m^D], of all these particles; column: w [m], a cell or two. The
+    highest particle of a column stands for the whole of it: that adds w tan(slope) / 2 to the mean thickness.
+    """
+    corner = column * np.floor(positions[:, ::2].min(axis=0).astype(np.float64) / column)
+    moved = positions.astype(np.float64)
+    moved[:, ::2] -= corner
+    heights = thickness(moved, spacing, column, moved[:, ::2].max(axis=0).tolist())
+    return float(heights.sum() * column ** (positions.shape[1] - 1) / own_volume)
+
+
+def overlap(one: Floats, other: Floats) -> float:
+    """Plan that two deposits have in common over that of both [-], by their thickness in the same columns.
+
+    A column is covered where it is thicker than `OUTLINE` times the largest thickness of the first.
+    """
+    covered, its = one > OUTLINE * one.max(), other > OUTLINE * one.max()
+    return 1.0 - int((covered ^ its).sum()) / max(1, int((covered | its).sum()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """How far one deposit is from another, the reference [-]."""
+
+    front: float
+    """Front beyond the reference's, over the extent from its rear to its front; see `Deposit.side`."""
+    profile: float
+    """`transport_distance` over the extent: of places along x, blind to heights."""
+    height: float
+    """`mean_height` above the reference's, over that."""
+    thickness: float
+    """Difference in `thickness`, rms over the columns where either deposit lies, over the reference's largest."""
+    overlap: float
+    """In plan: `overlap`, 1 where the outlines are the same."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deposit:
+    """Where a flow ends, beside which others are measured."""
+
+    positions: Positions
+    """[m], shape [N, D]."""
+    volume: NDArray[np.floating]
+    """Of the particles [m^D], shape [N]."""
+    size: tuple[float, ...]
+    """Of the box [m], shape [D]."""
+    ground: Ground
+    """What it lies on."""
+    x: tuple[float, float]
+    """Of its ends, at smaller and at larger x [m]."""
+    side: int
+    """Which of them the flow has moved farther, 0 or 1: the front."""
+
+    @staticmethod
+    def of_positions(
+        start: Positions, end: Positions, volume: NDArray[np.floating], size: tuple[float, ...], ground: Ground
+    ) -> "Deposit":
+        """That of particles that moved from `start` to `end` [m], both [N, D]."""
+        before, after = ends(start, volume), ends(end, volume)
+        side = int(after[1] - before[1] >= before[0] - after[0])
+        return Deposit(positions=end, volume=volume, size=size, ground=ground, x=after, side=side)
+
+    @property
+    def extent(self) -> float:
+        """Distance of the two ends [m]."""
+        return self.x[1] - self.x[0]
+
+    @property
+    def front(self) -> float:
+        """The x of the front [m]."""
+        return self.x[self.side]
+
+    @property
+    def at_wall(self) -> bool:
+        """Whether the front leans on the wall ahead, which then bounds everyone's."""
+        return (self.size[0] - self.front if self.side == 1 else self.front) < AT_WALL * self.size[0]
+
+    def errors(self, positions: Positions, volume: NDArray[np.floating]) -> Errors:
+        """Those of another deposit of the same scene; thickness over a spacing where nothing lies in the box."""
+        beyond = ends(positions, volume)[self.side] - self.front
+        apart = transport_distance(positions, volume, self.positions, self.volume)
+        deposits = ((self.positions, self.volume), (positions, volume))
+        raised = [above(each, self.ground) for each, _ in deposits]
+        spacings = [particle_spacing(each, len(self.size)) for _, each in deposits]
+        column = COLUMN * max(spacings)
+        own, other = (
+            thickness(each, spacing, column, self.size[::2]) for each, spacing in zip(raised, spacings, strict=True)
+        )
+        height = mean_height(raised[0], self.volume)
+        return Errors(
+            front=(beyond if self.side == 1 else -beyond) / self.extent,
+            profile=apart / self.extent,
+            height=mean_height(raised[1], volume) / height - 1.0,
+            thickness=thickness_apart(own, other) / (float(own.max()) or max(spacings)),
+            overlap=overlap(own, other),
+        )
+
+
+def thickness_apart(one: Floats, other: Floats) -> float:
+    """Difference of two thicknesses [m] in the same columns, rms over those where either deposit lies."""
+    somewhere = (one > 0.0) | (other > 0.0)
+    return rms((other - one)[somewhere]) if somewhere.any() else 0.0
 
 
 def rms(values: NDArray[np.floating]) -> float:

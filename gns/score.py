@@ -16,6 +16,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,7 @@ from tabulate import tabulate
 
 from datasets import command_line, measures
 from datasets.errors import InputError
+from datasets.geometry.ground import interpolated
 from gns import card
 from gns.card import LEVELS, Calibration
 from gns.library import model_path
@@ -36,54 +38,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Score:
-    """Errors of one rollout against the MPM, on the same thinned particles."""
+class Score(measures.Errors):
+    """Errors of one rollout against the MPM."""
 
     released: bool
     """Whether the flow starts at rest."""
-    front_error: float
-    """Front of the deposit beyond the MPM's, over the deposit's extent from its rear to its front [-].
-
-    The front is the end that has moved farther, to the left or to the right.
-    """
-    profile_error: float
-    """Distance along x of equal shares of the two deposits, rms, over the extent [-]; `measures.transport_distance`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Deposit:
-    """Where the MPM's deposit of a flow ends, beside which others are measured."""
-
-    positions: measures.Positions
-    """[m], shape [N, D]."""
-    volume: NDArray[np.floating]
-    """Of the particles [m^D], shape [N]."""
-    x: tuple[float, float]
-    """Of its ends, at smaller and at larger x [m]."""
-    side: int
-    """Which of them the flow has moved farther, 0 or 1: the front."""
-
-    @staticmethod
-    def of_positions(start: measures.Positions, end: measures.Positions, volume: NDArray[np.floating]) -> "Deposit":
-        """That of particles that moved from `start` to `end` [m], both [N, D]."""
-        before, after = measures.ends(start, volume), measures.ends(end, volume)
-        return Deposit(positions=end, volume=volume, x=after, side=int(after[1] - before[1] >= before[0] - after[0]))
-
-    @property
-    def extent(self) -> float:
-        """Distance of the two ends [m]."""
-        return self.x[1] - self.x[0]
-
-    @property
-    def front(self) -> float:
-        """The x of the front [m]."""
-        return self.x[self.side]
-
-    def errors(self, positions: measures.Positions, volume: NDArray[np.floating]) -> tuple[float, float]:
-        """Those of front and profile of another deposit of the same scene: see `Score`."""
-        beyond = measures.ends(positions, volume)[self.side] - self.front
-        apart = measures.transport_distance(positions, volume, self.positions, self.volume)
-        return (beyond if self.side == 1 else -beyond) / self.extent, apart / self.extent
+    at_wall: bool
+    """Whether a wall holds the MPM's front, which then says little of the model's."""
 
 
 def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
@@ -102,22 +63,41 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
         there = sample.to(simulator.displacement_scale.device)
         with torch.no_grad():
             deposit = unroll(simulator, there.state, there.conditions, steps)[-1].cpu().numpy()
-        truth = Deposit.of_positions(flow.positions[0], flow.positions[-1], flow.volume)
-        front, profile = truth.errors(deposit, sample.conditions.volume.numpy())
-        scores.append(Score(released=flow.released, front_error=front, profile_error=profile))
+        size = tuple(flow.conditions.size[0].tolist())
+        start, end = flow.positions[0], flow.positions[-1]
+        truth = measures.Deposit.of_positions(start, end, flow.volume, size, ground_of(flow))
+        errors = truth.errors(deposit, sample.conditions.volume.numpy())
+        scores.append(Score(released=flow.released, at_wall=truth.at_wall, **vars(errors)))
     return scores
 
 
+def ground_of(flow: "Flow") -> measures.Ground:
+    """The ground of a flow in the units of the model."""
+    ground = flow.conditions.ground
+    if ground is None:
+        return lambda plan: np.zeros(len(plan))
+    heights = ground.elevation[0].double().numpy()
+    axes = [ground.spacing * np.arange(count, dtype=np.float64) for count in heights.shape]
+    return partial(interpolated, axes, heights)
+
+
 def validation_score(scores: Sequence[Score]) -> float:
-    """Mean absolute front error plus mean profile error [-]: the smaller, the better."""
-    return float(np.mean([abs(score.front_error) + score.profile_error for score in scores]))
+    """Mean of the absolute errors of front, profile and thickness, added up [-]: the smaller, the better.
+
+    Without thickness a network would be best whose sand lies flat on the floor.
+    """
+    return float(np.mean([abs(score.front) + score.profile + score.thickness for score in scores]))
 
 
 def calibrated(scores: Sequence[Score]) -> Calibration:
-    """The calibration by the scores of flows that no training saw."""
-    errors = {name: np.sort([abs(getattr(each, name)) for each in scores]) for name in ("front_error", "profile_error")}
-    front, profile = ({f"{level:g}": quantile(each, level) for level in LEVELS} for each in errors.values())
-    return Calibration(front=front, profile=profile, flows=len(scores))
+    """The calibration by scores of flows that no training saw; those whose front a wall holds count where all are so.
+
+    A wall holds the model's front where it holds the MPM's: such flows would make the bands of all others too narrow.
+    """
+    known = [each for each in scores if not each.at_wall] or scores
+    errors = [np.sort([abs(getattr(each, name)) for each in known]) for name in ("front", "profile")]
+    front, profile = ({f"{level:g}": quantile(each, level) for level in LEVELS} for each in errors)
+    return Calibration(front=front, profile=profile, flows=len(known))
 
 
 def quantile(errors: NDArray[np.float64], level: float) -> float:
@@ -130,22 +110,33 @@ def quantile(errors: NDArray[np.float64], level: float) -> float:
 
 
 def table(scores: Sequence[Score]) -> str:
-    """Markdown: releases and moving starts apart, mean over the flows of each and the worst front."""
+    """Markdown: releases and moving starts apart, means over the flows of each.
+
+    Those of the front are without flows whose front a wall holds, which are counted.
+    """
     rows = []
     for title, released in (("released at rest", True), ("moving", False)):
         group = [score for score in scores if score.released == released]
         if not group:
             continue
-        front = 100.0 * np.array([score.front_error for score in group])
+        front = 100.0 * np.array([score.front for score in group if not score.at_wall])
+        amounts = np.abs(front)
+        heads = ("front error, mean of absolute values", "their median", "mean", "worst")
+        values = (amounts.mean(), np.median(amounts), front.mean(), front[amounts.argmax()]) if len(front) else ()
+        forms = (".1f", ".1f", "+.1f", "+.1f")
+        shown = [f"{value:{form}} %" for value, form in zip(values, forms, strict=False)] or ["-"] * len(heads)
+
+        def average(name: str, form: str, group: Sequence[Score] = group) -> str:
+            return f"{100.0 * np.mean([getattr(each, name) for each in group]):{form}} %"
+
         rows.append(
-            {
-                "start": title,
-                "flows": len(group),
-                "front error, mean of absolute values": f"{np.abs(front).mean():.1f} %",
-                "their median": f"{np.median(np.abs(front)):.1f} %",
-                "mean": f"{front.mean():+.1f} %",
-                "worst": f"{front[np.abs(front).argmax()]:+.1f} %",
-                "profile error": f"{100.0 * np.mean([score.profile_error for score in group]):.1f} %",
+            {"start": title, "flows": len(group), "held by a wall": len(group) - len(front)}
+            | dict(zip(heads, shown, strict=True))
+            | {
+                "profile error": average("profile", ".1f"),
+                "mean height": average("height", "+.1f"),
+                "thickness error": average("thickness", ".1f"),
+                "overlap in plan": average("overlap", ".0f"),
             }
         )
     return tabulate(rows, "keys", "github", disable_numparse=True) + "\n"

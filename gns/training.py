@@ -33,6 +33,7 @@ from datasets import files
 from datasets.errors import InputError, WorkFailed, require
 from datasets.files import reading
 from datasets.lock import locked
+from datasets.measures import Errors
 from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
 from datasets.trajectory import stored_scene, trajectory_files
@@ -279,7 +280,7 @@ def validate(
         "loss": round(loss, 6),
         "score": round(total, 4),
     }
-    for name in ("front_error", "profile_error"):
+    for name in (each.name for each in dataclasses.fields(Errors)):
         row[name] = round(float(np.mean([abs(getattr(score, name)) for score in scores])), 4)
     position.rows.append(row)
     lines = [row, *(each.values() for each in position.rows)]

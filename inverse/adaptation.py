@@ -170,8 +170,8 @@ def scored(simulator: Simulator, flows: Sequence[Flow], name: str) -> list[Score
 def change(before: Sequence[Score], after: Sequence[Score]) -> str:
     """Mean errors before and after, in words."""
     parts = []
-    for name in ("front", "profile"):
-        means = [100.0 * np.mean([abs(getattr(each, f"{name}_error")) for each in some]) for some in (before, after)]
+    for name in ("front", "profile", "thickness"):
+        means = [100.0 * np.mean([abs(getattr(each, name)) for each in some]) for some in (before, after)]
         parts.append(f"{name} {means[0]:.1f} -> {means[1]:.1f} %")
     return ", ".join(parts)
 

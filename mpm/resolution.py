@@ -3,9 +3,10 @@
 The error is that of one run at a resolution against a run on a grid at least twice as fine: of the front (the x that
 99.5 % of the volume is behind) or of the profile (the rms distance along x of equal shares of the two deposits),
 whichever is larger, over the extent: from the rear of the masses at the start to the front, which is the runout
-distance of a column at the left wall. The promise is that at least nine of ten scenes like those measured keep within
-the tolerance: columns and thrown masses, dry and cohesive, damped and not. It covers the grid, the step and the chance
-of a jitter, not whether the material is right.
+distance of a column at the left wall. The error of the thickness is said beside it, a share of another length. The
+promise is that at least nine of ten scenes like those measured keep within the tolerance: columns and thrown masses,
+dry and cohesive, damped and not. It covers the grid, the step and the chance of a jitter, not whether the material is
+right.
 
 Resolution is counted in cells across the smallest side of the body that is let go, which carries over between scenes
 (docs/accuracy.md, `python -m validation.bench accuracy`, which also writes `resolution.toml` and
@@ -62,6 +63,9 @@ class Measured(Record):
     """What one more scene stays within with probability COVERAGE, here and on all finer grids measured alike [-]."""
     particle_steps: float
     """Mean over the scenes."""
+    thickness: float | None = None
+    """Error of the thickness over its largest (`datasets.measures.Errors`), rms over scenes and jitters [-]; it is said
+    and not promised, for it is a share of another length. None where it was not measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,11 +92,12 @@ class Resolved:
 
     def __str__(self) -> str:
         scene, what = self.scene, self.measured
+        thick = "" if what.thickness is None else f", thickness {100 * what.thickness:.2g} % of its largest"
         return (
             f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the smallest side), "
             f"{scene.particles_per_axis} particles per axis, step {scene.step_fraction:g}, "
             f"{what.resolution.precision}: an error within {100 * what.promised:.2g} % "
-            f"in nine of ten scenes like those measured ({100 * what.expected:.2g} % rms), "
+            f"in nine of ten scenes like those measured ({100 * what.expected:.2g} % rms{thick}), "
             f"{self.cost:.3g} times the scene's own particle-steps"
         )
 

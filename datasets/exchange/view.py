@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import measures
-from datasets.compare import Fields, common_stations, evenly, fields_at, heights_of, pairs
+from datasets.compare import Columns, Fields, along, evenly, fields_at, pairs
 from datasets.errors import require
 from datasets.exchange.vtk import FIELDS, RANGE_QUANTILE, Colour, Field, Meshes, extent
 from datasets.files import finite, write_text
@@ -57,8 +57,8 @@ class Observed:
 class Shown:
     """What is on a page of one flow, moment by moment."""
 
-    def __init__(self, flow: Trajectory, stations: NDArray[np.float64]) -> None:
-        self.flow, self.meshes, self.stations = flow, Meshes(flow), stations
+    def __init__(self, flow: Trajectory, columns: Columns) -> None:
+        self.flow, self.meshes, self.columns = flow, Meshes(flow), columns
         count = flow.positions.shape[1]
         # At random: every so many of a lattice would be stripes.
         chosen = np.random.default_rng(0).permutation(count)[:PARTICLES]
@@ -69,14 +69,14 @@ class Shown:
         self.values: dict[str, list[NDArray[np.floating]]] = {}
         """Fields in the unit of their colour bar, [T] times [P] each."""
         self.heights: list[NDArray[np.float64]] = []
-        """At the stations [m], [T] times [S]."""
+        """Thickness along x [m], [T] times [S]."""
         self.front: list[float] = []
 
     def add(self, fields: Fields) -> None:
         """One moment more; fields of all particles."""
         whole = fields["position"]
         self.positions.append(whole[self.particles])
-        self.heights.append(heights_of(self.meshes, whole, self.stations))
+        self.heights.append(along(self.columns.thickness(self.flow, whole)))
         self.front.append(measures.front(whole, self.flow.volumes))
         for key in [key for key in SHOWN if key in fields]:
             self.values.setdefault(key, []).append(SHOWN[key].scaled(fields[key][self.particles]))
@@ -122,8 +122,8 @@ def write_view(
     for each in flows[1:]:
         its = each.scene.dimension
         require(its == dimension, "", f"a {dimension}D flow over one", f"{its}D")
-    stations, times = common_stations(flows), evenly(flow.time, FRAMES)
-    shown = [Shown(each, stations) for each in flows]
+    columns, times = Columns.of_flows(flows), evenly(flow.time, FRAMES)
+    shown = [Shown(each, columns) for each in flows]
     same = None if other is None else pairs(shown[0].meshes, shown[1].meshes)
     for time in times.tolist():
         moments = [fields_at(each.meshes, time) for each in shown]
@@ -139,8 +139,8 @@ def write_view(
         "dimension": dimension,
         "times": times.tolist(),
         "digits": 1 if times[-1] > 100.0 else 2 if times[-1] > 5.0 else 3,
-        "stations": stations.tolist(),
-        "depth": "height [m]" if dimension == 2 else "mean height over z [m]",
+        "stations": columns.middles.tolist(),
+        "depth": "thickness [m]" if dimension == 2 else "mean thickness over z [m]",
         **described(shown, numbers, [html.escape(each) for each in labels]),
         **still([each.scene for each in flows]),
         "observed": vars(observed or Observed()),

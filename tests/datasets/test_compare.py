@@ -34,9 +34,25 @@ def test_a_shift_is_found_in_every_figure(dimension: int) -> None:
     assert moved == pytest.approx([APART] * 3, abs=1e-6)
     assert found.apart["transport"][-1] == pytest.approx(APART, rel=1e-5)
     assert found.apart["positions"].tolist() == pytest.approx([0.0] + [APART] * len(flow.time), rel=1e-5)
-    assert found.apart["profile"][-1] > 0.0
-    areas = [np.trapezoid(heights, found.stations) for heights in found.heights]
-    assert areas[0] == pytest.approx(areas[1])
+    assert found.apart["thickness"][-1] > 0.0
+    assert found.apart["thickness"][0] == 0.0
+    assert 0.2 < found.apart["overlap"][-1] < found.apart["overlap"][0] == 1.0
+    assert one["height"] == pytest.approx(other["height"], rel=1e-6)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_heights_are_those_of_the_sand(dimension: int) -> None:
+    flow = toy(dimension)
+    flat = dataclasses.replace(flow, positions=flow.positions * np.array([1.0, 0.0, 1.0][:dimension], np.float32))
+    found = compare(flow, flat)
+    half = 0.5 * float(np.mean(flow.volumes)) ** (1.0 / dimension)
+    assert found.heights[0].max() == pytest.approx(0.08, rel=0.1)
+    assert found.heights[1].max() == pytest.approx(half, rel=0.1)
+    assert found.figures[0]["height"] == pytest.approx(0.04, rel=0.02)
+    assert found.figures[1]["height"] == pytest.approx(0.0, abs=1e-12)
+    assert found.apart["thickness"][-1] == pytest.approx(0.08 - half, rel=0.1)
+    assert found.apart["transport"][-1] == 0.0
+    assert "| overlap in plan [-]" in found.table()
 
 
 @pytest.mark.parametrize("dimension", [2, 3])

@@ -7,10 +7,24 @@ import numpy as np
 import pytest
 
 from datasets.library import read_scene
-from datasets.measures import front, height_profile, runout, toe, transport_distance
+from datasets.measures import (
+    Deposit,
+    above,
+    bulk,
+    front,
+    ground_of,
+    height_profile,
+    mean_height,
+    overlap,
+    runout,
+    thickness,
+    toe,
+    transport_distance,
+)
 from datasets.particles import initial_particles
 from datasets.remarks import remarks
-from datasets.scene import Scene
+from datasets.scene import Mass, Scene, Solid
+from tests.scenes import scene_of
 
 SPACING = 0.005
 
@@ -98,6 +112,40 @@ def test_the_distance_of_deposits_is_that_of_their_parts() -> None:
     ahead = deposit.copy()
     ahead[deposit[:, 0] > 0.3, 0] += 0.2
     assert transport_distance(ahead, one, deposit, one) == pytest.approx(0.1, rel=0.02)
+
+
+def test_thickness_and_bulk_of_a_block_are_its_own() -> None:
+    points = block(0.4, 0.2)
+    heights = thickness(points, SPACING, 0.02, (1.0,))
+    np.testing.assert_allclose(heights, np.repeat([0.2, 0.0], [20, 30]), atol=1e-12)
+    assert bulk(points + np.array([0.3, 0.0]), SPACING, 0.08, 0.02) == pytest.approx(1.0)
+    assert bulk(points * np.array([1.0, 2.0]), 2.0 * SPACING, 0.08, 0.02) == pytest.approx(2.0)
+    cube = np.insert(np.repeat(block(0.1, 0.1), 20, axis=0), 2, np.tile(SPACING * (np.arange(20) + 0.5), 400), axis=1)
+    assert bulk(cube, SPACING, 0.001, 0.02) == pytest.approx(1.0)
+    assert thickness(cube, SPACING, 0.02, (0.2, 0.3)).shape == (10, 15)
+    # Sand beyond the box does not count.
+    assert thickness(cube - 1.0, SPACING, 0.02, (0.2, 0.3)).max() == 0.0
+    # Half of the plan apart: a third in common.
+    moved = thickness(points + np.array([0.2, 0.0]), SPACING, 0.02, (1.0,))
+    assert overlap(heights, moved) == pytest.approx(1.0 / 3.0)
+    assert overlap(heights, 0.05 * moved) == 0.0
+
+
+def test_heights_are_counted_from_the_terrain() -> None:
+    ramp = Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.0)))
+    scene = scene_of(Mass(lower=(0.0, 0.6), size=(0.4, 0.2)), solids=(ramp,))
+    points = block(0.4, 0.2)
+    raised = points + np.stack([0.0 * points[:, 0], 0.5 - 0.5 * points[:, 0]], axis=1)
+    np.testing.assert_allclose(above(raised, ground_of(scene)), points, atol=1e-12)
+    volume = np.full(len(points), SPACING**2)
+    deposit = Deposit.of_positions(raised - 0.1, raised, volume, scene.domain.size, ground_of(scene))
+    halved = raised - points * np.array([0.0, 0.5])
+    errors = deposit.errors(halved, volume)
+    assert (errors.front, errors.profile, errors.overlap) == pytest.approx((0.0, 0.0, 1.0))
+    assert errors.height == pytest.approx(-0.5)
+    assert errors.thickness == pytest.approx(0.5, rel=0.05)
+    assert mean_height(points, volume) == pytest.approx(0.1)
+    assert not deposit.at_wall
 
 
 SCENE = read_scene("column-short-21")

@@ -3,10 +3,12 @@
 import dataclasses
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 import gns
 from datasets import command_line, measures
@@ -16,13 +18,20 @@ from gns.samples import Flow, flows_of
 from gns.score import Score, calibrated, evaluate, score, table, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
+from gns.state import Conditions, State
 from tests.gns.conftest import NORMALISATION, spreading
 from tests.refusals import refused_by
 
 
+def scored(**errors: Any) -> Score:
+    """Of a flow without errors but these."""
+    known = {"front": 0.0, "profile": 0.0, "height": 0.0, "thickness": 0.0, "overlap": 1.0}
+    return Score(**{"released": True, "at_wall": False, **known, **errors})
+
+
 def scores_of(errors: np.ndarray) -> list[Score]:
     """Of flows with these errors of the front, and half of them of the profile [-]."""
-    return [Score(released=True, front_error=float(each), profile_error=0.5 * abs(float(each))) for each in errors]
+    return [scored(front=float(each), profile=0.5 * abs(float(each))) for each in errors]
 
 
 def test_bands_are_conformal_quantiles() -> None:
@@ -126,17 +135,55 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     simulator.settings = dataclasses.replace(settings, particles_per_cell=4)
     right = evaluate(simulator, [flying(flows[0])])[0]
     assert not right.released
-    assert abs(right.front_error) < 2e-3
-    assert right.profile_error < 2e-3
+    assert abs(right.front) < 2e-3
+    assert right.profile < 2e-3
     assert wrong.released
-    assert wrong.front_error < -0.1
-    assert wrong.profile_error > 0.1
+    assert wrong.front < -0.1
+    assert wrong.profile > 0.1
     assert validation_score([wrong]) > validation_score([right])
 
 
 def test_the_table_keeps_kinds_of_start_apart() -> None:
-    scores = [Score(released=True, front_error=error, profile_error=0.25) for error in (-0.01, 0.03, 0.08)]
-    lines = table([*scores, Score(released=False, front_error=0.1, profile_error=0.25)]).splitlines()
+    common = {"profile": 0.25, "height": -0.2, "thickness": 0.15, "overlap": 0.9}
+    scores = [scored(front=error, **common) for error in (-0.01, 0.03, 0.08)]
+    # What a wall holds says nothing of fronts.
+    scores += [scored(front=0.0, at_wall=True, **common), scored(front=0.1, released=False)]
+    lines = table(scores).splitlines()
     assert len(lines) == 4
     cells = [cell.strip() for cell in lines[2].strip("|").split("|")]
-    assert cells == ["released at rest", "3", "4.0 %", "3.0 %", "+3.3 %", "+8.0 %", "25.0 %"]
+    fronts, others = ["4.0 %", "3.0 %", "+3.3 %", "+8.0 %"], ["25.0 %", "-20.0 %", "15.0 %", "90 %"]
+    assert cells == ["released at rest", "4", "1", *fronts, *others]
+    assert "| - " in table([scored(at_wall=True)])
+
+
+def test_fronts_that_a_wall_holds_make_no_band_narrower() -> None:
+    free = scores_of(0.01 * np.arange(1.0, 20.0))
+    assert calibrated([*free, *(scored(at_wall=True) for _ in range(40))]) == calibrated(free)
+    assert calibrated([scored(front=0.02, at_wall=True)]).flows == 1
+
+
+def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(
+    simulator: Simulator, settings: ModelSettings, dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flow = flows_of(dataset, "valid", settings)[1]
+
+    def rolled(flat: bool) -> Score:
+        def unroll(_: Simulator, state: State, conditions: Conditions, steps: int) -> torch.Tensor:
+            _, which = cKDTree(flow.positions[0]).query(state.positions.numpy())
+            end = torch.from_numpy(np.array(flow.positions[-1])[which])
+            if flat:
+                end[:, 1] = 5.0e-6
+            return end[None]
+
+        monkeypatch.setattr("gns.unroll.unroll", unroll)
+        simulator.settings = dataclasses.replace(settings, particles_per_cell=4)
+        return evaluate(simulator, [flow])[0]
+
+    right, flat = rolled(False), rolled(True)
+    assert abs(flat.front) < 0.01
+    assert flat.profile < 0.01
+    assert (right.height, right.thickness, right.overlap) == pytest.approx((0.0, 0.0, 1.0), abs=1e-3)
+    assert flat.height < -0.99
+    assert flat.thickness > 0.4
+    assert validation_score([flat]) > validation_score([right]) + 0.4
+    assert "-100.0 %" in table([flat])

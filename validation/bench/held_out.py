@@ -10,15 +10,14 @@ from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets import measures
 from datasets.definitions import flow2d, obstacle3d, paper_families
-from datasets.measures import Positions
+from datasets.material import Material
+from datasets.measures import Deposit
 from datasets.particles import initial_particles
-from datasets.scene import Domain, Scene
+from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from gns.score import Deposit
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
 
 SEED = 1
@@ -30,8 +29,13 @@ FAMILIES = {
     "obstacle3d": (obstacle3d.KINDS, obstacle3d.OBSTACLE3D),
 }
 """Kinds of flows and definition of the training data, by its name."""
-AT_WALL = 0.01
-"""A front within this fraction of the box's length of the wall ahead leans on it, which then bounds everyone's."""
+CREST = ((0.3, 0.0), (1.1, 0.0), (0.7, 0.2))
+MOUNDS: dict[str, tuple[float, float]] = {
+    "45° on 12°": (45.0, 12.0),
+    "42° on 8°": (42.0, 8.0),
+    "35° on the level": (35.0, 0.0),
+}
+"""Angles of friction and of the floor [deg] under which a mound of the corners `CREST` [m] stays where it is."""
 
 
 def held_out(family: str, number: int) -> list[tuple[str, Scene]]:
@@ -65,55 +69,43 @@ def coarse(scene: Scene, cells: int) -> Scene:
 
 def deposit_of(flow: Trajectory) -> Deposit:
     """That of a reference: the MPM on fine cells."""
-    return Deposit.of_positions(initial_particles(flow.scene).positions, flow.positions[-1], flow.volumes)
-
-
-def at_wall(deposit: Deposit, scene: Scene) -> bool:
-    """Whether the front leans on the wall ahead, which then bounds everyone's."""
-    length = scene.domain.size[0]
-    return (length - deposit.front if deposit.side == 1 else deposit.front) < AT_WALL * length
+    scene, start = flow.scene, initial_particles(flow.scene).positions
+    return Deposit.of_positions(start, flow.positions[-1], flow.volumes, scene.domain.size, measures.ground_of(scene))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
-    """One scene by one method; errors are over the extent of the reference's deposit [-], as those of a `Score`."""
+class Measured(measures.Errors):
+    """One scene by one method, and its errors beside the reference's deposit."""
 
     seconds: float
     """On one thread, without compilation and without loading a model [s]."""
-    front: float
-    profile: float
-    depth: float | None = None
-    """Of the depths before the baffles: its rms over that of the reference's depths; None where nothing lies there."""
 
     @staticmethod
     def of_flow(flow: Trajectory, reference: Deposit) -> "Measured":
-        front, profile = reference.errors(flow.positions[-1], flow.volumes)
-        shown = depths(flow.scene, flow.positions[-1], flow.volumes)
-        known = depths(flow.scene, reference.positions, reference.volume)
-        depth = float(np.linalg.norm(shown - known) / np.linalg.norm(known)) if known.any() else None
-        return Measured(seconds=flow.summary["wall_s"], front=front, profile=profile, depth=depth)
+        errors = reference.errors(flow.positions[-1], flow.volumes)
+        return Measured(seconds=flow.summary["wall_s"], **vars(errors))
 
 
-def depths(scene: Scene, positions: Positions, volume: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Mean depth of a deposit before each of the baffles, as if none were turned [m], shape [B].
+def mound(title: str, seed: int) -> Scene:
+    """One of the `MOUNDS`: less steep than its angle of friction, so that it is stable."""
+    friction_deg, slope_deg = MOUNDS[title]
+    return Scene(
+        domain=Domain(size=(2.0, 0.4), cell=0.01),
+        material=Material(friction_deg=friction_deg),
+        masses=(Mass(kind="polygon", vertices=CREST),),
+        duration=1.5,
+        frame_dt=0.02,
+        floor_friction=0.9,
+        slope_deg=slope_deg,
+        seed=seed,
+    )
 
-    Over its width, and as far upstream as it is high; each particle is a cube of its volume.
-    """
-    found, plan = np.zeros(len(scene.baffles)), positions[:, [0, *range(2, positions.shape[1])]]
-    edge = volume[:, None] ** (1.0 / positions.shape[1])
-    for index, each in enumerate(scene.baffles):
-        _, height, *width = each.size
-        low, size = np.array([each.lower[0] - height, *each.lower[2:]]), np.array([height, *width])
-        within = np.minimum(plan + 0.5 * edge, low + size) - np.maximum(plan - 0.5 * edge, low)
-        found[index] = (volume * (np.maximum(within, 0.0) / edge).prod(axis=1)).sum() / size.prod()
-    return found
 
-
-def creep(rollout: Trajectory) -> float:
-    """Speed of the faster of a deposit's ends over the second half of a rollout, outwards [mm/s]."""
-    middle = len(rollout.positions) // 2
-    seconds = float(rollout.time[-1] - rollout.time[middle])
-    old, new = (measures.ends(rollout.positions[frame], rollout.volumes) for frame in (middle, -1))
+def creep(flow: Trajectory, share: float = 0.5) -> float:
+    """Speed of the faster of a deposit's ends over the last `share` of a flow, outwards [mm/s]."""
+    first = round((1.0 - share) * (len(flow.positions) - 1))
+    seconds = float(flow.time[-1] - flow.time[first])
+    old, new = (measures.ends(flow.positions[frame], flow.volumes) for frame in (first, -1))
     return 1000.0 * max(old[0] - new[0], new[1] - old[1], key=abs) / seconds
 
 

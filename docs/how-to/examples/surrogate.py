@@ -29,7 +29,7 @@ with tempfile.TemporaryDirectory() as folder:
     fit([data], run, model=settings, training=short, begin=shipped)
     after = evaluate(load(model_path(run)).simulator, unseen)
 print(f"before\n\n{table(before)}\nafter\n\n{table(after)}")
-first, last = (np.mean([abs(each.front_error) + each.profile_error for each in scores]) for scores in (before, after))
+first, last = (np.mean([abs(each.front) + each.profile for each in scores]) for scores in (before, after))
 print(f"front and profile are off by {100 * first:.1f} % of the deposit's extent before, {100 * last:.1f} % after")
 assert last < 0.7 * first
 assert last < 0.1

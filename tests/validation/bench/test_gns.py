@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.particles import initial_particles
-from datasets.scene import Baffle, Mass, Scene
+from datasets.particles import initial_particles, released_volume
+from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from tests.scenes import scene_of
-from validation.bench.gns import Compared, Model, draw, mpm_seconds, page
-from validation.bench.held_out import Measured, at_wall, deposit_of, depths
+from validation.bench.gns import Compared, Model, Mound, draw, mpm_seconds, page
+from validation.bench.held_out import MOUNDS, Measured, creep, deposit_of, mound
 from validation.report import plots
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
@@ -37,25 +37,28 @@ def test_errors_of_deposits_of_known_length() -> None:
     assert errors.front == pytest.approx(0.25, rel=0.02)
     # Equal shares at q of the block lie 0.1 q apart: rms 0.1 / sqrt(3) of an extent of 0.4.
     assert errors.profile == pytest.approx(0.25 / math.sqrt(3.0), rel=0.03)
-    assert Measured.of_flow(stretched(BLOCK, 2.0), truth) == Measured(seconds=1.0, front=0.0, profile=0.0)
-    assert not at_wall(truth, BLOCK)
-    assert at_wall(deposit_of(stretched(BLOCK, 4.5)), BLOCK)
+    assert (errors.height, errors.overlap) == pytest.approx((0.0, 0.8), abs=0.03)
+    same = {"front": 0.0, "profile": 0.0, "height": 0.0, "thickness": 0.0, "overlap": 1.0}
+    assert Measured.of_flow(stretched(BLOCK, 2.0), truth) == Measured(seconds=1.0, **same)
+    assert not truth.at_wall
+    assert deposit_of(stretched(BLOCK, 4.5)).at_wall
 
 
-def test_the_depth_before_a_baffle() -> None:
-    scene = replace(BLOCK, baffles=(Baffle(lower=(0.3, 0.0), size=(0.1, 0.1)),))
-    flow, short = (stretched(scene, by) for by in (1.0, 0.4))
-    assert depths(scene, flow.positions[0], flow.volumes) == pytest.approx([0.2], rel=0.01)
-    assert Measured.of_flow(flow, deposit_of(flow)).depth == 0.0
-    # Less than half as long, the block ends before the baffle's stretch begins.
-    assert Measured.of_flow(short, deposit_of(flow)).depth == pytest.approx(1.0)
+def test_a_mound_that_creeps_is_measured_from_its_start_on() -> None:
+    flow = stretched(BLOCK, 2.0)
+    assert creep(flow, 1.0) == pytest.approx(creep(flow), rel=1e-4)
+    assert creep(flow, 1.0) == pytest.approx(200.0, rel=0.03)
+    for title, (friction_deg, slope_deg) in MOUNDS.items():
+        scene, steepest = mound(title, 0), math.degrees(math.atan(0.5)) + slope_deg
+        assert steepest < friction_deg
+        assert released_volume(scene) == pytest.approx(0.08)
 
 
 def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Model:
     """Two scenes of one model, the second at the wall, beside an MPM on three grids."""
 
     def measured(seconds: float, front: float) -> Measured:
-        return Measured(seconds=seconds, front=front, profile=0.01)
+        return Measured(seconds=seconds, front=front, profile=0.01, height=-0.2, thickness=0.1, overlap=0.9)
 
     mpm = {cells: measured(cells**2 / 400.0, 0.4 / cells) for cells in resolutions}
     first = Compared(
@@ -81,15 +84,20 @@ def test_the_price_of_an_error_is_read_off_the_curve() -> None:
 
 
 def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mounds = [Mound(title="45° on 12°", mpm=[0.1, -0.2], models={"tiny": [8.0, 114.0]})]
     text, far, without = (
-        str(page([each], flags="", quick=False)) for each in (model(), model(resolutions=(5,)), model(bands=False))
+        str(page([each], mounds, flags="", quick=False))
+        for each in (model(), model(resolutions=(5,)), model(bands=False))
     )
+    assert "stable mounds" not in str(page([model()], [], flags="", quick=False))
     sentences = [line for line in text.splitlines() if line.startswith("- ")]
     assert "flow2d 4.0% on average, worst -4.0 % of 1 (the MPM, jittered anew, 0.5%), profiles 1.0%." in sentences[0]
-    assert "flow2d off by 4.0% in 0.5 s, a coarse MPM takes 0.25 s for the same error." in sentences[1]
-    assert "95% bands hold 1 of 1 fronts (flow2d)." in sentences[2]
-    assert "warn of 1 of 2 (flow2d) of these scenes, which" in sentences[3]
-    assert "creep by at most 0.2 mm/s (flow2d)." in sentences[4]
+    assert "flow2d -20.0 % (20.0% of absolute values), thickness 10.0%, 90% of the plan." in sentences[1]
+    assert "flow2d off by 4.0% in 0.5 s, a coarse MPM takes 0.25 s for the same error." in sentences[2]
+    assert "95% bands hold 1 of 1 fronts (flow2d)." in sentences[3]
+    assert "| 1 of 2 " in text
+    assert "creep by at most 0.2 mm/s (flow2d); stable" in sentences[4]
+    assert "stable mounds by 1.1e+02 to 1.1e+02 mm/s, in the MPM 0.2." in sentences[4]
     assert "no coarse MPM is as good" in far
     assert "bands hold" not in without
     monkeypatch.setattr(plots, "DPI", 30)
