@@ -22,6 +22,8 @@ LOST = 1.0e-6
 """Share of a layer that rounding may put beyond a side of the box."""
 SMALL_ANGLE = 3.0
 """Angle of friction [deg] below which no sand is: one in radians is."""
+SLACK = 1.0e-3
+"""Relative, of a limit that a user wrote in decimals."""
 SOFTEST = 10.0
 """Young's modulus over the pressure rho g h under a body, below which it sinks by a twentieth of its height or more."""
 
@@ -116,6 +118,7 @@ def check(scene: Scene) -> None:
     count = sum(math.prod(max(1, round(length)) for length in size) for size in sizes)
     require(count <= MOST_PARTICLES, "masses", f"at most {MOST_PARTICLES} particles, so larger cells", f"{count:.3g}")
     check_fields(scene)
+    check_k0(scene)
     check_stages(scene)
     from datasets.geometry.placement import check_overlaps
 
@@ -157,6 +160,51 @@ def check_start(scene: Scene, mass: Mass, key: str) -> None:
         check_time(scene, release, f"{key}.release")
         still = not any(velocity or ())
         require(still, f"{key}.velocity", "a mass at rest behind its barriers", list(velocity or ()))
+
+
+def check_k0(scene: Scene) -> None:
+    """Raise InputError for a ratio of stresses beyond active or passive yield (Rankine 1857), with cohesion Bell's:
+
+        K_a - 2 (c / sigma_v) sqrt(K_a) <= K0 <= K_p + 2 (c / sigma_v) sqrt(K_p),    K_a = 1 / K_p = tan^2(45 - phi / 2)
+
+    with sigma_v under the mass and what is stacked on it, where c / sigma_v is least or, at its top, greatest; the
+    narrower of both. Where friction varies, phi is the least of the mass.
+    """
+    from datasets.particles import height
+
+    for number, (key, mass) in enumerate(keyed(scene, "masses").items()):
+        if mass.k0 is None or isinstance(mass.k0, str) or scene.gravity <= 0.0:
+            continue
+        material = scene.material_of(mass)
+        angles = [
+            min(each.values) for each in scene.fields if each.quantity == FRICTION and each.mass in (None, number)
+        ]
+        angle = material.phi_deg_of(min(angles), material.dilation_deg) if angles else material.phi_deg
+        active = math.tan(math.radians(45.0 - 0.5 * angle)) ** 2
+        tall = height(scene, mass)
+        load, down = resting_load(scene, mass), -scene.gravity_vector[1]
+        pressures = [load, load + material.density * down * tall]
+        ratios = [material.cohesion_at(z) / max(p, 1.0e-9) for z, p in zip((0.0, tall), pressures, strict=True)]
+        low = max(0.0, active - 2.0 * min(ratios) * math.sqrt(active))
+        high = 1.0 / active + 2.0 * min(ratios) / math.sqrt(active)
+        inside = low * (1.0 - SLACK) <= mass.k0 <= high * (1.0 + SLACK)
+        require(inside, f"{key}.k0", f"a ratio within active and passive yield, {low:.3g} to {high:.3g}", mass.k0)
+
+
+def resting_load(scene: Scene, mass: Mass) -> float:
+    """Pressure [Pa] of the masses with a `k0` that are stacked on `mass`, at most, on its top."""
+    level = [axis for axis in range(scene.dimension) if axis != 1]
+    load, top = 0.0, mass.lower[1] + mass.size[1]
+    for above in sorted(scene.masses, key=lambda each: each.lower[1]):
+        shared = all(
+            above.lower[axis] < mass.lower[axis] + mass.size[axis] - TOLERANCE
+            and mass.lower[axis] < above.lower[axis] + above.size[axis] - TOLERANCE
+            for axis in level
+        )
+        if above.k0 is not None and shared and abs(above.lower[1] - top) <= TOLERANCE:
+            load -= scene.material_of(above).density * scene.gravity_vector[1] * above.size[1]
+            top += above.size[1]
+    return load
 
 
 def check_time(scene: Scene, time: float | str, key: str) -> None:
@@ -232,6 +280,8 @@ def check_fields(scene: Scene) -> None:
 
 def warn_if_unlikely(scene: Scene) -> None:
     """One UserWarning for each number that looks like another unit's (radians, MPa, mm) and layer that the box cuts."""
+    from datasets.particles import height
+
     layers = {key: mass for key, mass in keyed(scene, "masses").items() if mass.kind == "layer"}
     if layers:
         from datasets.geometry.bodies import Plan
@@ -251,7 +301,7 @@ def warn_if_unlikely(scene: Scene) -> None:
             lines.append(f"friction_deg = {material.friction_deg:g} degrees is less than any sand's{hint}")
         if (grain := material.grain_diameter or 0.0) > scene.domain.cell:
             lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
-        heights = [mass.size[1] for mass in scene.masses if scene.material_of(mass) == material]
+        heights = [height(scene, mass) for mass in scene.masses if scene.material_of(mass) == material]
         least = SOFTEST * (material.density * scene.gravity * max(heights, default=0.0))
         if material.young < least:
             soft = f"young = {material.young:g} Pa is less than {SOFTEST:g} rho g h = {least:.3g} Pa"

@@ -2,11 +2,13 @@
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.errors import InputError
 from datasets.field import FRICTION
 from datasets.geometry.bodies import filling, lattice_of
 from datasets.material import Material
@@ -64,9 +66,7 @@ class Particles:
     @property
     def cohesion(self) -> NDArray[np.float32]:
         """Cohesion of each particle [Pa], shape [N]."""
-        keys = ("cohesion", "strength_gradient")
-        top, growth = (np.array([getattr(each, key) for each in self.materials])[self.material] for key in keys)
-        return np.asarray(top + growth * self.depth, np.float32)
+        return cohesions(self.materials, self.material, self.depth)
 
 
 def initial_particles(scene: Scene) -> Particles:
@@ -89,14 +89,13 @@ def initial_particles(scene: Scene) -> Particles:
             lattice = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
             offset = stream.uniform(-0.5, 0.5, lattice.shape) * scene.jitter
             moved = np.array(mass.lower) + (lattice + 0.5 + offset) * spacing
-            depth = mass.lower[1] + mass.size[1] - moved[:, 1]
         else:
             filled = filling(scene, mass)
-            moved, depth = filled.positions(stream.uniform(-0.5, 0.5, filled.lattice.shape) * scene.jitter)
+            moved = filled.positions(stream.uniform(-0.5, 0.5, filled.lattice.shape) * scene.jitter)
         arm = moved - (np.array(mass.lower) + 0.5 * np.array(mass.size))
         velocities.append(np.array(mass.velocity or (0.0,) * scene.dimension) + arm @ mass.spin.T)
         positions.append(moved)
-        depths.append(depth)
+        depths.append(depth(scene, mass, moved))
     materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
     number = np.repeat(np.arange(len(scene.masses), dtype=np.int32), mass_counts(scene))
     material = np.array([materials.index(scene.material_of(mass)) for mass in scene.masses], np.int32)[number]
@@ -121,6 +120,65 @@ def initial_particles(scene: Scene) -> Particles:
         depth=np.concatenate(depths),
         friction_deg=friction_deg,
     )
+
+
+def depth(scene: Scene, mass: Mass, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth of `positions` [m], shape [N, D], below the top of `mass` [m], shape [N]."""
+    if mass.kind == "box":
+        return np.asarray(mass.lower[1] + mass.size[1] - positions[:, 1])
+    return filling(scene, mass).depth(positions)
+
+
+def cohesions(
+    materials: Sequence[Material], material: NDArray[np.integer], depths: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Cohesion [Pa] of particles of `materials` by number, shape [N], at `depths` [m], shape [N]."""
+    found = np.zeros(len(depths), np.float32)
+    for index, each in enumerate(materials):
+        found[material == index] = each.cohesion_at(depths[material == index])
+    return found
+
+
+def observed_cohesion(
+    scene: Scene, positions: NDArray[np.floating], mass: NDArray[np.int32] | None
+) -> NDArray[np.float32]:
+    """Cohesion [Pa], shape [N], of the particles of a trajectory that begin at `positions` [m], shape [N, D].
+
+    mass: the mass that each belongs to, where the particles are not those of `initial_particles`. Raises InputError
+    where masses differ and nothing says which particle belongs to which.
+    """
+    alike = len(scene.masses) == 1 or (
+        len({scene.material_of(each).cohesion for each in scene.masses}) == 1
+        and not any(scene.material_of(each).strength_gradient for each in scene.masses)
+    )
+    if mass is None and alike:
+        mass = np.zeros(len(positions), np.int32)
+    elif mass is None:
+        counts = mass_counts(scene)
+        if sum(counts) != len(positions):
+            expected = f"the {sum(counts)} particles of masses that differ in cohesion"
+            raise InputError(f"expected {expected}, got {len(positions)}", key="positions")
+        mass = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+    depths = np.zeros(len(positions))
+    for index, each in enumerate(scene.masses):
+        if scene.material_of(each).strength_gradient > 0.0:
+            depths[mass == index] = depth(scene, each, np.asarray(positions[mass == index], np.float64))
+    return cohesions([scene.material_of(each) for each in scene.masses], mass, depths)
+
+
+def height(scene: Scene, mass: Mass) -> float:
+    """Of the material of `mass` over one place in plan, at most [m]: of a layer its largest thickness."""
+    if mass.kind == "box":
+        return mass.size[1]
+    return float(np.max(mass.thickness or 0.0)) if mass.kind == "layer" else filling(scene, mass).height
+
+
+def scene_height(scene: Scene) -> float:
+    """Of the material of all masses over one place in plan, at most [m]; air between them does not count."""
+    heights = [height(scene, mass) for mass in scene.masses]
+    lower, size = (np.array([getattr(mass, key) for mass in scene.masses])[:, ::2] for key in ("lower", "size"))
+    above = (np.abs(lower + 0.5 * size - (lower + 0.5 * size)[:, None]) <= 0.5 * size + TOLERANCE).all(axis=2)
+    return float((above @ np.array(heights)).max())
 
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
@@ -219,9 +277,7 @@ def thinnest(scene: Scene, mass: Mass) -> float:
     """The least extent of a mass [m]; of a layer its largest thickness, where that is less."""
     if mass.kind != "layer":
         return min(mass.size)
-    filled = filling(scene, mass)
-    thickness = float(filled.lattice[:, 1].max() + 0.5 * filled.spacing[1])
-    return min(thickness, *(length for axis, length in enumerate(mass.size) if axis != 1))
+    return min(height(scene, mass), *(length for axis, length in enumerate(mass.size) if axis != 1))
 
 
 def continues(scene: Scene, mass: Mass, axis: int) -> bool:

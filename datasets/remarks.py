@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.particles import Particles, unresolved
+from datasets.particles import Particles, scene_height, unresolved
 from datasets.scene import DOMAIN_SIDES, Scene
 
 AT_REST = 1e-3
@@ -38,7 +38,7 @@ def remarks(
     lines = []
     mass, start = float(np.sum(particles.density * particles.volume)), particles.positions
     speed = math.sqrt(2.0 * float(kinetic[-1]) / mass)
-    slow = SLOW * math.sqrt(scene.gravity * float(np.ptp(start[:, 1])))
+    slow = SLOW * math.sqrt(scene.gravity * scene_height(scene))
     if kinetic[-1] > AT_REST * kinetic.max() and speed > slow:
         lines.append(
             f"not at rest: at t = {end_time:g} s, the end, it still moves at {speed:.2g} m/s (rms);"

@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 
 from datasets import __version__
 from datasets.definitions.definition import Entry, Split
-from datasets.errors import InputError, require
-from datasets.particles import mass_counts
+from datasets.errors import InputError
 from datasets.scene import Scene, keyed
-from datasets.trajectory import Floats
 
 MOVING_SPEED = 0.01
 """A particle slower than this [m/s] is at rest: it would need the whole second of a sequence to cross a grid cell."""
@@ -43,23 +41,6 @@ def check_known(scene: Scene, who: str) -> None:
     for bad, key, expected in refused:
         if bad:
             raise InputError(f"expected {expected}, {who} knows no other", key=key)
-
-
-def particle_cohesion(scene: Scene, particles: int, mass: NDArray[np.int32] | None) -> Floats:
-    """Cohesion [Pa] of each particle of a trajectory of `scene`, shape [particles].
-
-    mass: the mass that each belongs to, where the particles are not those of `initial_particles`. Raises InputError
-    where masses differ and nothing says which particle belongs to which.
-    """
-    values = np.array([scene.material_of(each).cohesion for each in scene.masses], np.float32)
-    if mass is not None:
-        return values[mass]
-    if len(set(values.tolist())) == 1:
-        return np.full(particles, values[0], np.float32)
-    counts = mass_counts(scene)
-    expected = f"the {sum(counts)} particles of masses that differ in cohesion"
-    require(sum(counts) == particles, "positions", expected, particles)
-    return np.repeat(values, counts)
 
 
 def thin(

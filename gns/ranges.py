@@ -14,6 +14,7 @@ import numpy as np
 
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
+from datasets.particles import height
 from datasets.scene import Scene, coefficient
 from gns.settings import ModelSettings
 from gns.units import Units
@@ -74,7 +75,7 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
         if mass.k0 is not None
     ]
     cohesions = [
-        each.cohesion_at(depth) for mass, each in zip(masses, sand, strict=True) for depth in (0.0, mass.size[1])
+        each.cohesion_at(depth) for mass, each in zip(masses, sand, strict=True) for depth in (0.0, height(scene, mass))
     ]
     held = sum(mass.release is not None for mass in masses)
     # That which the scene would not have by itself.

@@ -15,7 +15,8 @@ from tqdm import tqdm
 
 from datasets import measures
 from datasets.errors import InputError, naming, require
-from datasets.training import check_known, particle_cohesion, thin
+from datasets.particles import observed_cohesion
+from datasets.training import check_known, thin
 from datasets.trajectory import Floats, open_trajectory, trajectory_files
 from gns.initial import conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings
@@ -115,7 +116,7 @@ def flow_of(path: Path, settings: ModelSettings) -> Flow:
     require(fits, "", f"frames {step:g} s apart or a whole fraction of it", f"{frame_dt:g}")
     check_known(scene, "a model")
     positions, velocity0 = trajectory.positions[::stride], trajectory.velocity0
-    cohesion = particle_cohesion(scene, positions.shape[1], trajectory.mass)
+    cohesion = observed_cohesion(scene, np.asarray(positions[0]), trajectory.mass)
     conditions = conditions_of(
         scene,
         units.length * settings.cell,

@@ -24,7 +24,7 @@ import numpy as np
 from datasets.errors import InputError
 from datasets.files import read_toml
 from datasets.geometry.placement import connected, corners
-from datasets.particles import particle_count
+from datasets.particles import height, particle_count
 from datasets.records import Record, fraction, from_mapping
 from datasets.scene import TOLERANCE, Domain, Scene
 from mpm.arrays.layout import Precision
@@ -168,6 +168,9 @@ def characteristic_length(scene: Scene) -> float:
     group = connected(lower, upper)
     for body in np.unique(group):
         extents = upper[group == body].max(axis=0) - lower[group == body].min(axis=0)
+        # On a slope the box around a body is higher than its material.
+        heights = [height(scene, mass) for mass, own in zip(scene.masses, group == body, strict=True) if own]
+        extents[1] = min(extents[1], sum(heights))
         for axis, extent in enumerate(extents.tolist()):
             wall_to_wall = axis != 1 and extent >= scene.domain.size[axis] - TOLERANCE
             (across if wall_to_wall else lengths).append(extent)

@@ -39,8 +39,9 @@ import numpy as np
 from datasets.errors import InputError
 from datasets.field import FRICTION, Field
 from datasets.material import Material
+from datasets.particles import scene_height
 from datasets.scene import Mass, Scene
-from mpm.output.request import Recording, height
+from mpm.output.request import Recording
 from mpm.simulation import Options, simulate_many
 
 TIME = 3.0
@@ -86,6 +87,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
     """
     if scene.gravity <= 0.0:
         raise InputError("expected gravity above 0, nothing moves without", key="gravity")
+    tall = scene_height(scene)
     begin, options["record"] = time.perf_counter(), Recording(frames=FRAMES // 2)
     found: dict[float, float] = {}
     moving: set[float] = set()
@@ -99,7 +101,7 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
         for factor, flow in zip(factors, flows, strict=True):
             begun, middle, last = flow.positions
             first, second, whole = (
-                float(np.quantile(np.linalg.norm(end - start, axis=1), 1.0 - SHARE)) / (SETTLEMENT * height(scene))
+                float(np.quantile(np.linalg.norm(end - start, axis=1), 1.0 - SHARE)) / (SETTLEMENT * tall)
                 for start, end in ((begun, middle), (middle, last), (begun, last))
             )
             found[factor] = whole
@@ -121,14 +123,14 @@ def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Op
         stands=stands,
         moves=moves,
         displacements=dict(sorted(found.items())),
-        cells=height(scene) / scene.domain.cell,
+        cells=tall / scene.domain.cell,
         seconds=time.perf_counter() - begin,
     )
 
 
 def reduced(scene: Scene, factor: float) -> Scene:
     """The scene of a run: its strength over `factor`, under its own weight from the start."""
-    tall, bodies = height(scene), [scene.material_of(mass) for mass in scene.masses]
+    tall, bodies = scene_height(scene), [scene.material_of(mass) for mass in scene.masses]
     settlement = max(scene.gravity * tall / (2.0 * each.wave_speed**2) for each in bodies)
     frame_dt = TIME * math.sqrt(tall / scene.gravity) / FRAMES
 

@@ -45,14 +45,26 @@ class Filling:
     """Which of N places, one of each particle, are no longer in the body."""
     raised: Callable[[Floats], Floats] = np.copy
     """Places of the lattice where they are in the box, both [N, D] in m."""
-    depth: Callable[[Floats], Floats] | None = None
-    """Depth below the top of the body [m], shape [N], of places of the lattice; below the highest where absent."""
+    cover: Callable[[Floats], Floats] | None = None
+    """Depth below the top of the body [m], shape [N], of places in the box; below the highest where absent."""
 
-    def positions(self, offset: Floats) -> tuple[Floats, Floats]:
-        """Positions [N, D] and depths [N] of particles moved by `offset` [N, D], in fractions of the spacing; in m."""
+    def depth(self, positions: Floats) -> Floats:
+        """Of `positions` [N, D] below the top of the body, shape [N]; in m."""
+        return np.asarray(self.upper[1] - positions[:, 1]) if self.cover is None else self.cover(positions)
+
+    @property
+    def height(self) -> float:
+        """Of the material over one place in plan, at most [m]: on a slope less than that of the box around it."""
+        plan = np.rint((self.lattice - self.lattice.min(axis=0)) / self.spacing).astype(np.int64)
+        plan[:, 1] = 0
+        column = np.ravel_multi_index(tuple(plan.T), tuple(plan.max(axis=0) + 1))
+        return float(np.bincount(column).max() * self.spacing[1])
+
+    def positions(self, offset: Floats) -> Floats:
+        """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing."""
         moved = self.lattice + offset * self.spacing
         moved = np.where(self.outside(moved)[:, None], self.lattice, moved)
-        return self.raised(moved), self.upper[1] - moved[:, 1] if self.depth is None else self.depth(moved)
+        return self.raised(moved)
 
 
 def with_boxes(scene: Scene) -> tuple[Mass, ...]:
@@ -159,6 +171,10 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
         moved[:, 1] += elevation(ground, domain, places[:, level])
         return moved
 
+    def cover(places: Floats) -> Floats:
+        top = elevation(ground, domain, places[:, level]) + plan.thickness(places[:, level])
+        return np.asarray(np.maximum(top - places[:, 1], 0.0))
+
     def outside(places: Floats) -> NDArray[np.bool_]:
         return np.asarray(~plan.contains(places[:, level]) | (places[:, 1] >= plan.thickness(places[:, level])))
 
@@ -170,7 +186,7 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
         upper=np.insert(plan.upper, 1, float(top.max())),
         outside=outside,
         raised=raised,
-        depth=lambda places: np.asarray(np.maximum(plan.thickness(places[:, level]) - places[:, 1], 0.0)),
+        cover=cover,
     )
 
 

@@ -21,7 +21,18 @@ from datasets.errors import InputError
 from datasets.records import Record
 from datasets.scene import Scene
 from inverse.parameters import inputs
-from inverse.parameters.kind import Centre, Cohesion, Constant, Draft, Extent, Kind, Residual, Vector, Velocity
+from inverse.parameters.kind import (
+    Centre,
+    ChannelFriction,
+    Cohesion,
+    Constant,
+    Draft,
+    Extent,
+    Kind,
+    Residual,
+    Vector,
+    Velocity,
+)
 from inverse.parameters.prior import Marginal, Prior
 
 __all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
@@ -44,6 +55,7 @@ KINDS: dict[str, Kind] = {
     for each in (
         *_MATERIAL,
         Kind(form="floor_friction", unit="-", digits=3, input=inputs.floor_friction),
+        ChannelFriction(form="channel.friction_deg", unit="deg", digits=2),
         Kind(form="wall_friction", unit="-", digits=3, input=inputs.constant),
         Kind(form="baffle_friction", unit="-", digits=3, input=inputs.baffle_friction),
         Kind(form="damping", unit="-", digits=3, input=inputs.constant),

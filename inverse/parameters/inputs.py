@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from datasets.geometry.ground import ground_raster
+from datasets.particles import initial_particles
 from gns.initial import InitialState
 from inverse.parameters.kind import Constant, Extent, Kind
 
@@ -23,10 +24,14 @@ def friction(kind: Constant, initial: InitialState, value: Tensor) -> InitialSta
     return initial.with_conditions(friction=friction)
 
 
-def cohesion(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
-    """Cohesion [Pa]."""
-    known = initial.conditions.cohesion
-    return initial.with_conditions(cohesion=torch.where(initial.of_mass(kind.index), value.to(known.dtype), known))
+def cohesion(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
+    """Cohesion at the top [Pa]; its growth with depth stays."""
+    known, material = initial.conditions.cohesion, kind.material(initial.scene)
+    changed = value.to(known.dtype)
+    if material.strength_gradient > 0.0:
+        depths = torch.from_numpy(initial_particles(initial.scene).depth[initial.indices])
+        changed = changed + (material.strength_gradient * depths).to(known.dtype)
+    return initial.with_conditions(cohesion=torch.where(initial.of_mass(kind.index), changed, known))
 
 
 def velocity(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.material import Material
-from datasets.scene import Scene
+from datasets.scene import DOMAIN_SIDES, Scene
 from gns.initial import InitialState
 
 Vector = NDArray[np.float64]
@@ -86,13 +86,39 @@ class Kind:
         if self.axis is not None and self.axis >= scene.dimension:
             message = f"the scene is {scene.dimension}D and has no {'xyz'[self.axis]}"
             raise InputError(f"expected a parameter along x or y, {message}")
-        if self.form == "baffle_friction" and not scene.baffles:
-            raise InputError("expected a scene with baffles, there are none")
+        if idle := self.idle(scene):
+            raise InputError(f"expected a quantity on which the flow depends, {idle}")
         if self.form == "masses[].height" and (kind := self.holder(scene).kind) != "box":
             raise InputError(f"expected a mass of kind box, got a {kind}")
         if self.axis is None and not isinstance(getattr(self.holder(scene), self.key, 0.0), float | int):
             owner = {"thickness": "a mass of kind layer", "k0": "a mass"}.get(self.key, "a surface")
             raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
+
+    def idle(self, scene: Scene) -> str:
+        """Why the flow of `scene` does not depend on it, in words; empty where it does."""
+        if self.form == "baffle_friction" and not scene.baffles:
+            return "there are no baffles"
+        if self.form == "baffle_friction" and all(baffle.friction is not None for baffle in scene.baffles):
+            return "every baffle has a friction of its own"
+        if self.form == "wall_friction" and scene.channel is not None:
+            return "the walls of a channel have channel.friction_deg"
+        if self.form == "wall_friction" and set(DOMAIN_SIDES[: 2 * scene.dimension]) - {"y-"} <= {*scene.open_sides}:
+            return "all sides of the box are open"
+        if self.form == "floor_friction" and "y-" in scene.open_sides:
+            return "the floor is open"
+        if self.form == "floor_friction" and scene.solids:
+            from datasets.geometry.ground import ground_raster
+
+            if (ground_raster(scene, scene.domain.cell)[2] >= 0).all():
+                return "terrain covers the floor"
+        if self.form == "solids[].friction" and self.holder(scene).contact != "coulomb":
+            return f"solids[{self.index}] lets nothing slide"
+        varies = [each.mass for each in scene.fields if each.quantity == self.form.split(".")[-1]]
+        shared = [number for number, mass in enumerate(scene.masses) if mass.material is None]
+        own = shared if self.index is None else [self.index]
+        if varies and (None in varies or set(own) <= {*varies}):
+            return "a field of the scene takes its place"
+        return ""
 
     def holder(self, scene: Scene | Draft) -> Any:
         """The scene, mass, baffle or solid that has it."""
@@ -136,6 +162,20 @@ class Velocity(Kind):
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
         mass = self.holder(draft)
         return {"velocity": self.vector(mass.velocity or (0.0,) * len(mass.size), value)}
+
+
+class ChannelFriction(Kind):
+    """Angle of friction of a channel's walls [deg]."""
+
+    def check(self, scene: Scene) -> None:
+        if scene.channel is None:
+            raise InputError("expected a scene with a channel, there is none")
+
+    def holder(self, scene: Scene | Draft) -> Any:
+        return scene.channel
+
+    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
+        return {"channel": dataclasses.replace(draft.channel, friction_deg=value)}
 
 
 class Constant(Kind):

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry.placement import remembers_gaps
 from datasets.material import Material
-from datasets.particles import Particles
+from datasets.particles import Particles, scene_height
 from datasets.scene import Scene, coefficient
 from mpm.arrays.layout import Property, Setting
-from mpm.output.request import REST_ENERGY, height
+from mpm.output.request import REST_ENERGY
 
 Array = NDArray[Any]
 
@@ -59,7 +59,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
         Setting.WEIGHT: weight,
-        Setting.REST_ENERGY: REST_ENERGY * weight * height(scene),
+        Setting.REST_ENERGY: REST_ENERGY * weight * scene_height(scene),
     }
     return [values[column] for column in Setting]
 

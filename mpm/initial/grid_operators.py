@@ -69,6 +69,8 @@ class ContactOperator:
         self.foot = foot.tocsr()
         self.traction = np.zeros((len(self.touching), dimension))
         """Shear traction q [Pa], shape [M, D]."""
+        self.normals, self.frictions = np.zeros((weights.shape[1], dimension)), np.zeros(weights.shape[1])
+        """Of the solids that hold nodes, shapes [n, D] and [n]; `fixed_components` finds them."""
 
     def gradient(self, displacements: Floats) -> Floats:
         """What contact adds to the displacement gradient of the touching particles [-], shape [M, 3, 3], by nodal
@@ -108,11 +110,20 @@ class ContactOperator:
         solids, surface = obstacles_in(scene), surface_of(scene)
         if surface is None:
             return np.zeros(nodes.shape, bool)
-        normal = np.abs(surface.normals[solids.holds[:, 0].astype(np.int64)])
+        directions = surface.normals[solids.holds[:, 0].astype(np.int64)]
+        normal = np.abs(directions)
         held = np.where((normal.max(axis=1) > 1.0 - 1.0e-9)[:, None], normal > 0.5, True) * solids.holds[:, [2]]
-        total = np.concatenate([np.zeros((1, scene.dimension)), np.cumsum(held, axis=0)])
         node = np.ravel_multi_index(tuple(nodes.T), node_shape(scene.domain))
-        return np.asarray(total[solids.node_holds[node + 1]] - total[solids.node_holds[node]] >= 0.5 - 1.0e-9)
+
+        def of_nodes(values: Floats) -> Floats:
+            total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+            return np.asarray(total[solids.node_holds[node + 1]] - total[solids.node_holds[node]])
+
+        sums = of_nodes(solids.holds[:, [2]] * np.column_stack([directions, solids.holds[:, 1]]))
+        length = np.linalg.norm(sums[:, :-1], axis=1)
+        self.normals = np.divide(sums[:, :-1], length[:, None], out=self.normals, where=length[:, None] > 0.0)
+        self.frictions = sums[:, -1]
+        return of_nodes(held) >= 0.5 - 1.0e-9
 
     def diagonal(self, lame: Floats, shear: Floats) -> Floats:
         """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""

@@ -39,11 +39,12 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from datasets.particles import Particles
-from datasets.scene import DOMAIN_SIDES, TOLERANCE, Mass, Scene, coefficient
+from datasets.particles import Particles, scene_height
+from datasets.scene import DOMAIN_SIDES, Scene, coefficient
 from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import properties_of
 from mpm.initial.barriers import barriers
+from mpm.initial.geostatic import geostatic, lateral_shortfall, warn_of_ratio
 from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
 
 Floats = NDArray[np.float64]
@@ -52,6 +53,8 @@ ITERATIONS = 100
 """Solutions for an unbalanced force at most."""
 PATIENCE, PROGRESS = 10, 0.9
 """How many in a row may leave more than this part of the least unbalanced force so far."""
+ROUNDS, NEAR = 4, 0.01
+"""Solutions for the thrust of a box at most, and which share of it may be missing."""
 ROUNDING = 1.0e-9
 """Change of stress by the yield surface, over the largest stress, that does not count."""
 BALANCED = 1.0e-12
@@ -92,44 +95,20 @@ def initial_tractions(scene: Scene, particles: Particles, positions: Floats | No
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if chosen.any() and scene.gravity > 0.0:
         rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
-        problem = Equilibrium(scene, particles, rounded, np.flatnonzero(chosen))
-        stress[chosen] = problem.solution(geostatic(scene, particles, rounded)[chosen])
-        shear[np.flatnonzero(chosen)[problem.contact.touching]] = problem.contact.traction
+        guess, numbers = geostatic(scene, particles, rounded), np.flatnonzero(chosen)
+        start = guess[chosen]
+        for _ in range(ROUNDS):
+            problem = Equilibrium(scene, particles, rounded, numbers)
+            stress[chosen] = problem.solution(start)
+            lacking = lateral_shortfall(scene, particles, guess, stress)
+            if np.abs(lacking).max() <= NEAR:
+                break
+            start = (stress + lacking * guess)[chosen]
+        problem.warn(stress[chosen])
+        warn_of_ratio(scene, particles, lacking)
+        shear[numbers[problem.contact.touching]] = problem.contact.traction
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: 4 if dimension == 2 else 6]
     return np.stack([stress[:, i, j] for i, j in pairs], axis=1), shear
-
-
-def geostatic(scene: Scene, particles: Particles, positions: Floats) -> Floats:
-    """sigma_v = -overburden and sigma_h = K0 sigma_v of the masses with a number for `k0` [Pa], shape [N, 3, 3]."""
-    stress = np.zeros((len(positions), 3, 3))
-    for number, mass in enumerate(scene.masses):
-        if mass.k0 is None or isinstance(mass.k0, str):
-            continue
-        selected = particles.mass == number
-        vertical = -overburden(scene, mass, positions[selected], particles.depth[selected])
-        stress[selected] = vertical[:, None, None] * np.diag([mass.k0, 1.0, mass.k0])
-    return stress
-
-
-def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:
-    """Weight per area of what lies above `positions` in `mass` [Pa], shape [n], `depth` [m] below its surface.
-
-    It counts masses that rest on it without a gap and have a `k0` themselves: others bear nothing yet, and so press on
-    nothing.
-    """
-    gravity = -scene.gravity_vector[1]
-    top = positions[:, 1] + depth if mass.kind == "layer" else np.full(len(positions), mass.lower[1] + mass.size[1])
-    load = scene.material_of(mass).density * (top - positions[:, 1])
-    level = [axis for axis in range(scene.dimension) if axis != 1]
-    for above in sorted(scene.masses, key=lambda each: each.lower[1]):
-        if above is mass or above.k0 is None:
-            continue
-        low, size = np.array(above.lower)[level], np.array(above.size)[level]
-        inside = (positions[:, level] >= low) & (positions[:, level] <= low + size)
-        rests = inside.all(axis=1) & (np.abs(above.lower[1] - top) <= TOLERANCE)
-        load = load + np.where(rests, scene.material_of(above).density * above.size[1], 0.0)
-        top = np.where(rests, above.lower[1] + above.size[1], top)
-    return np.asarray(gravity * load)
 
 
 class Equilibrium:
@@ -153,9 +132,10 @@ class Equilibrium:
         direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
         self.direct = np.flatnonzero(direct)
         self.theta = np.ones(len(chosen))
-        height = float(np.ptp(positions[chosen, 1])) + scene.domain.cell
+        height = scene_height(scene) + scene.domain.cell
         slowest = np.pi / (2.0 * height) * max(material.wave_speed for material in particles.materials)
-        touches = len(self.contact.touching) > 0
+        # A body that nothing holds along the floor slides there as a whole: K alone is singular.
+        touches = len(self.contact.touching) > 0 or (scene.slope_deg != 0.0 and self.friction == 0.0)
         self.inertia = INERTIA * slowest**2 * self.mass[:, None] if touches else np.zeros((len(self.mass), 1))
 
     def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
@@ -178,10 +158,11 @@ class Equilibrium:
                     inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
                     self.behind_barriers[inside, axis] = True
         held = (walls != 0) | self.behind_barriers | self.rough[:, None]
-        self.free = ~(held | self.contact.fixed_components(scene, self.nodes))
+        self.in_solids = self.contact.fixed_components(scene, self.nodes)
+        self.free = ~(held | self.in_solids)
 
     def solution(self, stress: Floats) -> Floats:
-        """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3]; a warning where there is none."""
+        """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3], or the nearest to one."""
         precondition = None
         best, smallest, patience = stress, np.inf, PATIENCE
         tractions = self.contact.traction
@@ -214,18 +195,22 @@ class Equilibrium:
             if pulled.any():
                 self.free |= pulled
                 precondition = None
-        missing = self.missing(best)
+        return best
+
+    def warn(self, stress: Floats) -> None:
+        """Say how much of the weight a solution leaves unbalanced, where that is more than single particles."""
+        missing = self.missing(stress)
         if missing > UNBALANCED:
             warnings.warn(
                 f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
                 "unbalanced at the start",
                 stacklevel=6,
             )
-        return best
 
     def missing(self, stress: Floats) -> float:
         """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""
         force = self.unbalanced(stress, self.contact.traction)
+        held = (self.walls != 0) | self.behind_barriers | self.rough[:, None]
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
         pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
@@ -234,7 +219,12 @@ class Equilibrium:
         along = np.where((self.walls[:, level] == 0) & ~self.behind_barriers[:, level], force[:, level], 0.0)
         shear = np.linalg.norm(along, axis=1)
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
-        return float(loose + pulled + slips) / self.weight
+        # Solids hold nodes altogether; along all faces they bear no more than friction, in the sum: single nodes pull.
+        borne = np.where(self.in_solids & ~held, force, 0.0)
+        across = (borne * self.contact.normals).sum(axis=1)
+        along = np.linalg.norm(borne - across[:, None] * self.contact.normals, axis=1)
+        slides = max(float(along.sum() - self.contact.frictions @ np.maximum(-across, 0.0)), 0.0)
+        return float(loose + pulled + slips + slides) / self.weight
 
     def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
         """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""

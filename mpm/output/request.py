@@ -23,6 +23,7 @@ from typing import Literal
 
 from datasets.errors import InputError
 from datasets.material import Material
+from datasets.particles import scene_height
 from datasets.records import Record
 from datasets.scene import Scene
 
@@ -89,14 +90,9 @@ WITH_FIELDS = Recording(fields=True, wall_forces=True)
 """All frames with all fields, and the forces on the walls."""
 
 
-def height(scene: Scene) -> float:
-    """Extent H of the material along the second axis at the start [m]."""
-    return max(mass.lower[1] + mass.size[1] for mass in scene.masses) - min(mass.lower[1] for mass in scene.masses)
-
-
 def window_frames(scene: Scene, materials: Sequence[Material]) -> int:
     """Frames of the window over which `scene` must have been at rest."""
     slowest = min(math.sqrt(material.shear_modulus / material.density) for material in materials)
-    period = 4.0 * height(scene) / slowest
-    flow = math.sqrt(height(scene) / scene.gravity) if scene.gravity > 0.0 else 0.0
+    period = 4.0 * scene_height(scene) / slowest
+    flow = math.sqrt(scene_height(scene) / scene.gravity) if scene.gravity > 0.0 else 0.0
     return max(MIN_FRAMES, math.ceil(max(period, flow) / scene.frame_dt) + 1)

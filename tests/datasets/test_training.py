@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.particles import initial_particles
-from datasets.scene import Mass, Scene
-from datasets.training import MOVING_SPEED, MotionStatistics, motion_statistics, particle_cohesion, thin
+from datasets.material import Material
+from datasets.particles import initial_particles, observed_cohesion
+from datasets.scene import Mass, Scene, Solid
+from datasets.training import MOVING_SPEED, MotionStatistics, motion_statistics, thin
+from tests.scenes import scene_of
 
 FRAME_DT = 0.0025
 
@@ -20,15 +22,33 @@ def test_cohesion_goes_with_the_particles_of_the_masses(scene: Scene) -> None:
     masses = (*scene.masses, Mass(lower=(0.12, 0.0), size=(0.03, 0.03), material=stiff))
     two = dataclasses.replace(scene, masses=masses)
     points = initial_particles(two)
-    found = particle_cohesion(two, len(points.positions), None)
-    assert np.array_equal(found, [points.materials[index].cohesion for index in points.material])
-    assert set(found) == {0.0, 500.0}
+    cohesion = observed_cohesion(two, points.positions, None)
+    assert np.array_equal(cohesion, points.cohesion)
+    assert set(cohesion) == {0.0, 500.0}
     with pytest.raises(InputError, match="positions: expected the 68 particles of masses that differ in cohesion, got"):
-        particle_cohesion(two, 60, None)
+        observed_cohesion(two, points.positions[:60], None)
     # A part of the particles, as it is stored: each says its mass.
-    assert particle_cohesion(two, 3, np.array([1, 0, 1], np.int32)).tolist() == [500.0, 0.0, 500.0]
+    part = observed_cohesion(two, points.positions[:3], np.array([1, 0, 1], np.int32))
+    assert part.tolist() == [500.0, 0.0, 500.0]
     # Where all are alike, any number of points will do: an imported trajectory has its own.
-    assert particle_cohesion(dataclasses.replace(scene, material=stiff), 3, None).tolist() == [500.0] * 3
+    alike = dataclasses.replace(scene, material=stiff)
+    assert observed_cohesion(alike, points.positions[:3], None).tolist() == [500.0] * 3
+
+
+def test_strength_that_grows_with_depth_is_that_of_the_particles() -> None:
+    """Of a box, and of a layer on a slope, whose depth counts from its own top."""
+    clay = Material(friction_deg=20.0, cohesion=100.0, strength_gradient=2.0e3)
+    slope = Solid(kind="terrain", points=((0.0, 0.3), (1.0, 0.0)))
+    layer = Mass(kind="layer", thickness=0.1, outline=((0.0,), (0.5,)))
+    box = Mass(lower=(0.7, 0.3), size=(0.2, 0.2), material=dataclasses.replace(clay, strength_gradient=500.0))
+    scene = scene_of(layer, box, size=(1.0, 0.6), cell=0.02, material=clay, solids=(slope,))
+    particles = initial_particles(scene)
+    assert 100.0 + 2.0e3 * 0.09 < particles.cohesion[particles.mass == 0].max() <= 100.0 + 2.0e3 * 0.1
+    # Files keep positions in single precision.
+    stored, part = particles.positions.astype(np.float32), slice(None, None, 3)
+    for chosen, mass in ((slice(None), None), (part, particles.mass[part])):
+        found = observed_cohesion(scene, stored[chosen], mass)
+        np.testing.assert_allclose(found, particles.cohesion[chosen], rtol=1e-5)
 
 
 def test_moments_of_parts_are_those_of_the_whole() -> None:

@@ -14,8 +14,12 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from datasets.errors import InputError
+from datasets.field import Field
+from datasets.material import Material
+from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Solid
-from gns.initial import conditions_of
+from datasets.trajectory import Trajectory
+from gns.initial import conditions_of, initial_state
 from gns.losses import UnrolledLoss
 from gns.samples import Batch, Flow, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
 from gns.settings import ModelSettings, TrainingSettings
@@ -42,6 +46,53 @@ def test_a_flow_takes_every_so_many_frames(tmp_path: Path) -> None:
     for step in (0.004, 0.001):
         with pytest.raises(InputError, match=r"a\.npz: expected frames 0\.00"):
             Flows([tmp_path / "a.npz"], ModelSettings(frame_dt=step, frames_per_step=1))[0]
+
+
+def test_training_and_rollout_give_the_network_the_same_numbers(tmp_path: Path) -> None:
+    """Particles and surroundings at the start, of masses whose cohesion grows with depth and whose friction varies."""
+    clay = Material(friction_deg=25.0, cohesion=200.0, strength_gradient=3.0e3)
+    ramp = Solid(kind="terrain", points=((0.0, 0.1), (0.4, 0.0), (0.6, 0.0)), friction=0.5)
+    fields = (
+        Field((0.0, 0.0), (0.3, 0.4), (2, 1), quantity="friction_deg", values=(22.0, 38.0), mass=1),
+        Field((0.0, 0.0), (0.1, 0.1), (1, 2), quantity="velocity_x", values=(0.0, 1.0)),
+    )
+    scene = scene_of(
+        Mass(kind="layer", thickness=0.06, outline=((0.0,), (0.2,))),
+        Mass(lower=(0.24, 0.12), size=(0.1, 0.1), material=dataclasses.replace(clay, strength_gradient=0.0)),
+        size=(0.6, 0.4),
+        cell=0.01,
+        material=clay,
+        solids=(ramp,),
+        fields=fields,
+        baffles=(Baffle(lower=(0.5, 0.0), size=(0.02, 0.1), friction=0.3),),
+        duration=0.05,
+        floor_friction=0.4,
+        wall_friction=0.2,
+        damping=0.1,
+    )
+    settings, particles = ModelSettings(), initial_particles(scene)
+    rollout = initial_state(scene, settings)
+    units, frames = rollout.conditions.units, scene.frames
+    Trajectory(
+        positions=np.repeat(particles.positions[None].astype(np.float32), frames, axis=0),
+        time=scene.frame_dt * np.arange(frames),
+        velocity0=particles.velocities.astype(np.float32),
+        friction=particles.friction,
+        scene=scene,
+    ).save(tmp_path / "a.npz")
+    (flow,) = Flows([tmp_path / "a.npz"], settings)
+    sample = stretch(flow, settings, now=0, steps=1, rng=np.random.default_rng(0))
+    assert units == Units()
+    for name, value in vars(rollout.state).items():
+        torch.testing.assert_close(getattr(sample.state, name), value, rtol=1e-5, atol=1e-7)
+    assert rollout.conditions.cohesion.unique().numel() > 10
+    for name, value in vars(rollout.conditions.in_model_units()).items():
+        trained = getattr(sample.conditions, name)
+        pairs = [(trained, value)] if isinstance(value, torch.Tensor) else []
+        if name == "ground":
+            pairs = [(trained.elevation, value.elevation), (trained.friction, value.friction)]
+        for one, other in pairs:
+            torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-7, msg=lambda text, name=name: f"{name}: {text}")
 
 
 @pytest.mark.parametrize(("now", "given"), [(0, []), (2, [0, 1, 2]), (6, [3, 4, 5, 6])])

@@ -1,6 +1,8 @@
 """Masses that begin under their own weight: in equilibrium on the grid, within the yield surface, and so at rest."""
 
 import dataclasses
+import math
+import re
 import warnings
 from typing import Any
 
@@ -8,11 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datasets.checks import warn_if_unlikely
+from datasets.errors import InputError
 from datasets.material import Material
-from datasets.particles import initial_particles
+from datasets.particles import initial_particles, scene_height
 from datasets.scene import Mass, Scene, Solid
 from mpm import WITH_FIELDS, simulate
 from mpm.initial.stress import initial_tractions
+from mpm.resolution import characteristic_length
 from tests.mpm.element import tensor
 from tests.scenes import SAND, scene_of, with_masses
 
@@ -59,7 +64,16 @@ def test_rows_have_the_geostatic_stress() -> None:
     np.testing.assert_allclose(lateral[1:], 0.5, rtol=0.01)
 
 
+@pytest.mark.parametrize("k0", [0.45, 1.0, 2.0])
+def test_a_box_presses_on_its_walls_with_its_ratio(k0: float) -> None:
+    """The mean over the box is the thrust over rho g H^2 / 2."""
+    scene = with_masses(BED_2D, dataclasses.replace(BED_2D.masses[0], k0=k0))
+    volume = initial_particles(scene).volume
+    assert -(volume @ stress_of(scene)[:, 0]) == pytest.approx(k0 * 0.5 * SAND.density * 9.81 * 0.4**2, rel=0.01)
+
+
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:no initial stress within the yield surface has")
 @pytest.mark.parametrize("k0", [0.36, 0.5, 1.0, 2.5])
 @pytest.mark.parametrize("scene", [BED_2D, BED_3D], ids=["2D", "3D"])
 def test_no_particle_is_beyond_yield(scene: Scene, k0: float) -> None:
@@ -156,3 +170,68 @@ def test_sand_that_cannot_stand_is_said_to_be_unbalanced() -> None:
     with pytest.warns(UserWarning, match=r"no initial stress .* 0\.\d+ of the weight") as caught:
         stress_of(with_masses(BED_2D, column))
     assert len(caught) == 1
+
+
+CLAY = Material(friction_deg=30.0, cohesion=1.0e5, tension_cutoff=1.0e5)
+FALL = math.tan(math.radians(25.0))
+CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
+BLOCK = [(0.3 + 0.2 * along + 0.1 * up * FALL, 0.55 - FALL * (0.3 + 0.2 * along) + 0.1 * up) for along, up in CORNERS]
+
+
+def on_incline(how: str, friction: float) -> Scene:
+    """A cohesive body on 25 degrees, by gravity or by terrain."""
+    if how == "slope_deg":
+        block = Mass(lower=(0.3, 0.0), size=(0.2, 0.1), k0="elastic")
+        return scene_of(block, size=(1.0, 0.6), material=CLAY, floor_friction=friction, slope_deg=25.0)
+    masses = {
+        "block": Mass(kind="polygon", vertices=tuple(BLOCK), k0="elastic"),
+        "layer": Mass(kind="layer", thickness=0.1, outline=((0.3,), (0.6,)), k0="elastic"),
+    }
+    ground = Solid(kind="terrain", points=((0.0, 0.55), (1.0, 0.55 - FALL)), friction=friction)
+    return scene_of(masses[how], size=(1.0, 0.8), material=CLAY, solids=(ground,))
+
+
+@pytest.mark.parametrize("how", ["slope_deg", "block", "layer"])
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+def test_what_is_unbalanced_on_an_incline_is_what_friction_does_not_bear(how: str, friction: float) -> None:
+    slope = math.radians(25.0)
+    with pytest.warns(UserWarning, match="of the weight is unbalanced") as caught:
+        stress_of(on_incline(how, friction))
+    said = re.search(r"gravity: (\S+) of the weight", str(caught[0].message))
+    assert said is not None
+    assert float(said[1]) == pytest.approx(math.sin(slope) - friction * math.cos(slope), abs=0.015)
+
+
+@pytest.mark.parametrize(("k0", "cohesion"), [(0.32, 0.0), (3.1, 0.0), (0.19, 100.0)])
+def test_a_ratio_beyond_yield_is_refused_with_both_limits(k0: float, cohesion: float) -> None:
+    """Rankine's 1/3 and 3; with a cohesion Bell's at the foot, where it adds least: -+ 2 c / (rho g H) sqrt(K)."""
+    mass, sand = BED_2D.masses[0], dataclasses.replace(SAND, cohesion=cohesion)
+    added = 2.0 * cohesion / (SAND.density * 9.81 * 0.4)
+    low, high = (f"{1 / 3 - added / 3**0.5:.3g}", f"{3.0 + added * 3**0.5:.3g}")
+    with pytest.raises(
+        InputError, match=re.escape(f"masses[0].k0: expected a ratio within active and passive yield, {low} to {high}")
+    ):
+        with_masses(BED_2D, dataclasses.replace(mass, k0=k0), material=sand)
+    with_masses(BED_2D, dataclasses.replace(mass, k0=0.334), material=sand)
+
+
+def test_a_ratio_that_jitter_does_not_allow_is_said() -> None:
+    mass = dataclasses.replace(BED_2D.masses[0], k0=0.34)
+    with pytest.warns(UserWarning, match=r"masses\[0\]\.k0 = 0\.34 on this grid: the thrust is \d+ % off"):
+        stress_of(with_masses(BED_2D, mass))
+
+
+def test_a_layer_on_a_slope_is_as_stiff_as_it_is_thick() -> None:
+    """10 rho g h of 1.5 m of snow are 29 kPa, whatever the slope under it falls."""
+    snow = Material(friction_deg=21.0, density=200.0, young=2.0e6)
+    ground = Solid(kind="terrain", points=((0.0, 140.0), (200.0, 5.0)))
+    layer = Mass(kind="layer", thickness=1.5, outline=((20.0,), (180.0,)))
+    scene = scene_of(layer, size=(200.0, 150.0), cell=0.5, material=snow, solids=(ground,))
+    assert scene_height(scene) == 1.5
+    assert characteristic_length(scene) == 1.5
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_if_unlikely(scene)
+    soft = dataclasses.replace(scene, material=dataclasses.replace(snow, young=2.0e4))
+    with pytest.warns(UserWarning, match=r"10 rho g h = 2\.94e\+04 Pa"):
+        warn_if_unlikely(soft)

@@ -10,7 +10,7 @@ import torch
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import released_volume
-from datasets.scene import Baffle, Mass, Solid
+from datasets.scene import Baffle, Channel, Mass, Solid
 from inverse.checks import check_parameters
 from inverse.forward.gns import GnsForward
 from inverse.observations import build
@@ -140,7 +140,8 @@ def test_a_value_enters_the_scene_and_comes_out_again(name: str, value: float, u
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("baffle_friction", "there are none"),
+        ("baffle_friction", "there are no baffles"),
+        ("channel.friction_deg", "there is none"),
         ("residual_cohesion", "softening_length"),
         ("inertial_number", "friction_limit_deg"),
         ("masses[0].k0", "k0 is a number"),
@@ -149,6 +150,27 @@ def test_a_value_enters_the_scene_and_comes_out_again(name: str, value: float, u
 def test_what_a_scene_has_not_is_refused(name: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         kind(name).check(COLUMN)
+
+
+def test_what_a_flow_does_not_depend_on_is_refused() -> None:
+    channel = dataclasses.replace(COLUMN, channel=Channel(width=0.1, friction_deg=20.0))
+    assert kind("channel.friction_deg").read(with_parameters(channel, ["channel.friction_deg"], [12.0])) == 12.0
+    ground = Solid(kind="terrain", points=((0.0, 0.4), (1.0, 0.1)), friction=0.3)
+    layer = Mass(kind="layer", thickness=0.1, outline=((0.1,), (0.3,)))
+    covered = dataclasses.replace(COLUMN, masses=(layer,), solids=(ground,))
+    for name, scene, message in (
+        ("wall_friction", channel, r"channel\.friction_deg"),
+        ("floor_friction", covered, "terrain covers the floor"),
+        (
+            "solids[0].friction",
+            dataclasses.replace(covered, solids=(dataclasses.replace(ground, contact="no-slip"),)),
+            "nothing slide",
+        ),
+        ("wall_friction", dataclasses.replace(COLUMN, open_sides=("x-", "x+", "y+")), "are open"),
+        ("floor_friction", dataclasses.replace(COLUMN, open_sides=("y-",)), "floor is open"),
+    ):
+        with pytest.raises(InputError, match=message):
+            kind(name).check(scene)
 
 
 def test_a_solid_and_a_layer() -> None:
