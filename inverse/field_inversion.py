@@ -99,7 +99,7 @@ def of_fields(problem: Problem) -> Result:
     scatter = Scatter(deviations=runs - runs.mean(axis=0), freedom=len(runs) - 1, expected=expected)
     answer = Answer(
         parameters=values,
-        half_widths=np.asarray(0.5 * problem.box.range * (ends[0] - ends[1])),
+        interval=problem.box.at(np.stack(ends[::-1])),
         checks=(check,),
         fit=fit(target, check.observation[None], scatter, parameters=posterior.informative),
     )

@@ -108,13 +108,22 @@ class Answer:
 
     parameters: Vector
     """Shape [U]."""
-    half_widths: Vector
-    """At 95 %, shape [U]."""
+    interval: Values
+    """Quantiles of 2.5 and 97.5 % within the bounds, shape [2, U]; of a design how far each may move."""
     weight: float = 1.0
     """Share of the posterior."""
     checks: tuple[MpmRun, ...] = ()
     fit: Fit | None = None
     """Of the checks beside the target; None of a design, and where the MPM was not asked."""
+
+    @property
+    def half_widths(self) -> Vector:
+        """Half of the interval's width, shape [U]."""
+        return np.asarray(0.5 * (self.interval[1] - self.interval[0]))
+
+    def holds(self, values: Vector) -> NDArray[np.bool_]:
+        """Which of values [U] lie within the interval, shape [U]."""
+        return np.asarray((self.interval[0] <= values) & (values <= self.interval[1]))
 
     @property
     def observation(self) -> Values:
@@ -265,15 +274,14 @@ def judge(problem: Problem, answers: Sequence[Answer], *, excluded: bool = False
 
 
 def unidentified(problem: Problem, answer: Answer) -> list[str]:
-    """The numbers whose interval, cut off at the bounds, is most of the prior's.
+    """The numbers whose interval is most of the prior's.
 
     Of a positive one half as much will do where the half-width is above the value itself.
     """
     names = []
     both = zip(answer.parameters, answer.half_widths, problem.prior_widths, strict=True)
     for each, (value, width, prior) in zip(problem.numbers, both, strict=True):
-        lower, upper = each.bounds
-        length = (min(value + width, upper) - max(value - width, lower)) / prior
+        length = 2.0 * width / prior
         relative = each.kind.positive and width > abs(value) and length > 0.5 * CONSTANTS.most_of_the_prior
         if relative or length > CONSTANTS.most_of_the_prior:
             names.append(each.name)

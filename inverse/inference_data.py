@@ -66,7 +66,10 @@ def predictive(found: Posterior, points: Matrix, rng: np.random.Generator) -> Ma
     freedom = found.likelihood.freedom
     scale = np.sqrt(freedom / rng.chisquare(freedom, len(points)))
     errors = scale[:, None] * np.einsum("sij,sj->si", lower, rng.standard_normal(residual.shape))
-    return found.reduction.numbers(found.likelihood.target - residual + errors)
+    # Errors across the components: noise and scatter of the weighted numbers, of variance 1 each.
+    basis, across = found.reduction.basis, rng.standard_normal((len(points), len(found.reduction.mean)))
+    across -= (across @ basis) @ basis.T
+    return found.reduction.numbers(found.likelihood.target - residual + errors) + across / found.reduction.weights
 
 
 def fill(group: h5py.Group, variables: Mapping[str, tuple[Matrix, str]], first: tuple[str, ...]) -> None:

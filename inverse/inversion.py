@@ -74,8 +74,8 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
     scatter = target.observation.prior_scatter(target.values)
     found = inverted(forward, problem, target, scatter, rough=1.0 if by_mpm else ROUGH)
     answers = tuple(
-        Answer(parameters=box.at(each.point), half_widths=box.range * each.half_widths, weight=each.weight)
-        for each in found.answers
+        Answer(parameters=box.at(each.point), interval=box.at(each.interval), weight=each.weight)
+        for each in found.regions
     )
     misfits = [target.observation.misfit(each, found.target.values) for each in found.numbers]
     first = answers[0].parameters

@@ -1,6 +1,6 @@
 """How far an observation may be from the MPM at the right parameters: what noise, scatter and cells explain.
 
-    s_i^2 = n_i^2 + (1 + 1/k) c_i^2 + d_i^2,    S^2 = 1/M sum_i r_i^2 / s_i^2
+    y = f + sum_o b_o d_o + scatter + noise,    S^2 = 1/M r^T (K + D)^-1 r,    K = diag(n^2 + (1 + 1/k) c^2)
 
 | symbol | variable | meaning |
 |---|---|---|
@@ -8,6 +8,7 @@
 | n | `noise` | standard deviation by errors of the measurement (`Target.deviation`) |
 | c | `scatter` | that of one flow, over the jitter seeds: the observation is one, the mean of k runs scatters by 1/k |
 | d | `cells` | what the cells of the MPM change, where the observation is no flow on the same |
+| b, D | `biases` | its unknown factor, smooth within an observation o, integrated over: one error, no noise |
 | S | `ratio` | 1 on average at the right parameters |
 
 The MPM lies within the predictive interval where chance exceeds S at least once in a hundred times. Errors of the
@@ -15,24 +16,27 @@ numbers are dependent: S^2 has the mean 1 all the same, but a wider distribution
 
     h = M^2 / |R|_F^2,    nu = nu_c (1 + (N + D) / C)^2
 
-degrees of freedom, R the correlation of r (Satterthwaite, Biometrics Bull. 2 (1946) 110-114), nu_c those with which the
-scatter is known and N, D, C the sums of n^2, d^2 and (1 + 1/k) c^2: what is known needs no estimate.
+degrees of freedom, R the covariance of whitened r (Satterthwaite, Biometrics Bull. 2 (1946) 110-114), nu_c those with
+which the scatter is known and N, D, C the sums of n^2, d^2 and (1 + 1/k) c^2: what is known needs no estimate.
 
 Where there are more numbers than parameters and S is above what chance explains once in twenty times, half-widths are
-multiplied by S, as if all noise had been stated too small: Birge's ratio (R. T. Birge, The calculation of errors by the
-method of least squares, Phys. Rev. 40 (1932) 207-227).
+multiplied by S (M / (M - U))^(1/2), as if all noise had been stated too small: Birge's ratio (R. T. Birge, The
+calculation of errors by the method of least squares, Phys. Rev. 40 (1932) 207-227).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import f
+from scipy.linalg import solve_triangular
+from scipy.stats import f, norm
 
 from datasets.field import Floats
 from datasets.measures import rms
 from inverse.target import Target
 
+SMOOTH = 0.3
+"""Correlation length of the error of the cells where no run has shown its shape, over the numbers of an observation."""
 CONFIDENCE = 0.99
 """Share of right answers that lie within the predictive interval."""
 RARE = 0.05
@@ -93,6 +97,8 @@ class Fit:
     """M."""
     parameters: int
     """U."""
+    outliers: dict[int, float] = field(default_factory=dict)
+    """Numbers that others do not predict, with z of each (`outlying`)."""
 
     @property
     def allowed(self) -> float:
@@ -112,27 +118,69 @@ class Fit:
 
     @property
     def factor(self) -> float:
-        """By which half-widths are multiplied, 1 at least."""
-        worse = self.numbers > self.parameters and self.ratio > 1.0 and self.probability < RARE
-        return self.ratio if worse else 1.0
+        """By which half-widths are multiplied, 1 at least: Birge's ratio, of M - U free numbers."""
+        if self.numbers <= self.parameters or self.ratio <= 1.0 or self.probability >= RARE:
+            return 1.0
+        return self.ratio * math.sqrt(self.numbers / (self.numbers - self.parameters))
 
 
-def fit(target: Target, shown: Floats, scatter: Scatter, *, cells: Floats | None = None, parameters: int = 0) -> Fit:
-    """Of runs at one answer that show numbers [k, M]; cells: d [M]; parameters: how many were fitted."""
+def biases(target: Target, cells: Floats, extrapolated: float) -> Floats:
+    """Covariance D [M, M] of the errors by cells that change the numbers by `cells` [M]: smooth within an observation.
+
+    extrapolated: share e of d that no run has shown, of which half has the shape of d and half any smooth one.
+    """
+    found = (1.0 - 0.5 * extrapolated) * np.outer(cells, cells)
+    for part in target.observation.parts:
+        own = np.arange(len(cells))[part.numbers]
+        apart = (own[:, None] - own) / max(1.0, SMOOTH * len(own))
+        alike = rms(cells[own]) ** 2 * np.exp(-0.5 * apart**2)
+        # Each observation has a factor of its own.
+        found[np.ix_(own, own)] += 0.5 * extrapolated * alike
+    return found
+
+
+def fit(
+    target: Target,
+    shown: Floats,
+    scatter: Scatter,
+    *,
+    cells: Floats | None = None,
+    extrapolated: float = 1.0,
+    parameters: int = 0,
+    slopes: Floats | None = None,
+) -> Fit:
+    """Of runs at one answer that show numbers [k, M].
+
+    cells: d [M]; extrapolated: see `biases`; parameters: how many were fitted; slopes: by them [U, M], with which each
+    number is judged by itself (`outlying`).
+    """
     share, residual = 1.0 + 1.0 / len(shown), shown.mean(axis=0) - target.values
-    own = target.deviation**2 + (0.0 if cells is None else cells**2)
-    variance = share * scatter.variance
-    total = np.maximum(own + variance, 1e-300)
-    # |R|_F^2 of R = (N + D + F^T F) / total without the matrix of a whole deposit.
-    size, free = len(residual), max(1, scatter.freedom)
-    flows = scatter.deviations * math.sqrt(share / free) / np.sqrt(total)
-    rest = np.maximum(1.0 - (flows**2).sum(axis=0), 0.0)
-    square = float(np.sum((flows @ flows.T) ** 2) + 2.0 * rest @ (flows**2).sum(axis=0))
-    if target.covariance is None:
-        square += float(rest @ rest)
+    own, variance = target.deviation**2, share * scatter.variance
+    total, free = np.maximum(own + variance, 1e-300), max(1, scatter.freedom)
+    bias = None if cells is None else biases(target, cells, extrapolated)
+    size, flows = len(residual), scatter.deviations * math.sqrt(share / free)
+    if cells is None or bias is None:
+        whitened, flows = residual / np.sqrt(total), flows / np.sqrt(total)
+        # |R|_F^2 of R = (N + F^T F) / total without the matrix of a whole deposit.
+        rest = np.maximum(1.0 - (flows**2).sum(axis=0), 0.0)
+        square = float(np.sum((flows @ flows.T) ** 2) + 2.0 * rest @ (flows**2).sum(axis=0))
+        if target.covariance is None:
+            square += float(rest @ rest)
+        else:
+            known = target.covariance / np.sqrt(np.outer(total, total))
+            square += float(np.sum(known**2)) + 2.0 * float(np.sum((flows @ known) * flows))
     else:
-        known = target.covariance / np.sqrt(np.outer(total, total))
-        square += float(np.sum(known**2)) + 2.0 * float(np.sum((flows @ known) * flows))
+        lower = np.linalg.cholesky(np.diag(total + FLOOR * (total.max() + float(np.diag(bias).max()))) + bias)
+        noise = np.diag(own) if target.covariance is None else target.covariance
+        rest = np.maximum(variance - (flows**2).sum(axis=0), 0.0)
+        half = solve_triangular(lower, noise + flows.T @ flows + np.diag(rest) + bias, lower=True)
+        square = float(np.sum(solve_triangular(lower, half.T, lower=True) ** 2))
+        whitened = solve_triangular(lower, residual, lower=True)
+        own = own + cells**2
+    predicted = None
+    if slopes is not None:
+        # Parameters in fractions of their ranges have the variance 1/12.
+        predicted = np.diag(total) + slopes.T @ slopes / 12.0 + (0.0 if bias is None else bias)
     first = float(np.clip(size**2 / max(square, 1.0), 1.0, size))
     # Those with which the scatter is known, and with what its prior adds; many where nothing but the prior is.
     counted = scatter.freedom + PRIOR_FREEDOM if scatter.freedom else 1e6
@@ -142,11 +190,34 @@ def fit(target: Target, shown: Floats, scatter: Scatter, *, cells: Floats | None
         noise=rms(target.deviation),
         scatter=rms(np.sqrt(scatter.variance)),
         cells=0.0 if cells is None else rms(cells),
-        ratio=math.sqrt(float(np.mean(residual**2 / total))),
+        ratio=math.sqrt(float(np.mean(whitened**2))),
         freedom=(first, min(second, 1e9)),
         numbers=size,
         parameters=parameters,
+        outliers={} if predicted is None else outlying(residual, predicted),
     )
+
+
+def outlying(residual: Floats, covariance: Floats) -> dict[int, float]:
+    """Numbers whose residuals [M] lie off what the others predict by more than chance does once in a hundred flows.
+
+    z_i = (P r)_i / P_ii^(1/2),   P = C^-1
+
+    leaves out one number after the other (Dubrule, Cross validation of kriging in a unique neighborhood, Math. Geol. 15
+    (1983) 687-699). The farthest is left out for good, then those that are left are judged again: it moves them all.
+    """
+    limit = float(norm.isf(0.5 * (1.0 - CONFIDENCE) / len(residual)))
+    scale, left, outliers = np.sqrt(np.diag(covariance)), np.arange(len(residual)), {}
+    correlation = covariance / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+    while len(left) > 0.5 * len(residual):
+        inverse = np.linalg.inv(correlation[np.ix_(left, left)])
+        off = inverse @ (residual / scale)[left] / np.sqrt(np.diag(inverse))
+        worst = int(np.argmax(np.abs(off)))
+        if abs(off[worst]) <= limit:
+            break
+        outliers[int(left[worst])] = float(off[worst])
+        left = np.delete(left, worst)
+    return dict(sorted(outliers.items()))
 
 
 def shrunk(sample: Floats) -> Floats:

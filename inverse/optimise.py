@@ -38,7 +38,7 @@ from scipy.stats import chi2
 from inverse.forward import Differentiable, Forward
 from inverse.observations import Values
 from inverse.posterior import Matrix
-from inverse.posterior.answers import Part, half_widths, parts
+from inverse.posterior.answers import Part, parts
 from inverse.posterior.emulator import fewest_runs, fitted
 from inverse.posterior.posterior import Posterior, Region, next_points, posterior
 from inverse.posterior.reduction import reduction
@@ -108,18 +108,22 @@ class Inversion:
         )
 
     @cached_property
-    def answers(self) -> list[Part]:
-        """The separate parts of its 95 % region, each with its minimum of L as the answer."""
-        found, answers = self.posterior, []
+    def regions(self) -> list[Part]:
+        """The separate parts of its 95 % region, each with its median."""
         rng = np.random.default_rng([self.problem.optimiser.seed, 1])
-        for part in parts(found.samples, found.likelihood, rng):
+        return parts(self.posterior.samples, self.posterior.likelihood, rng)
+
+    @cached_property
+    def answers(self) -> list[Part]:
+        """The same, each with its minimum of L: where runs of the MPM are led to."""
+        answers = []
+        for part in self.regions:
             low, high = part.points.min(axis=0), part.points.max(axis=0)
             # No sample lies at a bound.
             slack = 0.05 * (high - low)
             own = self.minima[np.all((self.minima >= low - slack) & (self.minima <= high + slack), axis=1)]
             point = own[int(np.argmin(self.misfits(own) + self.penalty(own)))] if len(own) else part.point
-            widths = half_widths(part.points, part.shares, point)
-            answers.append(dataclasses.replace(part, point=point, half_widths=widths))
+            answers.append(dataclasses.replace(part, point=point))
         return answers
 
     def asked(self, points: Matrix) -> "Inversion":

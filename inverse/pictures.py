@@ -167,7 +167,7 @@ def profiles(axis: Axes, found: "Result", shown: Mapping[str, Deposit], scene: S
 
 
 def draw_unknowns(path: Path, found: "Result") -> None:
-    """Every number side by side, a panel for each unit: start, found with its half-width, truth."""
+    """Every number side by side, a panel for each unit: start, found with its interval, truth."""
     units, truth = list(dict.fromkeys(kind.unit for kind in found.problem.kinds)), found.target.truth
     size = (WIDTH, 0.4 + 3.2 * len(units))
     figure, grid = plt.subplots(len(units), 1, figsize=size, layout="constrained", squeeze=False)
@@ -180,9 +180,11 @@ def draw_unknowns(path: Path, found: "Result") -> None:
         starts = [each.start for each in every]
         axis.plot(x - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
         for number, answer in enumerate(found.answers):
-            label = "" if number else "found, with its half-width (95 %)"
+            label = "" if number else "found, with its interval (95 %)"
             style = {"fmt": "o", "color": COLOURS["MPM"], "capsize": 4, "label": label}
-            axis.errorbar(x + 0.1 + 0.15 * number, answer.parameters[own], yerr=answer.half_widths[own], **style)
+            value, ends = answer.parameters[own], answer.interval[:, own]
+            wide = np.maximum([value - ends[0], ends[1] - value], 0.0)
+            axis.errorbar(x + 0.1 + 0.15 * number, value, yerr=wide, **style)
         axis.set_xticks(x, [each.name.replace(".", "\n") for each in every])
         axis.set(xlim=(-0.6, len(own) - 0.4), ylabel=f"[{unit}]")
         axis.grid(axis="y", color="#e5e5e5")

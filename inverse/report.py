@@ -16,6 +16,7 @@ from inverse.found import IDENTIFIED, Answer, Combination, FoundField, Purpose, 
 from inverse.noise import CONFIDENCE
 
 if TYPE_CHECKING:
+    from inverse.parameters import Parameter
     from inverse.result import Result
 
 NAMED = 4
@@ -74,7 +75,7 @@ def first_found(found: "Result") -> str:
         return ""
     texts, more = [], len(found.problem.numbers) - NAMED
     for answer in said["answers"]:
-        text = named(found, answer["unknowns"].values(), answer["half_widths"].values())
+        text = named(found, answer["unknowns"].values(), answer["interval"].values())
         text += f" and {more} more" if more > 0 else ""
         texts.append(f"{text}, where the MPM is {root(answer['mpm_error']['misfit'] ** 0.5)} off the target")
     price = f"{said['predictions']} predictions in {said['seconds']:.1f} s"
@@ -133,7 +134,7 @@ def numbers(found: "Result") -> str:
     texts = []
     for answer in found.answers:
         share = f" ({100.0 * answer.weight:.0f} % of the posterior)" if len(found.answers) > 1 else ""
-        texts.append(named(found, answer.parameters.tolist(), answer.half_widths.tolist()) + share)
+        texts.append(named(found, answer.parameters.tolist(), answer.interval.T.tolist()) + share)
     meaning = "changes that the MPM distinguishes" if found.problem.target.minimise else "95 %"
     return f"{'; or '.join(texts)} ({meaning})."
 
@@ -151,17 +152,22 @@ def angles(found: "Result") -> str:
     return sentence(parts)
 
 
-def named(found: "Result", values: Iterable[float], widths: Iterable[float]) -> str:
-    """The first numbers with their half-widths."""
-    both = zip(found.problem.numbers[:NAMED], values, widths, strict=False)
-    return ", ".join(f"`{each.name}` = {each.kind.text(value)} ± {each.kind.text(own)}" for each, value, own in both)
+def named(found: "Result", values: Iterable[float], intervals: Iterable[Sequence[float]]) -> str:
+    """The first numbers with their intervals."""
+    both = zip(found.problem.numbers[:NAMED], values, intervals, strict=False)
+    return ", ".join(f"`{each.name}` = {each.kind.text(value)} ({within(each, ends)})" for each, value, ends in both)
+
+
+def within(number: "Parameter", ends: Sequence[float]) -> str:
+    """An interval in words."""
+    return " to ".join(number.kind.text(float(end)) for end in ends)
 
 
 def equifinality(found: "Result") -> str:
     """What the observation does not constrain, and which measurement would."""
     if found.posterior is None or found.problem.target.minimise:
         return ""
-    parts = []
+    parts = [advice] if (advice := finer(found)) else []
     if names := unidentified(found.problem, found.answers[0]):
         known = [mix(each) for each in found.combinations if each.identifiable]
         listed = ", ".join(f"`{name}`" for name in names)
@@ -180,11 +186,14 @@ def quality(found: "Result") -> str:
         worst = max(every, key=lambda each: abs(unknowns[each.name] - truth[each.name]) / each.range)
         error = worst.kind.text(unknowns[worst.name] - truth[worst.name])
         which = "" if len(every) == 1 else f" (`{worst.name}`)"
-        inside = f"{len(found.inside)} of {len(truth)} within the half-width"
+        inside = f"{len(found.inside)} of {len(truth)} within the interval"
         parts.append(f"error against the truth: {error}{which}, {inside}")
     fit = found.answers[0].fit
     if fit is not None and fit.factor > 1.0:
-        parts.append(f"the fit is {fit.factor:.2g} times worse than noise, scatter and cells explain")
+        wider = "so much wider are the intervals"
+        parts.append(f"the fit is {fit.factor:.2g} times worse than noise, scatter and cells explain, {wider}")
+    if off := outlying(found):
+        parts.append(f"outliers: {', '.join(name for name, _ in off)}")
     return sentence(parts)
 
 
@@ -208,8 +217,8 @@ def question(found: "Result") -> str:
     if len(found.problem.observations) == 1:
         what = found.target.observation.label
     observed = " ".join([*fields, f"Observed: {what}."])
-    truth, widths, rows = found.target.truth, found.answers[0].half_widths, []
-    uncertainty = "may move by" if found.problem.target.minimise else "certain to (95 %)"
+    truth, intervals, rows = found.target.truth, found.answers[0].interval.T, []
+    uncertainty = "may move between" if found.problem.target.minimise else "95 %"
     for index, each in enumerate(found.problem.numbers):
         text, value, (low, high) = each.kind.text, float(found.answer[index]), each.bounds
         row = {"unknown": f"`{each.name}`", "between": f"{low:g}, {high:g}"}
@@ -217,7 +226,7 @@ def question(found: "Result") -> str:
             row["prior"] = "uniform" if each.prior is None else each.prior.text
         row["start"] = text(each.start)
         row["found"] = f"**{text(value)}**"
-        row[uncertainty] = f"± {text(float(widths[index]))}"
+        row[uncertainty] = within(each, intervals[index])
         if truth:
             row |= {"truth": text(truth[each.name]), "error": text(value - truth[each.name])}
             row["truth inside"] = "yes" if each.name in found.inside else "**no**"
@@ -229,8 +238,8 @@ def every_answer(found: "Result") -> str:
     """A line for each."""
     rows = []
     for each in found.answers:
-        both = zip(found.problem.numbers, each.parameters.tolist(), each.half_widths.tolist(), strict=True)
-        row = {f"`{own.name}`": f"{own.kind.text(value)} ± {own.kind.text(width)}" for own, value, width in both}
+        both = zip(found.problem.numbers, each.parameters.tolist(), each.interval.T, strict=True)
+        row = {f"`{own.name}`": f"{own.kind.text(value)} ({within(own, ends)})" for own, value, ends in both}
         row["share of the posterior"] = f"{100.0 * each.weight:.0f} %"
         row["the MPM there"] = "not asked" if each.fit is None else distance(found, each)
         rows.append(row)
@@ -302,12 +311,40 @@ def uncertainty(found: "Result") -> list[str]:
         )
     if (fit := found.answers[0].fit) is not None:
         chance = f"(p = {fit.probability:.2g})"
-        widths = "the half-widths stay" if fit.factor == 1.0 else "**the half-widths are so much wider**"
+        widths = "the intervals stay" if fit.factor == 1.0 else f"**the intervals are {fit.factor:.2g} times as wide**"
         parts.append(f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain {chance}: {widths}.")
+        if fit.outliers:
+            listed = ", ".join(f"{name} ({off:+.1f})" for name, off in outlying(found))
+            parts.append(f"**Outliers**, in standard deviations from what all other numbers predict: {listed}.")
     if len(found.combinations) > 1:
         words = {True: "**Identifiable**", False: "**Not identifiable**"}
         parts.append("\n".join(f"- {words[each.identifiable]}: {mix(each, ',')}." for each in found.combinations))
     return parts
+
+
+def outlying(found: "Result") -> list[tuple[str, float]]:
+    """Outliers of the first answer by observation and place in it, with their standardised residuals."""
+    fit, parts = found.answers[0].fit, found.target.observation.parts
+    names = [f"{part.name} {n + 1}" for part in parts for n in range(len(found.target.values[part.numbers]))]
+    return [] if fit is None else [(names[index], off) for index, off in fit.outliers.items()]
+
+
+def finer(found: "Result") -> str:
+    """The cells whose error would be the noise's, to first order, where that of the scene's is larger; and their price.
+
+    Steps grow as the cell falls, particles by its power of the dimension: seconds by that of one more.
+    """
+    fit, checks = found.answers[0].fit, found.answers[0].checks
+    if fit is None or not 0.0 < fit.noise < fit.cells:
+        return ""
+    domain, share = found.problem.scene.domain, fit.cells / fit.noise
+    times = share ** (found.problem.scene.dimension + 1)
+    seconds = float(np.mean([each.seconds for each in checks]))
+    price = f", {times * seconds:.2g} s instead of {seconds:.2g} s a run" if seconds > 0.0 else ""
+    return (
+        f"finer cells first: the error of the cells is {share:.2g} times the noise, as large as it on cells of "
+        f"{domain.cell / share:.2g} m ({times:.2g} times the work{price})"
+    )
 
 
 def mix(combination: Combination, comma: str = "") -> str:
@@ -344,7 +381,9 @@ def cost(found: "Result") -> str:
     counts = {key.replace("_", " "): value for key, value in found.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in found.seconds.items()}
     peak = {"peak memory": f"{peak_memory_mib():.0f} MiB"}
-    return table([{key: str(value) for key, value in (runs | counts | seconds | peak).items()}])
+    budget = "\n\nRuns on other cells are no part of the budget `mpm_runs`; those of the search and at answers are."
+    made = table([{key: str(value) for key, value in (runs | counts | seconds | peak).items()}])
+    return made + (budget if Purpose.CELLS in every else "")
 
 
 def table(rows: Sequence[dict[str, str]]) -> str:

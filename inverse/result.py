@@ -73,24 +73,33 @@ class Result:
 
     @property
     def unknowns(self) -> dict[str, float]:
-        """The first answer by name; of a field its mean over the body."""
+        """The median of the first answer's part of the posterior by name; of a field its mean over the body."""
         return self.problem.named(self.answer) | {each.name: each.average(each.arrays["mean"]) for each in self.fields}
 
     @property
     def certainty(self) -> dict[str, float]:
-        """Half-widths at 95 %; of a field their mean over the body."""
+        """Half of each interval; of a field its mean over the body."""
         bands = {each.name: each.average(each.arrays["upper"] - each.arrays["lower"]) for each in self.fields}
         widths = self.problem.named(self.answers[0].half_widths)
         return widths | {name: 0.5 * band for name, band in bands.items()}
 
     @property
+    def interval(self) -> dict[str, list[float]]:
+        """Between which values each number lies at 95 %, within its bounds; of a field the mean of both."""
+        low, high = (self.problem.named(each) for each in self.answers[0].interval)
+        ends = {name: [low[name], high[name]] for name in low}
+        return ends | {
+            each.name: [each.average(each.arrays[end]) for end in ("lower", "upper")] for each in self.fields
+        }
+
+    @property
     def inside(self) -> list[str]:
-        """The numbers whose true value is known and lies within their half-width."""
-        truth, widths = self.target.truth, self.answers[0].half_widths
+        """The numbers whose true value is known and lies within their interval."""
+        truth, names = self.target.truth, self.problem.names
         if not truth:
             return []
-        both = zip(self.problem.named(self.answer).items(), widths, strict=True)
-        return [name for (name, value), width in both if abs(value - truth[name]) <= width]
+        held = self.answers[0].holds(np.array([truth[name] for name in names]))
+        return [name for name, within in zip(names, held, strict=True) if within]
 
     @property
     def error_pct(self) -> dict[str, float]:
@@ -146,6 +155,9 @@ class Result:
         answers = [
             {
                 "unknowns": problem.named(each.parameters),
+                "interval": {
+                    name: list(ends) for name, ends in zip(problem.names, each.interval.T.tolist(), strict=True)
+                },
                 "half_widths": problem.named(each.half_widths),
                 "weight": each.weight,
                 "misfit": self.target.misfit(each.observation) if each.checks else None,
@@ -156,6 +168,7 @@ class Result:
             "problem": problem.name,
             "verdict": self.verdict.value,
             "unknowns": self.unknowns,
+            "interval": self.interval,
             "certainty": self.certainty,
             "answers": answers,
             "truth": self.target.truth,
@@ -176,6 +189,10 @@ class Result:
         if fit := first.fit:
             keys = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
             found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.factor}
+            found["check"] |= {
+                "outliers": {str(index): off for index, off in fit.outliers.items()},
+                "probability": fit.probability,
+            }
         if self.posterior is not None:
             samples = self.posterior.samples
             found["combinations"] = [

@@ -27,9 +27,9 @@ class Part:
     """A part of the region, in fractions of the ranges."""
 
     point: Row
-    """The answer: its mean, or where that is outside of it its sample of highest density, shape [U]."""
-    half_widths: Row
-    """Half of the interval about the point that holds 95 % of the part, shape [U]."""
+    """The answer: the median of each number; where no answer is there, the sample of the region next to it, [U]."""
+    interval: Matrix
+    """Quantiles of 2.5 and 97.5 % of each number over the part, shape [2, U]."""
     weight: float
     """Share of the posterior."""
     points: Matrix
@@ -38,6 +38,11 @@ class Part:
     """Of each of them in it, shape [S]."""
     threshold: float
     """Logarithm of the likelihood above which parameters lie in it."""
+
+    @property
+    def half_widths(self) -> Row:
+        """Half of the interval's width, shape [U]."""
+        return np.asarray(0.5 * (self.interval[1] - self.interval[0]))
 
 
 def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.random.Generator) -> list[Part]:
@@ -69,15 +74,27 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
         own = label[every] == each
         inside, weights = samples.points[own], samples.weights[own] / shares[kept].sum()
         share = weights / weights.sum()
-        mean = share @ inside
-        likely = float(log_likelihood(mean[None])[0]) >= threshold
-        centre = mean if likely else inside[int(np.argmax(samples.log_likelihood[own]))]
-        widths = half_widths(inside, share, centre)
-        weight = float(weights.sum())
+        low, centre, high = quantiles(inside, share)
+        if float(log_likelihood(centre[None])[0]) < threshold:
+            dense = inside[samples.log_likelihood[own] >= threshold]
+            centre = dense[int(np.argmin((((dense - centre) / scale) ** 2).sum(axis=1)))]
         found.append(
-            Part(point=centre, half_widths=widths, weight=weight, points=inside, shares=share, threshold=threshold)
+            Part(
+                point=centre,
+                interval=np.stack([low, high]),
+                weight=float(weights.sum()),
+                points=inside,
+                shares=share,
+                threshold=threshold,
+            )
         )
     return found
+
+
+def quantiles(points: Matrix, share: Row) -> Matrix:
+    """Lower limit, median and upper limit of the 95 % interval of samples [S, U] of weights [S], shape [3, U]."""
+    rest = 0.5 * (1.0 - CONSTANTS.credible)
+    return np.asarray(np.quantile(points, [rest, 0.5, 1.0 - rest], axis=0, weights=share, method="inverted_cdf"))
 
 
 def half_widths(points: Matrix, share: Row, centre: Row) -> Row:

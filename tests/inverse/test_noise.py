@@ -68,3 +68,16 @@ def test_half_widths_grow_where_more_numbers_than_parameters_do_not_fit() -> Non
     shown = np.zeros((4, 3))
     assert fit(target, shown, scatter, parameters=1).factor > 10.0
     assert fit(target, shown, scatter, parameters=3).factor == 1.0
+
+
+def test_the_error_of_the_cells_is_one_smooth_bias_and_hides_no_outlier() -> None:
+    """Cells that change every number by seven times the noise: a bias of their shape fits, single numbers do not."""
+    rng, size = np.random.default_rng(5), 10
+    cells, scatter = np.full(size, 0.035), scatter_of(rng, size, 0.001, expected=0.001)
+    slopes = 0.1 * np.linspace(1.0, 2.0, size)[None]
+    outliers = np.zeros(size)
+    outliers[[3, 7]] = 0.05, -0.06
+    for off, inside, named in ((cells, True, []), (cells + outliers, False, [3, 7])):
+        shown = np.zeros((4, size)) + off
+        found = fit(target_of(np.zeros(size), 0.005), shown, scatter, cells=cells, parameters=1, slopes=slopes)
+        assert (found.inside, list(found.outliers)) == (inside, named)

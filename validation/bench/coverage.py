@@ -135,7 +135,7 @@ class Twin(Record):
     below: dict[str, float]
     """Share of each number's marginal below the true value."""
     inside: int
-    """Numbers whose half-width about the answer nearest to the truth holds the true value."""
+    """Numbers whose interval of the answer that holds most of them holds the true value."""
     answers: int
     verdict: str
     runs: int
@@ -263,12 +263,11 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     point, samples = box.shares(values), found.samples
     excluded = np.any((point < where.low) | (point > where.high))
     density = -np.inf if excluded else float(found.likelihood(point[None])[0])
-    off = [np.abs(values - each.parameters) / np.maximum(each.half_widths, 1e-300) for each in result.answers]
     return Twin(
         seed=seed,
         denser=float(samples.weights[samples.log_likelihood > density].sum()),
         below=result.problem.named(samples.weights @ (samples.points < point)),
-        inside=int(np.sum(min(off, key=np.max) <= 1.0)),
+        inside=max(int(each.holds(values).sum()) for each in result.answers),
         answers=len(result.answers),
         verdict=result.verdict.value,
         runs=len(result.mpm_runs),
@@ -301,7 +300,7 @@ def page(found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]],
         A truth is drawn from the prior, its flow by the MPM with a jitter seed of its own is observed, and the loop
         solves for it. A region of highest density holds the truth where less than its share of the posterior is denser.
         p-values: Kolmogorov-Smirnov of that share, and chi-square of the ranks of all numbers in {BINS} bins.
-        Half-widths are those of the answer nearest to the truth.
+        Intervals are those of the answer that holds most of the numbers.
     """)
     result.table([row(family, each) for family, each in found.items()])
     if rows:
@@ -336,7 +335,7 @@ def row(family: Family, found: Sequence[Twin]) -> Row:
         **{f"in the {level:.0%} region": f"{held(found, level):.0%}" for level in REGIONS},
         "p, regions": f"{uniformity(found):.2g}",
         "p, ranks": f"{ranks(found):.2g}",
-        "true values within half-widths": f"{sum(each.inside for each in found) / (count * len(found)):.0%}",
+        "true values within intervals": f"{sum(each.inside for each in found) / (count * len(found)):.0%}",
         "verdicts": ", ".join(f"{verdicts.count(each)} {each}" for each in dict.fromkeys(verdicts)),
         "MPM runs": f"{np.median([each.runs for each in found]):.0f}",
         "s": f"{np.median([each.seconds for each in found]):.0f}",

@@ -13,6 +13,7 @@ import numpy as np
 from inverse.found import MpmRun, Purpose
 from inverse.observations import Values
 from inverse.optimise import Inversion
+from inverse.parameters import Vector
 from inverse.posterior import Matrix
 from inverse.posterior.answers import Part, parts
 from inverse.posterior.emulator import fewest_runs, linear
@@ -147,6 +148,11 @@ class Search:
         """The separate parts of the 95 % region."""
         found = self.posterior
         return parts(found.samples, found.likelihood, self.task.generator(len(self.runs)))
+
+    def slopes(self, parameters: Vector) -> Matrix:
+        """Derivatives of the numbers by parameters in fractions of their ranges, by the emulator, shape [U, M]."""
+        step, point = 1e-3 * np.eye(len(parameters)), self.task.bounds.shares(parameters)
+        return np.asarray((self.posterior.expected(point + step) - self.posterior.expected(point - step)) / 2e-3)
 
     def target_so_far(self) -> Target:
         """The target; of a design the smallest number that is expected at any of the runs so far."""

@@ -144,8 +144,9 @@ def of_surrogate(led: Inversion, state: Search) -> dict[str, Any]:
         error = {"misfit": task.target.misfit(shown)}
         if checks and math.isfinite(task.target.front):
             error["front_pct"] = 100.0 * float(np.mean([each.front_error for each in checks]))
-        widths = named(box.range * part.half_widths)
-        answer = {"unknowns": named(parameters), "half_widths": widths, "weight": part.weight, "mpm_error": error}
+        interval = dict(zip(task.problem.names, box.at(part.interval).T.tolist(), strict=True))
+        answer = {"unknowns": named(parameters), "interval": interval, "weight": part.weight, "mpm_error": error}
+        answer["half_widths"] = named(box.range * part.half_widths)
         answers.append(answer)
     return {**answers[0], "answers": answers, "seconds": led.seconds, "predictions": len(led.points)}
 

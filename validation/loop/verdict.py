@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from datasets.errors import InputError
-from inverse.found import IDENTIFIABLE, Answer, MpmRun, Purpose, Verdict, judge
+from inverse.found import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
 from inverse.posterior.answers import Part, half_widths
@@ -53,9 +53,8 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
         beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
         state, found = checked(state.inferred(cells=cells, discretisation=change, extrapolated=beyond), moves=moves)
     factor = 1.0 if found[0].fit is None else found[0].fit.factor
-    if factor > 1.0 and not excluded:
-        state = state.inferred(factor=factor)
-        found = answers_of(state, state.parts())
+    if factor > 1.0:
+        state, found = checked(state.inferred(factor=factor), again=False, moves=min(1, moves))
     return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
 
 
@@ -78,8 +77,8 @@ def nearer(led: Search, whole: Outcome) -> Outcome:
 def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) -> tuple[Search, tuple[Answer, ...]]:
     """Runs at every answer, and again where an answer moves by what these show, at most `moves` times.
 
-    Then an answer is where it was checked: in a long region it would move on. again: once more, too, where the MPM does
-    not confirm the first of them.
+    The answer is the median of the posterior all the same, the checks those nearest to it. again: once more, too, where
+    the MPM does not confirm the first of them.
     """
     for turn in range(CONSTANTS.rounds):
         found, close = state.parts(), CLOSE if turn < moves else math.inf
@@ -129,29 +128,43 @@ def is_checked(state: Search, part: Part, close: float) -> bool:
 
 
 def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
-    """The answer in each part: where it was checked, else where a run is nearest; those first that the MPM confirms."""
+    """The answer in each part, with the checks or else the runs nearest to it; those first that the MPM confirms."""
     task, answers = state.task, []
     for part in found:
         own = checks_of(state, part) or [state.every[int(np.argmin(distances(state, state.every, part)))]]
-        location = own[0].parameters
-        widths = half_widths(part.points, part.shares, task.bounds.shares(location)) * task.bounds.range
         answers.append(
             Answer(
-                parameters=location, half_widths=widths, weight=part.weight, checks=tuple(own), fit=fitted(state, own)
+                parameters=task.bounds.at(part.point),
+                interval=task.bounds.at(part.interval),
+                weight=part.weight,
+                checks=tuple(own),
+                fit=fitted(state, own, part),
             )
         )
     return tuple(sorted(answers, key=lambda each: not each.confirmed))
 
 
-def fitted(state: Search, checks: Sequence[MpmRun]) -> Fit:
-    """The checks at an answer beside the target; the scatter is that of runs repeated near it, else anywhere."""
+def fitted(state: Search, checks: Sequence[MpmRun], part: Part) -> Fit:
+    """The checks of an answer beside the target; the scatter is that of runs repeated near it, else anywhere.
+
+    The checks may lie a part of a half-width beside the answer: the emulator carries what they show over to it.
+    """
     task, near = state.task, state.posterior.near
     numbers, unknowns = state.numbers, len(task.problem.parameters)
     scatter = Scatter.of_runs(state.points[near], numbers[near], task.scatter)
     if scatter.freedom == 0:
         scatter = Scatter.of_runs(state.points, numbers, task.scatter)
     shown = np.stack([each.observation for each in checks])
-    return fit(task.target, shown, scatter, cells=state.discretisation, parameters=unknowns)
+    there, here = state.posterior.expected(np.stack([part.point, task.bounds.shares(checks[0].parameters)]))
+    return fit(
+        task.target,
+        shown + (there - here),
+        scatter,
+        cells=state.discretisation,
+        extrapolated=state.extrapolated,
+        parameters=unknowns,
+        slopes=None if shown.shape[1] > MAX_NUMBERS else state.slopes(checks[0].parameters),
+    )
 
 
 def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
@@ -162,7 +175,9 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     does not fall steadily; half the cells cost sixteen runs in 3D. None where the numbers are those of single
     particles, and where the box does not divide into such cells.
     """
-    scene = task.problem.scene_at(answer.parameters)
+    # Where the checks are: the difference is of the cells alone.
+    location = answer.checks[0].parameters
+    scene = task.problem.scene_at(location)
     if task.target.cell == scene.domain.cell:
         return ()
     try:
@@ -170,7 +185,7 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
         scenes = [replace(scene, seed=each.trajectory.scene.seed) for each in answer.checks]
     except InputError:
         return ()
-    return task.compared([answer.parameters] * len(scenes), scenes, Purpose.CELLS)
+    return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
 
 
 def is_excluded(state: Search) -> bool:
@@ -193,8 +208,9 @@ def of_design(state: Search) -> Outcome:
     state = state.ran(np.repeat(design, count, axis=0), Purpose.CHECK)
     state = state.ran(np.repeat(start, count, axis=0), Purpose.START)
     checks, begun = state.runs[before : before + count], state.runs[before + count :]
-    widths = half_widths(samples.points, samples.weights, design[0]) * task.bounds.range
-    answer = Answer(parameters=checks[0].parameters, half_widths=widths, checks=checks)
+    widths = half_widths(samples.points, samples.weights, design[0])
+    interval = task.bounds.at(np.clip(np.stack([design[0] - widths, design[0] + widths]), 0.0, 1.0))
+    answer = Answer(parameters=checks[0].parameters, interval=interval, checks=checks)
     gain = float(np.mean([each.observation[0] for each in begun]) - answer.observation[0])
     # By all runs: few checks show little of it.
     scatter = float(np.sqrt(state.posterior.emulator.scatter[0, 0]) / state.posterior.reduction.weights[0])

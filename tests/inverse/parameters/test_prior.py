@@ -127,9 +127,14 @@ def test_how_wide_a_prior_is_decides_what_was_identified(tmp_path: Path) -> None
     wide, narrow = problem.prior_widths
     assert wide == pytest.approx(2.0 * 1.96 * 2.0 / 0.95, rel=0.01)
     half = np.array([0.3 * wide, 0.2 * narrow])
-    assert unidentified(problem, Answer(parameters=problem.initial, half_widths=half)) == ["friction_deg"]
+    assert unidentified(
+        problem, Answer(parameters=problem.initial, interval=problem.initial + np.outer((-1.0, 1.0), half))
+    ) == ["friction_deg"]
     free = dataclasses.replace(problem, parameters=plain(problem), correlations=())
-    assert unidentified(free, Answer(parameters=problem.initial, half_widths=half)) == []
+    assert (
+        unidentified(free, Answer(parameters=problem.initial, interval=problem.initial + np.outer((-1.0, 1.0), half)))
+        == []
+    )
     np.testing.assert_array_equal(free.prior_widths, free.box.range)
     assert Combination(weights={}, half_width=0.25).identifiable
     assert not Combination(weights={}, half_width=0.25, prior=0.3).identifiable

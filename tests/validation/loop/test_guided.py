@@ -60,7 +60,18 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
     result.save(tmp_path / "out")
     stored = json.loads((tmp_path / "out" / "result.json").read_text())["surrogate"]
     assert stored.keys() == {
-        *("asked", "reason", "unknowns", "half_widths", "weight", "mpm_error", "answers", "seconds", "predictions")
+        *(
+            "asked",
+            "reason",
+            "unknowns",
+            "interval",
+            "half_widths",
+            "weight",
+            "mpm_error",
+            "answers",
+            "seconds",
+            "predictions",
+        )
     }
     # By two runs there: that of a flow without scatter.
     there = FakeMpm().run(case.problem.scene_at(np.array([own]), 0))

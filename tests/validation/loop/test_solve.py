@@ -22,7 +22,18 @@ from validation.loop.search import first
 from validation.loop.solve import solve
 
 RESULT_KEYS = {
-    *("problem", "verdict", "unknowns", "certainty", "answers", "combinations", "check", "discrepancy", "truth"),
+    *(
+        "problem",
+        "verdict",
+        "unknowns",
+        "interval",
+        "certainty",
+        "answers",
+        "combinations",
+        "check",
+        "discrepancy",
+        "truth",
+    ),
     *("error_pct", "observation", "loss", "mpm_runs", "iterations", "sampling", "surrogate", "seconds"),
     *("remarks", "peak_memory_mib"),
 }
