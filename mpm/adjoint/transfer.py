@@ -20,15 +20,8 @@ import taichi as ti
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import add, no_overflow
 from mpm.arrays.layout import PADDING, Setting
-from mpm.physics.transfer import (
-    beyond_spray,
-    held_affine,
-    lowest_node,
-    node_sums,
-    node_vector,
-    three_vectors,
-    zero_node,
-)
+from mpm.physics.transfer import beyond_spray, lowest_node, node_sums, node_vector, three_vectors, zero_node
+from mpm.physics.volume_correction import held_affine
 
 
 @ti.func

@@ -18,7 +18,7 @@ from mpm.physics.contact import (
 from mpm.physics.mohr_coulomb import softened
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
-from mpm.physics.volume_correction import grid_gap, updated_gap
+from mpm.physics.volume_correction import grid_gap, is_loose, updated_gap
 
 
 @ti.func
@@ -130,14 +130,9 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
     opened = 0.0 * stress[0]
-    if ti.static(features.volume_correction):
-        remembered, bulk = arrays.state[first + features.gap], lame + shear * (2.0 / 3.0)
-        x = [arrays.state[first + k] for k in ti.static(range(features.dimension))]
-        grid = [arrays.scratch[scratch + features.density + k] for k in ti.static(range(1 + features.dimension))]
-        cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))]
-        density, dx = property_of(scene, block, Property.DENSITY, arrays), arrays.settings[scene, Setting.CELL]
-        gap = grid_gap(grid, x, contact_of(block, arrays), density, dx, cells, features)
-        opened = updated_gap(remembered, strengths[3], bulk, dt * arrays.settings[scene, Setting.GAP_RATE], gap)
+    if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
+        if is_loose(block, arrays):
+            opened = opened_of(scene, block, scratch, strengths[3], lame + shear * (2.0 / 3.0), dt, arrays)
     new = stress_step(stress, increment, opened, strengths, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.stress + k] = new[k]
@@ -149,6 +144,20 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     if ti.static(features.strained):
         at = first + features.plastic_strain
         arrays.state[at] = arrays.state[at] + new[features.stresses]
+
+
+@ti.func
+def opened_of(scene, block, scratch, limit, bulk, dt, arrays: ti.template()):
+    """K e [Pa] of the particles of a block in this step; limit: T [Pa], bulk: K [Pa]."""
+    features = arrays.features
+    first = no_overflow(block * features.block)
+    x = [arrays.state[first + k] for k in ti.static(range(features.dimension))]
+    grid = [arrays.scratch[scratch + features.density + k] for k in ti.static(range(1 + features.dimension))]
+    cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))]
+    density, dx = property_of(scene, block, Property.DENSITY, arrays), arrays.settings[scene, Setting.CELL]
+    gap = grid_gap(grid, x, contact_of(block, arrays), density, dx, cells, features)
+    rate = dt * arrays.settings[scene, Setting.GAP_RATE]
+    return updated_gap(arrays.state[first + features.gap], limit, bulk, rate, gap)
 
 
 @ti.func

@@ -34,7 +34,7 @@ from mpm.arrays.features import REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import push, touches
-from mpm.physics.volume_correction import SPRAY
+from mpm.physics.volume_correction import SPRAY, held_affine, is_loose
 
 
 @ti.func
@@ -264,14 +264,16 @@ def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.templa
         for a in ti.static(range(3)):
             w, apart = arrays.scratch[scratch + 3 * k + a], ti.static(float(a)) - f[k]
             arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (4.0 * per_dx) * w * apart
+    loose = is_loose(block, arrays)
     for lane in range(lanes):
         if ti.static(features.prefetch):
             read_ahead(scene, block, scratch, lane, arrays)
         n, weight = lowest_node(arrays, scratch, lane, grid, strides), no_overflow(scratch * lanes + lane)
         sums = node_sums(n, weight, weight + 3 * features.dimension * lanes, strides, arrays)
-        store_sums(sums[0], sums[1:], first, scratch, lane, arrays)
-    if ti.static(features.volume_correction):
-        hold_affine(scene, block, scratch, kappa, arrays)
+        store_sums(sums[0], sums[1:], first, scratch, lane, loose, arrays)
+    if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
+        if loose:
+            hold_affine(scene, block, scratch, kappa, arrays)
 
 
 @ti.func
@@ -333,10 +335,10 @@ def three_vectors(arrays: ti.template(), at):
 
 
 @ti.func
-def store_sums(v, slopes: ti.template(), first, scratch, lane, arrays: ti.template()):
+def store_sums(v, slopes: ti.template(), first, scratch, lane, loose, arrays: ti.template()):
     """Leave the grid's velocity at the particle in `lane`, its change and C, whose column j is D numbers of `slopes` j.
 
-    With volume correction C is left to `hold_affine`; and the grid's mass [kg] and its slopes [kg/m].
+    In a loose block C is left to `hold_affine`; and the grid's mass [kg] and its slopes [kg/m].
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
@@ -346,17 +348,19 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, arrays: ti.templa
     for i in ti.static(range(size)):
         arrays.scratch_lanes[at + i * lanes] = v[i]
         arrays.scratch_lanes[at + (size + i) * lanes] = v[features.change + i]
-        for j in ti.static(range(size)):
-            if ti.static(features.volume_correction):
-                # C itself is still read: the compiler knows not that `state` and `lanes` are one memory.
-                arrays.scratch_lanes[own + (features.gradient + size * i + j) * lanes] = slopes[j][i]
-                arrays.scratch_lanes[own + (features.changes + size * i + j) * lanes] = slopes[j][features.change + i]
-            else:
-                arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i]
-    if ti.static(features.volume_correction):
-        arrays.scratch_lanes[own + features.density * lanes] = v[size]
-        for j in ti.static(range(size)):
-            arrays.scratch_lanes[own + (features.density + 1 + j) * lanes] = slopes[j][size]
+    if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
+        if loose:
+            arrays.scratch_lanes[own + features.density * lanes] = v[size]
+            for j in ti.static(range(size)):
+                arrays.scratch_lanes[own + (features.density + 1 + j) * lanes] = slopes[j][size]
+                for i in ti.static(range(size)):
+                    # C itself is still read: the compiler knows not that `state` and `lanes` are one memory.
+                    k = ti.static(size * i + j)
+                    arrays.scratch_lanes[own + (features.gradient + k) * lanes] = slopes[j][i]
+                    arrays.scratch_lanes[own + (features.changes + k) * lanes] = slopes[j][features.change + i]
+    if not loose:
+        for i, j in ti.static(ti.ndrange(size, size)):
+            arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i]
 
 
 @ti.func
@@ -378,19 +382,6 @@ def beyond_spray(scene, block, arrays: ti.template()):
     """K (e - SPRAY) [Pa] of the particles of a block before the step: positive in a spray."""
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     return arrays.state[block * arrays.features.block + arrays.features.gap] - SPRAY * (lame + shear * (2.0 / 3.0))
-
-
-@ti.func
-def held_affine(moved: ti.template(), affine: ti.template(), kappa, beyond, size: ti.template()):
-    """C [1/s] from `moved`, slopes of the grid's velocity and its change, C before and what `beyond_spray` gives."""
-    before_squared, now_squared = 0.0 * beyond, 0.0 * beyond
-    slopes, changes = moved
-    for k in ti.static(range(size**2)):
-        old, new = kappa * affine[k], slopes[k] - changes[k]
-        before_squared, now_squared = before_squared + old * old, now_squared + new * new
-    held = (beyond > 0.0) & (now_squared > before_squared)
-    excess = ti.select(held, 1.0 - ti.sqrt(before_squared / ti.select(held, now_squared, 1.0)), 0.0)
-    return [slopes[k] - excess * (slopes[k] - changes[k]) for k in ti.static(range(size**2))]
 
 
 @ti.func

@@ -26,7 +26,7 @@ At a boundary of soils of different density the grid has another density than th
 
 import taichi as ti
 
-from mpm.arrays.access import clamp, maximum, minimum
+from mpm.arrays.access import clamp, maximum, minimum, no_overflow, over_lanes
 from mpm.arrays.layout import Contact
 from mpm.arrays.properties import GAP_CUTOFF
 from mpm.physics.principal import TINY
@@ -94,3 +94,26 @@ def updated_gap(opened, limit, bulk, rate, gap):
     """
     followed = (opened + rate * bulk * gap) / (1.0 + rate)
     return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)
+
+
+@ti.func
+def is_loose(block, arrays: ti.template()):
+    """Whether a particle of a block has a gap: in most blocks none has, and none needs the grid's density."""
+    if ti.static(arrays.features.volume_correction):
+        opened = arrays.state[no_overflow(block * arrays.features.block) + arrays.features.gap]
+        return over_lanes(maximum, opened, arrays) > 0.0
+    else:
+        return False
+
+
+@ti.func
+def held_affine(moved: ti.template(), affine: ti.template(), kappa, beyond, size: ti.template()):
+    """C [1/s] from `moved`, slopes of the grid's velocity and its change, C before and what `beyond_spray` gives."""
+    before_squared, now_squared = 0.0 * beyond, 0.0 * beyond
+    slopes, changes = moved
+    for k in ti.static(range(size**2)):
+        old, new = kappa * affine[k], slopes[k] - changes[k]
+        before_squared, now_squared = before_squared + old * old, now_squared + new * new
+    held = (beyond > 0.0) & (now_squared > before_squared)
+    excess = ti.select(held, 1.0 - ti.sqrt(before_squared / ti.select(held, now_squared, 1.0)), 0.0)
+    return [slopes[k] - excess * (slopes[k] - changes[k]) for k in ti.static(range(size**2))]
