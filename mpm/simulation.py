@@ -1,7 +1,9 @@
 """Scenes in, trajectories out: small scenes side by side, one per thread; a large one on all threads."""
 
+import sys
 import time
 from collections.abc import Callable, Sequence
+from threading import Timer
 from typing import TypedDict, Unpack
 
 import numpy as np
@@ -30,6 +32,8 @@ LARGE = 2 * runtime.PARTICLES_PER_WORKER
 """Particles from which one scene takes several threads."""
 SORTED = 50_000
 """Particles from which they are sorted by cell every FRAMES_PER_CALL frames."""
+COMPILING = {2: 5, 3: 10}
+"""Seconds to compile a kernel, by dimension."""
 PARTICLE_STEPS_PER_CALL = 5.0e6
 """About what a thread does in a second or two; a call of the kernel, which a stop waits for, has a frame at least."""
 
@@ -106,7 +110,7 @@ def simulate(
     if resume is not None:
         resume.restore(batch)
     with progress_bar(scene.frames - 1, batch.computed, options) as bar:
-        wall_s, compile_s = run_batch(batch, arch, bar, stop)
+        wall_s, compile_s = run_batch(batch, arch, bar, stop, say=options.get("progress", False))
     wall_s += 0.0 if resume is None else resume.wall_s
     if batch.computed < scene.frames - 1 and not batch.ended(batch.computed + 1).any():
         kept = [frame for frame in batch.kept(0) if frame <= batch.computed]
@@ -168,7 +172,7 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
         for group in groups.values():
             own, begun = [scenes[index] for index in group], [particles[index] for index in group]
             batch = Batch(own, precision=precision, record=record, gpu=gpu, particles=begun)
-            seconds = run_batch(batch, arch, bar, lambda: False)
+            seconds = run_batch(batch, arch, bar, lambda: False, say=options.get("progress", False))
             wall_s, compile_s = wall_s + seconds[0], compile_s + seconds[1]
             for number, index in enumerate(group):
                 outcomes[index] = trajectory(batch, number, arch=arch, wall_s=0.0, compile_s=0.0)
@@ -178,13 +182,25 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
     return [outcomes[index] for index in range(len(scenes))]
 
 
-def run_batch(batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool]) -> tuple[float, float]:
-    """Run all scenes of a batch until their ends or until asked to stop; seconds to compute and to compile."""
+def run_batch(
+    batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool], *, say: bool = False
+) -> tuple[float, float]:
+    """Run all scenes of a batch until their ends or until asked to stop; seconds to compute and to compile.
+
+    say: that it compiles, where that takes more than a second; a kernel that was compiled before is read in less.
+    """
     run = kernel(batch.features)
     begin = time.perf_counter()
+    line = f"compiling: the first run of a kind takes some {COMPILING[batch.features.dimension]} s longer"
+    waiting = Timer(1.0, print, (line,), {"file": sys.stderr, "flush": True})
+    if say and arch == "cpu":
+        waiting.start()
     # No frames: this only compiles. On a GPU the first frame does.
-    if arch == "cpu":
-        run(*batch.arguments.values(), 0, 0, Phase.FRAMES)
+    try:
+        if arch == "cpu":
+            run(*batch.arguments.values(), 0, 0, Phase.FRAMES)
+    finally:
+        waiting.cancel()
     compile_s = time.perf_counter() - begin
     begin = time.perf_counter()
     (run_on_threads if arch == "cpu" else run_on_device)(batch, run, bar, stop)
