@@ -240,7 +240,7 @@ def page(
     text.text(f"""
         2D: the paper's tall column (42°, damped, cohesive), 4 particles per cell. 3D: a cube of its 3D sand, 8 per
         cell. One scene of fewer than {LARGE:,} particles runs on one thread, copies on a thread each, a larger one on
-        all. Medians of rounds in turn, in brackets minimum and maximum. Compilation (0.5 to 3 s the first time, kept on
+        all. Medians of rounds in turn, in brackets minimum and maximum. Compilation (2 to 10 s the first time, kept on
         disk from then on) is not included.
     """)
     text.table(rate_rows(rates))
