@@ -41,11 +41,12 @@ from scipy.sparse.linalg import splu
 
 from datasets.particles import Particles, scene_height
 from datasets.scene import DOMAIN_SIDES, Scene, coefficient
-from mpm.arrays.layout import PADDING, Property
+from mpm.arrays.layout import PADDING, Property, node_shape
 from mpm.arrays.properties import properties_of
 from mpm.initial.barriers import barriers
 from mpm.initial.geostatic import geostatic, lateral_shortfall, warn_of_ratio
 from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
+from mpm.solids.obstacles import obstacles_in
 
 Floats = NDArray[np.float64]
 
@@ -144,11 +145,13 @@ class Equilibrium:
         """
         self.walls = walls = np.zeros(self.nodes.shape, np.int8)
         self.behind_barriers = np.zeros(self.nodes.shape, bool)
+        covered = obstacles_in(scene).covered[np.ravel_multi_index(tuple(self.nodes.T), node_shape(scene.domain))]
         for axis, length in enumerate(scene.domain.size):
-            if DOMAIN_SIDES[2 * axis] not in scene.open_sides:
-                walls[self.nodes[:, axis] <= PADDING, axis] = 1
-            if DOMAIN_SIDES[2 * axis + 1] not in scene.open_sides:
-                walls[self.nodes[:, axis] >= PADDING + round(length / scene.domain.cell), axis] = -1
+            last = PADDING + round(length / scene.domain.cell)
+            for side, beyond in enumerate((self.nodes[:, axis] <= PADDING, self.nodes[:, axis] >= last)):
+                if DOMAIN_SIDES[2 * axis + side] not in scene.open_sides:
+                    # A side that a solid covers pushes nothing.
+                    walls[beyond & (covered >> (2 * axis + side) & 1 == 0), axis] = 1 - 2 * side
         self.rough = np.zeros(len(self.nodes), bool)
         for number, each in enumerate(scene.masses):
             if clings(each) and self.friction > 0.0:

@@ -235,3 +235,15 @@ def test_a_layer_on_a_slope_is_as_stiff_as_it_is_thick() -> None:
     soft = dataclasses.replace(scene, material=dataclasses.replace(snow, young=2.0e4))
     with pytest.warns(UserWarning, match=r"10 rho g h = 2\.94e\+04 Pa"):
         warn_if_unlikely(soft)
+
+
+def test_under_ground_no_floor_takes_part_in_the_stress_at_the_start() -> None:
+    """A smooth floor below rough ground bears nothing, wherever the ground begins above it."""
+
+    def stresses(raised: float) -> NDArray[np.float64]:
+        ground = Solid(kind="terrain", points=((0.0, 0.2 + raised), (0.5, raised), (1.0, raised)), friction=0.8)
+        layer = Mass(kind="layer", thickness=0.1, outline=((0.1,), (0.7,)), k0="elastic")
+        return stress_of(scene_of(layer, material=STIFF_CLAY, solids=(ground,)))
+
+    above, on = stresses(0.04), stresses(0.0)
+    assert np.abs(on - above).max() < 0.02 * np.abs(above).max()
