@@ -20,8 +20,8 @@ import taichi as ti
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import add, no_overflow
 from mpm.arrays.layout import PADDING, Setting
-from mpm.physics.transfer import beyond_spray, lowest_node, node_sums, node_vector, three_vectors, zero_node
-from mpm.physics.volume_correction import held_affine
+from mpm.physics.transfer import lowest_node, node_sums, node_vector, three_vectors, zero_node
+from mpm.physics.volume_correction import held_affine, looseness
 
 
 @ti.func
@@ -144,7 +144,7 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
 def affine_reverse(scene, block, scratch, per_dx, kappa, arrays: ti.template()):
     """Bars of the D x D slopes of the grid's velocity u and of its change, of C before the step, and of kappa.
 
-    From that of C after it. Only where a particle of a spray is held back, C is not the slope of u alone.
+    From that of C after it. Only where a loose particle is held back, C is not the slope of u alone.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
@@ -155,7 +155,8 @@ def affine_reverse(scene, block, scratch, per_dx, kappa, arrays: ti.template()):
         slopes = [(4.0 * per_dx * per_dx) * arrays.scratch[n] for n in ti.static(at)]
         changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.change] for n in ti.static(at)]
         affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
-        constants = ti.static((beyond_spray(scene, block, arrays), size))
+        slow = arrays.settings[scene, Setting.SLOW_AFFINE]
+        constants = ti.static((looseness(block, arrays), slow, size))
         held = ti.static([Pullback(held_affine, ((slopes, changes), affine, kappa), constants)])[0]
         moved_bar, affine_bar, kappa_bar = ti.static(held(bar))
         return moved_bar[0], moved_bar[1], affine_bar, kappa_bar

@@ -12,7 +12,8 @@ from datasets.errors import InputError
 from datasets.geometry.placement import remembers_gaps
 from datasets.material import Material
 from datasets.particles import Particles, scene_height
-from datasets.scene import Scene, coefficient
+from datasets.scene import NO_SLIP, Scene, coefficient
+from mpm.arrays.features import features_of
 from mpm.arrays.layout import Property, Setting
 from mpm.output.request import REST_ENERGY
 
@@ -24,6 +25,24 @@ GAP_CUTOFF = 1.7
 """Cells from a wall or a solid within which it hides mass from a particle."""
 CONTACT_WIDTH = 1.0
 """Width h of the contact with solids [cells] (`mpm.physics.contact`)."""
+
+
+DRY_GRIP = 2.0
+"""Coulomb coefficient beyond which no dry sand can tell a surface's friction."""
+
+
+def roughest(scene: Scene) -> float:
+    """Largest Coulomb coefficient [-] that surfaces of a scene have.
+
+    Sand without cohesion bears a shear stress of at most tan(phi) times the pressure on any plane, and slides within
+    itself beside a rougher surface. A larger coefficient would make of the pressure that rounding and jitter leave in
+    sand which falls beside a rough wall a hold on it.
+    """
+    if features_of([scene], "f32").cohesive:
+        return NO_SLIP
+    materials = [scene.material_of(mass) for mass in scene.masses]
+    steepest = max(max(math.radians(each.phi_deg), math.asin(each.sin_phi_limit)) for each in materials)
+    return max(DRY_GRIP, math.tan(steepest))
 
 
 def search_distance(scene: Scene) -> float:
@@ -48,14 +67,15 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.FRAME_DT: scene.frame_dt,
         Setting.GRAVITY_X: scene.gravity_vector[0],
         Setting.GRAVITY_Y: scene.gravity_vector[1],
-        Setting.FLOOR_FRICTION: coefficient(scene.floor_friction),
-        Setting.WALL_FRICTION: coefficient(scene.wall_friction),
+        Setting.FLOOR_FRICTION: min(coefficient(scene.floor_friction), roughest(scene)),
+        Setting.WALL_FRICTION: min(coefficient(scene.wall_friction), roughest(scene)),
         Setting.CONTACT_WIDTH: CONTACT_WIDTH * scene.domain.cell,
         Setting.SEARCH_DISTANCE: search_distance(scene),
         Setting.DAMPING: scene.damping,
         Setting.GRIP: scene.channel.grip if scene.channel else 0.0,
         Setting.CORRECTED: float(remembers_gaps(scene)),
         Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),
+        Setting.SLOW_AFFINE: 2.0 * scene.gravity / scene.domain.cell,
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
         Setting.WEIGHT: weight,

@@ -3,9 +3,10 @@
 import taichi as ti
 
 from mpm.arrays.access import clamp, maximum, minimum, no_overflow, over_lanes
-from mpm.arrays.layout import PADDING, Offset, Property, Setting, Worker
+from mpm.arrays.layout import PADDING, Contact, Offset, Property, Setting, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.contact import (
+    contact_at,
     contact_of,
     find_contacts,
     jump_at_contact,
@@ -90,6 +91,7 @@ def step_particles(scene, block, scratch, dt, kappa, arrays: ti.template()):
             arrays.state[x + k] = new
         else:
             arrays.state[x + k] = arrays.state[x + k] + dt * speed
+    nearby = arrays.settings[scene, Setting.CONTACT_WIDTH]
     for k in ti.static(range(features.dimension)):
         free = arrays.state[x + k]
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
@@ -98,6 +100,12 @@ def step_particles(scene, block, scratch, dt, kappa, arrays: ti.template()):
             below, above = is_wall(2 * k, scene, arrays), is_wall(2 * k + 1, scene, arrays)
             beyond = ((free < inside) & (below == 0)) | ((free > inside) & (above == 0))
             inside = ti.select(beyond, free, inside)
+        if ti.static(features.contact):
+            # Where a solid covers a side of the box, contact keeps the particle in and takes its momentum.
+            facing = arrays.state[contact_at(block, Contact.NORMAL + k, arrays)]
+            near = arrays.state[contact_at(block, Contact.DISTANCE, arrays)] < nearby
+            covered = near & (((free < inside) & (facing > 0.5)) | ((free > inside) & (facing < -0.5)))
+            inside = ti.select(covered, free, inside)
         arrays.state[x + k] = inside
 
 

@@ -15,10 +15,11 @@ What the grid cannot represent of a particle's velocity decays with the relaxati
 of the step. APIC is tau = 0: it loses that part in every step, so that a shorter step or a stiffer sand, which needs
 shorter steps, makes the flow more viscous. The difference of momentum and velocity needs f_i apart from (m v)_i.
 
-While v_p is kept, C_p is made anew of it in every step. Where particles cross in a spray, the energy of their affine
-motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. So what C_p has without forces never grows beyond a gap SPRAY:
+While v_p is kept, C_p is made anew of it in every step. Where particles that bear nothing cross, the energy of their
+affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume correction, what C_p of such a particle has
+without the forces of the step therefore never grows beyond C_s = sqrt(2 g / dx), which lifts it by a quarter of a cell:
 
-    C_p = C_p* - kappa (1 - |C_p| / |C_p'|)_+ C_p',      C_p' = (4 / dx^2) sum_i w_ip v_i x_ip^T
+    C_p = C_p* - kappa (1 - max(|C_p|, C_s) / |C_p'|)_+ C_p',    C_p' = (4 / dx^2) sum_i w_ip v_i x_ip^T
 
 with C_p* the above. C carries no momentum, so that none is lost.
 
@@ -34,7 +35,7 @@ from mpm.arrays.features import REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import push, touches
-from mpm.physics.volume_correction import SPRAY, held_affine, is_loose
+from mpm.physics.volume_correction import held_affine, is_loose, looseness
 
 
 @ti.func
@@ -372,16 +373,10 @@ def hold_affine(scene, block, scratch, kappa, arrays: ti.template()):
     slopes = [arrays.scratch[scratch + features.gradient + k] for k in ti.static(range(count))]
     changes = [arrays.scratch[scratch + features.changes + k] for k in ti.static(range(count))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(count))]
-    held = held_affine((slopes, changes), affine, kappa, beyond_spray(scene, block, arrays), features.dimension)
+    slow = arrays.settings[scene, Setting.SLOW_AFFINE]
+    held = held_affine((slopes, changes), affine, kappa, looseness(block, arrays), slow, features.dimension)
     for k in ti.static(range(count)):
         arrays.state[first + features.affine + k] = held[k]
-
-
-@ti.func
-def beyond_spray(scene, block, arrays: ti.template()):
-    """K (e - SPRAY) [Pa] of the particles of a block before the step: positive in a spray."""
-    lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
-    return arrays.state[block * arrays.features.block + arrays.features.gap] - SPRAY * (lame + shear * (2.0 / 3.0))
 
 
 @ti.func

@@ -26,15 +26,13 @@ At a boundary of soils of different density the grid has another density than th
 
 import taichi as ti
 
-from mpm.arrays.access import clamp, maximum, minimum, no_overflow, over_lanes
+from mpm.arrays.access import clamp, magnitude, maximum, minimum, no_overflow, over_lanes
 from mpm.arrays.layout import Contact
 from mpm.arrays.properties import GAP_CUTOFF
 from mpm.physics.principal import TINY
 
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
-SPRAY = 0.15
-"""Gap [-] from which sand is a spray, whose affine motion must not grow by itself (`mpm.physics.transfer`)."""
 
 
 @ti.func
@@ -62,7 +60,7 @@ def grid_gap(
     # Lanes without mass keep a finite quotient.
     mass = maximum(grid[0], TINY)
     full = density * dx**features.dimension + 0.0 * mass
-    square, across = 0.0 * mass, 0.0 * mass
+    square, across, near = 0.0 * mass, 0.0 * mass, 0.0 * mass
     if ti.static(features.contact):
         # No mass lies in a solid, as beyond a wall, and the centre of mass is then away from it along its normal.
         near = maximum(1.0 - contact[Contact.DISTANCE] / (GAP_CUTOFF * dx), 0.0)
@@ -77,6 +75,10 @@ def grid_gap(
         x_cells = x[k] / (GAP_CUTOFF * dx)
         length = cells[k] / GAP_CUTOFF
         low, high = maximum(1.0 - x_cells, 0.0), maximum(1.0 - length + x_cells, 0.0)
+        if ti.static(features.contact):
+            # Where a solid covers a wall, it alone hides mass.
+            along = ti.select(near > 0.0, 2.0 * contact[Contact.NORMAL + k], 0.0)
+            low, high = low * clamp(1.0 - along, 0.0, 1.0), high * clamp(1.0 + along, 0.0, 1.0)
         full = full * (1.0 - 0.5 * (low * low + high * high))
         slope = slope - ti.select(low > 0.0, maximum(slope, slope_beside(low, mass, dx)), 0.0)
         slope = slope - ti.select(high > 0.0, minimum(slope, 0.0 - slope_beside(high, mass, dx)), 0.0)
@@ -97,23 +99,36 @@ def updated_gap(opened, limit, bulk, rate, gap):
 
 
 @ti.func
+def looseness(block, arrays: ti.template()):
+    """K e [Pa] of the particles of a block, and 1 of those that have borne nothing yet: positive where one is loose."""
+    features, first = arrays.features, no_overflow(block * arrays.features.block)
+    bears = 0.0 * arrays.state[first]
+    for k in ti.static(range(3)):
+        bears = bears + magnitude(arrays.state[first + features.stress + k])
+    return ti.select(bears > 0.0, arrays.state[first + features.gap], 1.0)
+
+
+@ti.func
 def is_loose(block, arrays: ti.template()):
-    """Whether a particle of a block has a gap: in most blocks none has, and none needs the grid's density."""
+    """Whether a particle of a block is loose; in most blocks none is, and none needs the grid's density."""
     if ti.static(arrays.features.volume_correction):
-        opened = arrays.state[no_overflow(block * arrays.features.block) + arrays.features.gap]
-        return over_lanes(maximum, opened, arrays) > 0.0
+        return over_lanes(maximum, looseness(block, arrays), arrays) > 0.0
     else:
         return False
 
 
 @ti.func
-def held_affine(moved: ti.template(), affine: ti.template(), kappa, beyond, size: ti.template()):
-    """C [1/s] from `moved`, slopes of the grid's velocity and its change, C before and what `beyond_spray` gives."""
-    before_squared, now_squared = 0.0 * beyond, 0.0 * beyond
+def held_affine(moved: ti.template(), affine: ti.template(), kappa, loose, slow, size: ti.template()):
+    """C [1/s] from `moved`, slopes of the grid's velocity and its change, and C before (`mpm.physics.transfer`).
+
+    loose: what `looseness` gives; slow: C_s^2 [1/s^2].
+    """
     slopes, changes = moved
+    before_squared, now_squared = 0.0 * loose, 0.0 * loose
     for k in ti.static(range(size**2)):
         old, new = kappa * affine[k], slopes[k] - changes[k]
         before_squared, now_squared = before_squared + old * old, now_squared + new * new
-    held = (beyond > 0.0) & (now_squared > before_squared)
-    excess = ti.select(held, 1.0 - ti.sqrt(before_squared / ti.select(held, now_squared, 1.0)), 0.0)
+    most = maximum(before_squared, slow + 0.0 * loose)
+    held = (loose > 0.0) & (now_squared > most)
+    excess = ti.select(held, 1.0 - ti.sqrt(most / ti.select(held, now_squared, 1.0)), 0.0)
     return [slopes[k] - excess * (slopes[k] - changes[k]) for k in ti.static(range(size**2))]

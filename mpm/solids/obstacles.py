@@ -34,7 +34,7 @@ from datasets.geometry.surface import Surface, surface_of
 from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Contact, node_shape
-from mpm.arrays.properties import CONTACT_WIDTH, search_distance
+from mpm.arrays.properties import CONTACT_WIDTH, roughest, search_distance
 from mpm.solids.face_lookup import SKIN
 
 Array = NDArray[Any]
@@ -107,19 +107,23 @@ def obstacles_in(scene: Scene) -> Obstacles:
             holds=np.zeros((0, 3)),
             covered=none,
         )
-    return obstacles_with(surface, scene.domain, 1.0 + search_distance(scene) / scene.domain.cell)
+    return obstacles_with(surface, scene.domain, 1.0 + search_distance(scene) / scene.domain.cell, roughest(scene))
 
 
 @lru_cache(maxsize=4)
-def obstacles_with(surface: Surface, domain: Domain, cutoff: float) -> Obstacles:
-    """The solids with `surface` in a box, listed up to `cutoff` cells from it; runs of one geometry share them."""
+def obstacles_with(surface: Surface, domain: Domain, cutoff: float, most: float = NO_SLIP) -> Obstacles:
+    """The solids with `surface` in a box, listed up to `cutoff` cells from it; runs of one geometry share them.
+
+    most: largest Coulomb coefficient of their faces [-].
+    """
+    surface = dataclasses.replace(surface, friction=np.minimum(surface.friction, most))
     cell_faces, near_faces = faces_near(domain, surface, cutoff=cutoff)
     node_holds, holds = holds_of(domain, surface, np.flatnonzero(np.diff(cell_faces)), cutoff=cutoff)
     # From another cell the way to a face leads into a listed one, and from there it is still `cutoff` cells long.
     apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(node_shape(domain))).ravel()
     beyond = np.maximum(apart - np.sqrt(len(domain.size)), 0.0)
     count, normals = len(surface.corners), (surface.normals, surface.corner_normals, surface.edge_normals)
-    described = surface.corners, *normals, np.minimum(surface.friction, NO_SLIP), surface.solid
+    described = surface.corners, *normals, surface.friction, surface.solid
     return Obstacles(
         faces=np.concatenate([each.reshape(count, -1) for each in described], axis=1),
         cell_faces=cell_faces,
@@ -238,7 +242,8 @@ def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np
     _, _, weights = feet(surface.corners[nearest_points.face], positions)
     found[:, Contact.DELTA] = 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
     found[:, Contact.DISTANCE] = np.clip(nearest_points.distance, 0.0, cutoff)
-    found[:, Contact.FRICTION] = (weights * np.minimum(surface.friction, NO_SLIP)[nearest_points.face]).sum(axis=1)
+    friction = np.minimum(surface.friction, roughest(scene))[nearest_points.face]
+    found[:, Contact.FRICTION] = (weights * friction).sum(axis=1)
     found[:, Contact.FACE] = nearest_points.face
     found[:, Contact.NORMAL : Contact.NORMAL + dimension] = nearest_points.normal
     return found
