@@ -171,7 +171,7 @@ def test_a_sphere(flipped: bool) -> None:
 
 
 @pytest.mark.parametrize(("first", "second"), [(60.0, 120.0), (0.0, 90.0), (30.0, 150.0)])
-def test_plates_that_meet_in_a_point_are_refused(first: float, second: float) -> None:
+def test_plates_with_a_point_in_common_are_refused(first: float, second: float) -> None:
     """Sand leaks through such a point: one line, unless a third solid closes it."""
     tip, plates = np.array((0.5037, 0.1561)), []
     for angle, side in ((first, -1.0), (second, 1.0)):
