@@ -1,6 +1,5 @@
 """Where bodies stand: clear of solids and of each other, and how high above what is beneath them."""
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -102,16 +101,16 @@ def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> boo
 def remembers_gaps(scene: Scene) -> bool:
     """Whether gaps between particles are remembered: as `volume_correction` says, or if sand may fall or splash.
 
-    It may where solids stand in its way, where a mass is fast enough to rise by a cell, and where a body is in flight.
-    A column that collapses on a flat floor keeps its volume without.
+    It may where solids stand in its way, where a mass has a velocity, however slow (or an unknown velocity would cross
+    a jump), and where a body is in flight. A column that collapses on a flat floor keeps its volume without.
     """
     if scene.volume_correction is not None:
         return scene.volume_correction
-    speeds = [math.hypot(*mass.velocity) for mass in scene.masses if mass.velocity]
-    speeds += [abs(sum(each.values) / len(each.values)) for each in scene.fields if "velocity" in each.quantity]
+    thrown = any(np.any(mass.velocity) or np.any(mass.angular_velocity) for mass in scene.masses)
+    thrown = thrown or any(np.any(each.values) for each in scene.fields if "velocity" in each.quantity)
     return scene.gravity > 0.0 and (
-        bool(scene.solids or scene.baffles)
-        or max(speeds, default=0.0) ** 2 >= 2.0 * scene.gravity * scene.domain.cell
+        thrown
+        or bool(scene.solids or scene.baffles)
         or bool((heights_above_ground(scene) >= scene.domain.cell - TOLERANCE).any())
     )
 

@@ -55,7 +55,11 @@ def update_block_reverse(
             moment = arrays.scratch[scratch + layout.sums + (1 + k) * features.node + size]
             arrays.scratch[scratch + features.density + 1 + k] = (4.0 * per_dx * per_dx) * moment
     stress_reverse(worker, grid, scene, block, scratch, after, dt, strides, arrays)
-    slope_bar, change_bar, affine_bar, kappa_bar = affine_reverse(scene, block, scratch, per_dx, kappa, arrays)
+    slope_bar, change_bar, affine_bar, kappa_bar, slow_bar = affine_reverse(
+        scene, block, scratch, per_dx, kappa, arrays
+    )
+    slow_total = lane_sum(arrays.state[first + features.present] * slow_bar, arrays)
+    arrays.sums[worker, ti.static(int(Setting.SLOW_AFFINE))] += ti.cast(slow_total, ti.f64)
     for i in ti.static(range(size)):
         x_bar = arrays.adjoints[own + i]
         x, length = arrays.history[after + i], arrays.offsets[scene, Offset.CELLS_X + i] * dx

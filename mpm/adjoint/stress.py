@@ -28,7 +28,7 @@ from mpm.physics.contact import contact_of, jump_at_contact, with_jump
 from mpm.physics.mohr_coulomb import return_principal, softened, strengths_at_rate
 from mpm.physics.particles import peak_strength, residual_strength, strength_of
 from mpm.physics.principal import TINY
-from mpm.physics.stress import equivalent_strain, midpoint_increment, trial_stress, with_cracks
+from mpm.physics.stress import equivalent_strain, midpoint_increment, strain_between, trial_stress, with_cracks
 from mpm.physics.transfer import property_of
 from mpm.physics.volume_correction import grid_gap, updated_gap
 
@@ -47,6 +47,15 @@ def trial_of(stress, affine, jump, contact, limit, lame, shear, gap, rate, grid,
         opened = updated_gap(gap[0], limit, lame + shear * (2.0 / 3.0), rate, around)
     cracked = with_cracks(stress, opened, limit, lame, shear, features)
     return trial_stress(cracked, increment, lame, shear, features.dimension)
+
+
+def strain_of(stress, affine, jump, contact, new, lame, shear, dt, features):
+    """Plastic strain [-] of a block where cracks count as strain (`mpm.physics.stress.stress_step`); traced."""
+    increment = midpoint_increment([dt * each for each in affine], features.dimension)
+    if features.contact:
+        increment = with_jump(increment, jump, contact, features.dimension)
+    bare = trial_stress(stress, increment, lame, shear, features.dimension)
+    return [strain_between(bare, new, shear, features.stresses)]
 
 
 def principal_return(s1, s2, s3, strengths, lame, shear, features):
@@ -95,6 +104,25 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     if ti.static(features.volume_correction):
         opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.gap]
     bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
+    # Where cracks count as strain, bars by way of it.
+    crack_stress_bar, crack_affine_bar = [zero for _ in stress], [zero for _ in affine]
+    crack_jump_bar, crack_lame_bar, crack_shear_bar = zero, zero, zero
+    cracks = ti.static(features.volume_correction and features.cohesive and features.softens)
+    if ti.static(cracks):
+        new = [arrays.history[after + features.stress + k] for k in ti.static(range(features.stresses))]
+        arguments = ti.static((stress, affine, jump, contact, new, lame, shear))
+        strain = ti.static([Pullback(strain_of, arguments, (dt, features))])[0]
+        strain_bars = ti.static(strain([strain_bar]))
+        for k in ti.static(range(features.stresses)):
+            bar[k] = bar[k] + strain_bars[4][k]
+        strain_bar, crack_jump_bar = zero, strain_bars[2]
+        crack_lame_bar, crack_shear_bar = strain_bars[5], strain_bars[6]
+        for k in ti.static(range(features.stresses)):
+            crack_stress_bar[k] = strain_bars[0][k]
+        for k in ti.static(range(size * size)):
+            crack_affine_bar[k] = strain_bars[1][k]
+        if ti.static(features.contact):
+            add_bars(contact_bar(block, 0, arrays), strain_bars[3], arrays)
     others = [strain_bar, opened_bar]
     trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
         bar + others, elastic.values, strengths, lame, shear, features
@@ -103,13 +131,14 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     stress_bar, affine_bar, jump_bar, contacts_bar, limit_bar, lame_bar, shear_bar = ti.static(bars[:7])
     gap_bar, rate_bar, around_bar, x_bar, density_bar = ti.static(bars[7:])
     for k in ti.static(range(features.stresses)):
-        arrays.adjoints[own + features.stress + k] = stress_bar[k]
+        arrays.adjoints[own + features.stress + k] = stress_bar[k] + crack_stress_bar[k]
     add_bars(own + features.affine, affine_bar, arrays)
+    add_bars(own + features.affine, crack_affine_bar, arrays)
     if ti.static(features.contact):
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
         if touching == 1:
             strained = affine, contact, stress
-            modulus_bar = jump_reverse(block, scratch, strained, modulus, dt, jump_bar, arrays)
+            modulus_bar = jump_reverse(block, scratch, strained, modulus, dt, jump_bar + crack_jump_bar, arrays)
     if ti.static(features.volume_correction):
         arrays.adjoints[own + features.gap] = gap_bar[0]
         add_bars(own, x_bar, arrays)
@@ -118,8 +147,9 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         rate_total = lane_sum(arrays.state[first + features.present] * rate_bar, arrays)
         arrays.sums[worker, ti.static(int(Setting.GAP_RATE))] += ti.cast(dt, ti.f64) * rate_total
         add_property_bar(block, Property.DENSITY, density_bar, arrays)
-    add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar + modulus_bar, arrays)
-    add_property_bar(block, Property.SHEAR, moduli_bar[1] + shear_bar + slip_shear_bar + 2.0 * modulus_bar, arrays)
+    add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar + crack_lame_bar + modulus_bar, arrays)
+    whole = moduli_bar[1] + shear_bar + crack_shear_bar + slip_shear_bar + 2.0 * modulus_bar
+    add_property_bar(block, Property.SHEAR, whole, arrays)
     strengths_bar[3] = strengths_bar[3] + limit_bar
     if ti.static(features.inertial):
         add_property_bar(block, Property.SIN_PHI_LIMIT, strengths_bar[4], arrays)

@@ -51,10 +51,8 @@ SPARE = 1.25
 
 def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
-    corrected = features.volume_correction and features.softens and features.cohesive
-    unknown = {"volume_correction of a cohesive material that softens": corrected, "a gate": features.gates}
-    if what := next((name for name, there in unknown.items() if there), ""):
-        raise InputError(f"expected a scene that the adjoint knows, it has no reverse of {what} yet", key="scene")
+    if features.gates:
+        raise InputError("expected a scene that the adjoint knows, it has no reverse of a gate yet", key="scene")
 
 
 def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:

@@ -142,7 +142,7 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
 
 @ti.func
 def affine_reverse(scene, block, scratch, per_dx, kappa, arrays: ti.template()):
-    """Bars of the D x D slopes of the grid's velocity u and of its change, of C before the step, and of kappa.
+    """Bars of the D x D slopes of the grid's velocity u and of its change, of C before the step, of kappa and of C_s^2.
 
     From that of C after it. Only where a loose particle is held back, C is not the slope of u alone.
     """
@@ -156,10 +156,10 @@ def affine_reverse(scene, block, scratch, per_dx, kappa, arrays: ti.template()):
         changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.change] for n in ti.static(at)]
         affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
         slow = arrays.settings[scene, Setting.SLOW_AFFINE]
-        constants = ti.static((looseness(block, arrays), slow, size))
-        held = ti.static([Pullback(held_affine, ((slopes, changes), affine, kappa), constants)])[0]
-        moved_bar, affine_bar, kappa_bar = ti.static(held(bar))
-        return moved_bar[0], moved_bar[1], affine_bar, kappa_bar
+        constants = ti.static((looseness(block, arrays), size))
+        held = ti.static([Pullback(held_affine, ((slopes, changes), affine, kappa, slow), constants)])[0]
+        moved_bar, affine_bar, kappa_bar, slow_bar = ti.static(held(bar))
+        return moved_bar[0], moved_bar[1], affine_bar, kappa_bar, slow_bar
     else:
         zero = [0.0 * bar[0] for _ in ti.static(range(size * size))]
-        return bar, zero, zero, 0.0 * bar[0]
+        return bar, zero, zero, 0.0 * bar[0], 0.0 * bar[0]

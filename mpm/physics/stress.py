@@ -110,16 +110,22 @@ def stress_step(
     if ti.static(features.volume_correction and features.cohesive and features.strained):
         # The strain of open cracks was plastic once, when they opened.
         bare = trial_stress(old, gradient, lame, shear, features.dimension)
-        d = [bare[k] - new[k] for k in ti.static(range(features.stresses))]
-        mean = (d[0] + d[1] + d[2]) / 3.0
-        xx, yy, zz = d[0] - mean, d[1] - mean, d[2] - mean
-        square = xx * xx + yy * yy + zz * zz
-        for k in ti.static(range(3, features.stresses)):
-            square = square + 2.0 * d[k] * d[k]
-        strain = ti.sqrt(square / 6.0) / shear
+        strain = strain_between(bare, new, shear, features.stresses)
         return [new[k] for k in ti.static(range(features.stresses))] + [strain, new[features.stresses + 1]]
     else:
         return new
+
+
+@ti.func
+def strain_between(bare: ti.template(), new: ti.template(), shear, count: ti.template()):
+    """Equivalent deviatoric plastic strain [-] that leads from the first `count` stresses of `bare` to `new` [Pa]."""
+    d = [bare[k] - new[k] for k in ti.static(range(count))]
+    mean = (d[0] + d[1] + d[2]) / 3.0
+    xx, yy, zz = d[0] - mean, d[1] - mean, d[2] - mean
+    square = xx * xx + yy * yy + zz * zz
+    for k in ti.static(range(3, count)):
+        square = square + 2.0 * d[k] * d[k]
+    return ti.sqrt(square / 6.0) / shear
 
 
 @ti.func

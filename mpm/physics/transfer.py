@@ -374,7 +374,7 @@ def hold_affine(scene, block, scratch, kappa, arrays: ti.template()):
     changes = [arrays.scratch[scratch + features.changes + k] for k in ti.static(range(count))]
     affine = [arrays.state[first + features.affine + k] for k in ti.static(range(count))]
     slow = arrays.settings[scene, Setting.SLOW_AFFINE]
-    held = held_affine((slopes, changes), affine, kappa, looseness(block, arrays), slow, features.dimension)
+    held = held_affine((slopes, changes), affine, kappa, slow, looseness(block, arrays), features.dimension)
     for k in ti.static(range(count)):
         arrays.state[first + features.affine + k] = held[k]
 

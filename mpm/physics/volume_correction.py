@@ -118,10 +118,10 @@ def is_loose(block, arrays: ti.template()):
 
 
 @ti.func
-def held_affine(moved: ti.template(), affine: ti.template(), kappa, loose, slow, size: ti.template()):
+def held_affine(moved: ti.template(), affine: ti.template(), kappa, slow, loose, size: ti.template()):
     """C [1/s] from `moved`, slopes of the grid's velocity and its change, and C before (`mpm.physics.transfer`).
 
-    loose: what `looseness` gives; slow: C_s^2 [1/s^2].
+    slow: C_s^2 [1/s^2]; loose: what `looseness` gives.
     """
     slopes, changes = moved
     before_squared, now_squared = 0.0 * loose, 0.0 * loose

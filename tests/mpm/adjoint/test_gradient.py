@@ -69,6 +69,7 @@ HILL = Solid(
 )
 BAFFLED: dict[str, Any] = {"masses": NEAR, "baffles": (LEANING,), "baffle_friction": 0.3}
 SCENES = {
+    # With its gaps remembered, a corner of this flow's path lies within the difference's step of friction_deg.
     "2D": plane(slope_deg=-20.0, volume_correction=False),
     "damped": plane(damping=0.05, slope_deg=-20.0),
     "APIC, dilating": plane(DILATING, relaxation_time=0.0),

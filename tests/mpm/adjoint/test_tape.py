@@ -8,7 +8,7 @@ import pytest
 
 from datasets.errors import InputError, WorkFailed
 from datasets.library import read_scene
-from datasets.scene import Scene
+from datasets.scene import Gate, Scene
 from mpm import simulate
 from mpm.adjoint.gradient import gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, steady
@@ -79,7 +79,7 @@ def test_frames_between_are_observed_too() -> None:
 @pytest.mark.slow
 def test_scenes_side_by_side_are_as_alone() -> None:
     """Of other seeds and speeds, each with its own steps; to the bit."""
-    first, second = plane(), plane(seed=3, gravity=40.0)
+    first, second = plane(volume_correction=True), plane(volume_correction=True, seed=3, gravity=40.0)
     tape = Tape([first, second], [8], threads=2)
     objectives = [Weighted(first), Weighted(second)]
     together = pull_back_all(tape, [[FlowAdjoints(each.positions, each.velocities) for each in objectives]])[0]
@@ -90,9 +90,10 @@ def test_scenes_side_by_side_are_as_alone() -> None:
 
 
 def test_what_has_no_reverse_is_refused() -> None:
-    soil = dataclasses.replace(SOIL, softening_length=4.0e-3, residual_cohesion=100.0)
-    with pytest.raises(InputError, match="volume_correction of a cohesive material that softens"):
-        Tape([plane(soil, volume_correction=True)], [8], threads=1)
+    scene = plane()
+    gated = tuple(dataclasses.replace(mass, release=0.01, gate=Gate(speed=1.0)) for mass in scene.masses)
+    with pytest.raises(InputError, match="a gate"):
+        Tape([dataclasses.replace(scene, masses=gated)], [8], threads=1)
 
 
 def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
