@@ -103,26 +103,14 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         strain_bar = arrays.adjoints[own + features.plastic_strain]
     if ti.static(features.volume_correction):
         opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.gap]
-    bar = [arrays.adjoints[own + features.stress + k] for k in ti.static(range(features.stresses))]
-    # Where cracks count as strain, bars by way of it.
-    crack_stress_bar, crack_affine_bar = [zero for _ in stress], [zero for _ in affine]
-    crack_jump_bar, crack_lame_bar, crack_shear_bar = zero, zero, zero
-    cracks = ti.static(features.volume_correction and features.cohesive and features.softens)
-    if ti.static(cracks):
-        new = [arrays.history[after + features.stress + k] for k in ti.static(range(features.stresses))]
-        arguments = ti.static((stress, affine, jump, contact, new, lame, shear))
-        strain = ti.static([Pullback(strain_of, arguments, (dt, features))])[0]
-        strain_bars = ti.static(strain([strain_bar]))
-        for k in ti.static(range(features.stresses)):
-            bar[k] = bar[k] + strain_bars[4][k]
-        strain_bar, crack_jump_bar = zero, strain_bars[2]
-        crack_lame_bar, crack_shear_bar = strain_bars[5], strain_bars[6]
-        for k in ti.static(range(features.stresses)):
-            crack_stress_bar[k] = strain_bars[0][k]
-        for k in ti.static(range(size * size)):
-            crack_affine_bar[k] = strain_bars[1][k]
-        if ti.static(features.contact):
-            add_bars(contact_bar(block, 0, arrays), strain_bars[3], arrays)
+    new = [arrays.history[after + features.stress + k] for k in ti.static(range(features.stresses))]
+    arguments = ti.static((stress, affine, jump, contact, new, lame, shear))
+    old_bar, strained_bar, jumped_bar, touched_bar, new_bar, spread_bar, sheared_bar = crack_reverse(
+        arguments, strain_bar, dt, features
+    )
+    if ti.static(features.cracks):
+        strain_bar = zero
+    bar = [arrays.adjoints[own + features.stress + k] + new_bar[k] for k in ti.static(range(features.stresses))]
     others = [strain_bar, opened_bar]
     trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
         bar + others, elastic.values, strengths, lame, shear, features
@@ -131,14 +119,15 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     stress_bar, affine_bar, jump_bar, contacts_bar, limit_bar, lame_bar, shear_bar = ti.static(bars[:7])
     gap_bar, rate_bar, around_bar, x_bar, density_bar = ti.static(bars[7:])
     for k in ti.static(range(features.stresses)):
-        arrays.adjoints[own + features.stress + k] = stress_bar[k] + crack_stress_bar[k]
+        arrays.adjoints[own + features.stress + k] = stress_bar[k] + old_bar[k]
     add_bars(own + features.affine, affine_bar, arrays)
-    add_bars(own + features.affine, crack_affine_bar, arrays)
+    add_bars(own + features.affine, strained_bar, arrays)
     if ti.static(features.contact):
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
+        add_bars(contact_bar(block, 0, arrays), touched_bar, arrays)
         if touching == 1:
             strained = affine, contact, stress
-            modulus_bar = jump_reverse(block, scratch, strained, modulus, dt, jump_bar + crack_jump_bar, arrays)
+            modulus_bar = jump_reverse(block, scratch, strained, modulus, dt, jump_bar + jumped_bar, arrays)
     if ti.static(features.volume_correction):
         arrays.adjoints[own + features.gap] = gap_bar[0]
         add_bars(own, x_bar, arrays)
@@ -147,14 +136,29 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         rate_total = lane_sum(arrays.state[first + features.present] * rate_bar, arrays)
         arrays.sums[worker, ti.static(int(Setting.GAP_RATE))] += ti.cast(dt, ti.f64) * rate_total
         add_property_bar(block, Property.DENSITY, density_bar, arrays)
-    add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar + crack_lame_bar + modulus_bar, arrays)
-    whole = moduli_bar[1] + shear_bar + crack_shear_bar + slip_shear_bar + 2.0 * modulus_bar
+    add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar + spread_bar + modulus_bar, arrays)
+    whole = moduli_bar[1] + shear_bar + sheared_bar + slip_shear_bar + 2.0 * modulus_bar
     add_property_bar(block, Property.SHEAR, whole, arrays)
     strengths_bar[3] = strengths_bar[3] + limit_bar
     if ti.static(features.inertial):
         add_property_bar(block, Property.SIN_PHI_LIMIT, strengths_bar[4], arrays)
         add_property_bar(block, Property.INERTIAL_RATE, dt * strengths_bar[5], arrays)
     strength_reverse(scene, block, [strengths_bar[k] for k in ti.static(range(4))], arrays)
+
+
+@ti.func
+def crack_reverse(arguments: ti.template(), strain_bar, dt, features: ti.template()):
+    """Bars of the `arguments` of `strain_of`, a list each, from that of the plastic strain; 0 where none is of cracks."""
+    if ti.static(features.cracks):
+        strain = ti.static([Pullback(strain_of, arguments, (dt, features))])[0]
+        old, strained, jumped, touched, new, spread, sheared = ti.static(strain([strain_bar]))
+        return old, strained, jumped, touched, new, spread, sheared
+    else:
+        none = 0.0 * strain_bar
+        stress = [none for _ in ti.static(range(len(arguments[0])))]
+        affine = [none for _ in ti.static(range(len(arguments[1])))]
+        contact = [none for _ in ti.static(range(len(arguments[3])))]
+        return stress, affine, none, contact, stress, none, none
 
 
 @ti.func

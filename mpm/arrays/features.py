@@ -78,6 +78,11 @@ class Features(Record):
         return 4 if self.dimension == 2 else 6
 
     @property
+    def cracks(self) -> bool:
+        """Whether cracks count as plastic strain (`mpm.physics.stress.stress_step`)."""
+        return self.volume_correction and self.cohesive and self.strained
+
+    @property
     def strained(self) -> bool:
         """Plastic strain is accumulated."""
         return self.strain_recorded or self.softens

@@ -107,7 +107,7 @@ def stress_step(
     cracked = with_cracks(old, opened, strengths[3], lame, shear, features)
     trial = trial_stress(cracked, gradient, lame, shear, features.dimension)
     new = plastic_return(trial, strengths, lame, shear, features)
-    if ti.static(features.volume_correction and features.cohesive and features.strained):
+    if ti.static(features.cracks):
         # The strain of open cracks was plastic once, when they opened.
         bare = trial_stress(old, gradient, lame, shear, features.dimension)
         strain = strain_between(bare, new, shear, features.stresses)

@@ -72,9 +72,9 @@ def value_of(scene: Scene, objective: Weighted, change: Change | None = None) ->
 
 
 def exact_gradient(scene: Scene, objective: Weighted, change: Change | None = None) -> Gradient:
-    """Its gradient, without what keeps that of a long damped flow bounded."""
+    """Its gradient, without what keeps that of a long flow bounded."""
     adjoints = FlowAdjoints(objective.positions, objective.velocities, objective.impulses)
-    ((slope,),) = pull_back_all(tape_of(scene, change, exact=scene.damping > 0.0), [[adjoints]])
+    ((slope,),) = pull_back_all(tape_of(scene, change, exact=True), [[adjoints]])
     return slope
 
 

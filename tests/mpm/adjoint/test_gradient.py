@@ -74,7 +74,7 @@ SCENES = {
     "damped": plane(damping=0.05, slope_deg=-20.0),
     "APIC, dilating": plane(DILATING, relaxation_time=0.0),
     "open sides": plane(open_sides=("x-", "x+"), masses=LEAVING, slope_deg=20.0),
-    "softening": plane(SOFTENING, duration=0.03),
+    "softening": plane(SOFTENING, duration=0.01),
     "barriers": plane(masses=HELD, duration=0.03),
     "3D": room(),
     "3D softening": room(SOFTENING),
@@ -83,7 +83,7 @@ SCENES = {
     "weak soil": plane(WEAK, masses=FALLING, duration=0.04),
     "sand before a baffle": plane(SAND, masses=FALLING, baffles=(BEHIND,), baffle_friction=0.3, duration=0.04),
     "friction of the rate": plane(dataclasses.replace(WEAK, dilation_deg=5.0, **FAST_SHEAR), slope_deg=20.0),
-    "friction of the rate, softening": plane(dataclasses.replace(SOFTENING, **FAST_SHEAR), duration=0.015),
+    "friction of the rate, softening": plane(dataclasses.replace(SOFTENING, **FAST_SHEAR), duration=0.01),
     "3D sand, friction of the rate": room(
         dataclasses.replace(SAND, angle="slope", **FAST_SHEAR | {"friction_limit_deg": 38.0}), masses=THROWN_3D
     ),
