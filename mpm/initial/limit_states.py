@@ -54,7 +54,7 @@ class WithThrust:
         self.thrusts = self.sums(guess)
         self.displacements = np.zeros(problem.nodes.shape)
         self.modes = [self.self_equilibrated(*part) for part in self.parts]
-        self.response = np.stack([self.sums(each) for each in self.modes], axis=1)
+        self.response = np.array([self.sums(each) for each in self.modes]).T
 
     def sums(self, stress: Floats) -> Floats:
         """sum_p V_p sigma_aa of every box and level axis [N m]."""
@@ -82,8 +82,10 @@ class WithThrust:
         force = problem.unbalanced(stress + problem.elastic(self.displacements), problem.contact.traction)
         self.displacements = self.displacements + self.solved(force)
         stress = stress + problem.elastic(self.displacements)
-        factors = np.linalg.solve(self.response, self.thrusts - self.sums(stress))
-        return np.asarray(stress + sum(factor * mode for factor, mode in zip(factors, self.modes, strict=True)))
+        if self.modes:
+            factors = np.linalg.solve(self.response, self.thrusts - self.sums(stress))
+            stress = stress + np.tensordot(factors, self.modes, 1)
+        return np.asarray(stress)
 
 
 def with_thrusts(
@@ -99,7 +101,7 @@ def with_thrusts(
         stress = balanced.nearest(moving)
         admitted = problem.admitted(stress)
         force = np.where(problem.free, problem.unbalanced(admitted, problem.contact.traction), 0.0)
-        off = np.abs(balanced.sums(admitted) / balanced.thrusts - 1.0).max()
+        off = np.abs(balanced.sums(admitted) / balanced.thrusts - 1.0).max(initial=0.0)
         left = float(np.abs(force).sum()) / problem.weight + float(off)
         patience = PATIENCE if left < 0.9 * smallest else patience - 1
         if left < smallest:

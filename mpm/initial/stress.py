@@ -39,6 +39,7 @@ from mpm.initial.equilibrium import Equilibrium
 from mpm.initial.geostatic import geostatic, lateral_shortfall, warn_of_ratio
 from mpm.initial.grid_operators import clings
 from mpm.initial.limit_states import FEW_NODES, with_thrusts
+from mpm.initial.slope import slope_stress
 
 Floats = NDArray[np.float64]
 
@@ -48,16 +49,16 @@ NEAR = 0.01
 
 def initial_tractions(scene: Scene, particles: Particles, positions: Floats | None = None) -> tuple[Floats, Floats]:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
-    the shear traction of the solid that it touches [Pa], shape [N, D]. Zero in masses without `k0`. `positions` [m],
+    the shear traction of the solid that it touches [Pa], shape [N, D]. In masses without `k0` that of
+    `mpm.initial.slope`, or zero. `positions` [m],
     shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
     equilibrium within the yield surface was found.
     """
     dimension = scene.dimension
-    stress = np.zeros((len(particles.positions), 3, 3))
-    shear = np.zeros(particles.positions.shape)
+    rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
+    stress, shear = slope_stress(scene, particles, rounded)
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if chosen.any() and scene.gravity > 0.0:
-        rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
         guess, numbers = geostatic(scene, particles, rounded), np.flatnonzero(chosen)
         problem = Equilibrium(scene, particles, rounded, numbers)
         stress[chosen] = guess[chosen]
