@@ -115,4 +115,4 @@ def lateral_ratio(poisson: float, sine: float, ratio: Floats) -> Floats:
     square = (sine * (1.0 - MARGIN)) ** 2
     half = 2.0 * np.sqrt(np.maximum(square - (1.0 - square) * ratio**2, 0.0))
     low, high = ((1.0 + square + sign * half) / (1.0 - square) for sign in (-1.0, 1.0))
-    return np.clip(poisson / (1.0 - poisson), low, high)
+    return np.asarray(np.clip(poisson / (1.0 - poisson), low, high))
