@@ -10,7 +10,7 @@ import pytest
 from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Mass, Scene, Solid
-from mpm import LAST, simulate
+from mpm import simulate
 from mpm.initial.slope import begins_as_slope
 from mpm.initial.stress import initial_tractions
 from tests.mpm.element import tensor
@@ -24,7 +24,7 @@ SOIL = Material(friction_deg=35.0, young=2.7e6)
 
 def layer(how: str = "slope_deg", friction: float = MU, **changes: Any) -> Scene:
     """40 x 1 m, free at its ends, on 22 degrees: by gravity in 2D and 3D, and on a terrain line."""
-    settings = {"cell": 0.25, "material": SOIL, "duration": 1.0, "frame_dt": 0.25, "open_sides": ("x-", "x+")} | changes
+    settings = {"cell": 0.25, "material": SOIL, "duration": 2.0, "frame_dt": 0.25, "open_sides": ("x-", "x+")} | changes
     if how == "terrain":
         fall = math.tan(SLOPE)
         ground = Solid(kind="terrain", points=((0.0, 60.0 * fall + 1.0), (60.0, 1.0)), friction=friction)
@@ -48,18 +48,20 @@ VARIANTS = {
 }
 
 
-@pytest.mark.parametrize("name", ["slope_deg", "stiff", "terrain", pytest.param("3D", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["slope_deg", *(pytest.param(name, marks=pytest.mark.slow) for name in ("stiff", "terrain", "3D"))]
+)
 def test_a_layer_slides_from_rest_as_a_block(name: str) -> None:
-    """Away from its ends, which collapse; free of stress it starts with 1.5 times that and bounces."""
+    """Away from its ends, which collapse and send waves; 120 m slid 1.19 times that in 5 s from no stress."""
     scene = VARIANTS[name]
-    moved = middle_displacement(simulate(scene, threads=1, record=LAST)) @ downhill(scene)
+    moved = middle_displacement(simulate(scene, threads=1)) @ downhill(scene)
     exact = SlidingBlock.of_scene(layer()).displacement(scene.duration)
-    assert moved.mean() == pytest.approx(exact, rel=0.03)
+    assert moved.mean() == pytest.approx(exact, rel=0.05)
 
 
 @pytest.mark.parametrize("how", ["slope_deg", "terrain"])
 def test_a_layer_that_friction_holds_stays_at_rest(how: str) -> None:
-    flow = simulate(layer(how, friction=0.6), threads=1, record=LAST)
+    flow = simulate(layer(how, friction=0.6), threads=1)
     assert np.linalg.norm(middle_displacement(flow), axis=1).mean() < 1.0e-3
 
 
