@@ -39,6 +39,7 @@ from mpm.arrays.properties import (
 )
 from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
 from mpm.initial.barriers import barrier_tables
+from mpm.initial.slope import begins_as_slope
 from mpm.output.request import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, obstacles_of
 
@@ -193,7 +194,7 @@ class Batch:
             put_vectors(state[first // features.lanes :][: PORTION // features.lanes], features.contacts, contacts)
         if particles.velocity_gradients.any():
             put(features.affine, particles.velocity_gradients.reshape(count, -1))
-        if any(mass.k0 is not None for mass in scene.masses):
+        if any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.
             from mpm.initial.stress import initial_tractions
 

@@ -11,7 +11,7 @@ from mpm.initial.grid_operators import clings
 
 Floats = NDArray[np.float64]
 
-FAR = 0.03
+FAR = 0.01
 """Share of the thrust that may be missing without a word."""
 
 

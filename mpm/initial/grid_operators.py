@@ -96,6 +96,11 @@ class ContactOperator:
         """Nodal force [N], shape [n, D], of -sigma_nn n + q."""
         return np.asarray(self.foot.T @ (self.share[:, None] * (traction - normal_stress[:, None] * self.normal)))
 
+    def pressed(self) -> NDArray[np.bool_]:
+        """Which components of nodes contact pushes, but for rounding, shape [n, D]."""
+        push = np.abs(self.force(-np.ones(len(self.touching)), 0.0 * self.traction))
+        return np.asarray(push > 1.0e-9 * push.max(initial=0.0))
+
     def coulomb_limited(self, stress: Floats, traction: Floats) -> Floats:
         """Shear tractions [Pa], shape [M, D], within Coulomb's bound for the `stress` [Pa]."""
         bound = self.friction * np.maximum(-self.normal_stress(stress), 0.0)

@@ -30,323 +30,49 @@ have them do.
 LU of the block of the nodes that few particles support (surfaces and edges); in 2D of all nodes. Everything is in f64.
 """
 
-import warnings
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
-from datasets.particles import Particles, scene_height
-from datasets.scene import DOMAIN_SIDES, Scene, coefficient
-from mpm.arrays.layout import PADDING, Property, node_shape
-from mpm.arrays.properties import properties_of
-from mpm.initial.barriers import barriers
+from datasets.particles import Particles
+from datasets.scene import Scene
+from mpm.initial.equilibrium import Equilibrium
 from mpm.initial.geostatic import geostatic, lateral_shortfall, warn_of_ratio
-from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
-from mpm.solids.obstacles import obstacles_in
+from mpm.initial.grid_operators import clings
+from mpm.initial.limit_states import FEW_NODES, with_thrusts
+from mpm.initial.slope import slope_stress
 
 Floats = NDArray[np.float64]
 
-ITERATIONS = 100
-"""Solutions for an unbalanced force at most."""
-PATIENCE, PROGRESS = 10, 0.9
-"""How many in a row may leave more than this part of the least unbalanced force so far."""
-ROUNDS, NEAR = 4, 0.01
-"""Solutions for the thrust of a box at most, and which share of it may be missing."""
-ROUNDING = 1.0e-9
-"""Change of stress by the yield surface, over the largest stress, that does not count."""
-BALANCED = 1.0e-12
-"""Unbalanced nodal forces, summed, over the weight, at which iterations end."""
-UNBALANCED = 1.0e-3
-"""The same beyond which a warning says that there is no equilibrium.
-
-Less than that is left where a cohesionless surface or its edge hangs on single particles that jitter has put aside:
-there is no admissible stress for those nodes, and they alone move, by tenths of a millimetre a second.
-"""
-INSIDE = 0.9
-"""Of the deviator at yield: how far inside a stress that violated yield is put back."""
-SOFTENED, SOFTEST = 0.1, 1.0e-3
-"""Factor on theta of a particle that yields, and its least value."""
-ACCURACY = 1.0e-2
-"""Relative residual of a solution; what is left belongs to the next one."""
-INERTIA = 0.01
-"""Of the stiffness of a body's slowest mode, per mass, where it touches solids: nodes that lone particles at its edge
-cannot hold fall there, in place of loading these particles without bound."""
-WEAK = 0.4
-"""Of the largest nodal mass: lighter nodes are solved for directly."""
-SHIFT = 1.0e-9
-"""On the diagonal of the scaled block that is factorised: nodes of a single particle make it singular."""
-EXTRA_STEPS = 60
-"""Steps of conjugate gradients after which the block is factorised anew."""
-MOST_STEPS = 600
+NEAR = 0.01
+"""Share of a box's thrust that an elastic solution may miss."""
 
 
 def initial_tractions(scene: Scene, particles: Particles, positions: Floats | None = None) -> tuple[Floats, Floats]:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
-    the shear traction of the solid that it touches [Pa], shape [N, D]. Zero in masses without `k0`. `positions` [m],
+    the shear traction of the solid that it touches [Pa], shape [N, D]. In masses without `k0` that of
+    `mpm.initial.slope`, or zero. `positions` [m],
     shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
     equilibrium within the yield surface was found.
     """
     dimension = scene.dimension
-    stress = np.zeros((len(particles.positions), 3, 3))
-    shear = np.zeros(particles.positions.shape)
+    rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
+    stress, shear = slope_stress(scene, particles, rounded)
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
     if chosen.any() and scene.gravity > 0.0:
-        rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
         guess, numbers = geostatic(scene, particles, rounded), np.flatnonzero(chosen)
-        start = guess[chosen]
-        for _ in range(ROUNDS):
-            problem = Equilibrium(scene, particles, rounded, numbers)
-            stress[chosen] = problem.solution(start)
+        problem = Equilibrium(scene, particles, rounded, numbers)
+        stress[chosen] = guess[chosen]
+        boxes = [mass.k0 is not None and not clings(mass) for mass in scene.masses]
+        alone = all(box or mass.k0 is None for box, mass in zip(boxes, scene.masses, strict=True))
+        if not (alone and (dimension == 2 or len(problem.mass) <= FEW_NODES)):
+            stress[chosen] = problem.solution(guess[chosen])
+            alone = False
+        lacking = lateral_shortfall(scene, particles, guess, stress)
+        if any(boxes) and (alone or np.abs(lacking).max() > NEAR):
+            stress[chosen] = with_thrusts(problem, scene, particles, stress[chosen], guess[chosen], numbers)
             lacking = lateral_shortfall(scene, particles, guess, stress)
-            if np.abs(lacking).max() <= NEAR:
-                break
-            start = (stress + lacking * guess)[chosen]
         problem.warn(stress[chosen])
         warn_of_ratio(scene, particles, lacking)
         shear[numbers[problem.contact.touching]] = problem.contact.traction
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: 4 if dimension == 2 else 6]
     return np.stack([stress[:, i, j] for i, j in pairs], axis=1), shear
-
-
-class Equilibrium:
-    """Nodal equilibrium of the particles `chosen` of a scene; n nodes, D dimensions, N chosen particles."""
-
-    def __init__(self, scene: Scene, particles: Particles, positions: Floats, chosen: NDArray[np.int64]) -> None:
-        self.dimension = scene.dimension
-        self.volume, density = particles.volume[chosen], particles.density[chosen]
-        rows = properties_of(particles)[chosen]
-        self.lame, self.shear = rows[:, Property.LAME], rows[:, Property.SHEAR]
-        self.sin_phi, self.strength = rows[:, Property.SIN_PHI], rows[:, Property.STRENGTH]
-        self.limit = rows[:, Property.LIMIT]
-        weights, self.slopes, self.nodes = gradient_matrices(scene, positions[chosen])
-        self.slopes_t = self.slopes.T.tocsr()
-        self.mass: Floats = weights.T @ (self.volume * density)
-        self.weight = float(self.mass.sum() * np.linalg.norm(scene.gravity_vector))
-        self.gravity: Floats = self.mass[:, None] * np.array(scene.gravity_vector)
-        self.friction = coefficient(scene.floor_friction)
-        self.contact = ContactOperator(scene, particles, positions[chosen], chosen, weights, self.slopes)
-        self.hold(scene, weights, particles.mass[chosen])
-        direct = np.ones(len(self.mass), bool) if self.dimension == 2 else self.mass < WEAK * self.mass.max()
-        self.direct = np.flatnonzero(direct)
-        self.theta = np.ones(len(chosen))
-        height = scene_height(scene) + scene.domain.cell
-        slowest = np.pi / (2.0 * height) * max(material.wave_speed for material in particles.materials)
-        # A body that nothing holds along the floor slides there as a whole: K alone is singular.
-        touches = len(self.contact.touching) > 0 or (scene.slope_deg != 0.0 and self.friction == 0.0)
-        self.inertia = INERTIA * slowest**2 * self.mass[:, None] if touches else np.zeros((len(self.mass), 1))
-
-    def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
-        """Find which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -,
-        and barriers hold, [n, D]; and which nodes a rough floor holds altogether, [n].
-        """
-        self.walls = walls = np.zeros(self.nodes.shape, np.int8)
-        self.behind_barriers = np.zeros(self.nodes.shape, bool)
-        covered = obstacles_in(scene).covered[np.ravel_multi_index(tuple(self.nodes.T), node_shape(scene.domain))]
-        for axis, length in enumerate(scene.domain.size):
-            last = PADDING + round(length / scene.domain.cell)
-            for side, beyond in enumerate((self.nodes[:, axis] <= PADDING, self.nodes[:, axis] >= last)):
-                if DOMAIN_SIDES[2 * axis + side] not in scene.open_sides:
-                    # A side that a solid covers pushes nothing.
-                    walls[beyond & (covered >> (2 * axis + side) & 1 == 0), axis] = 1 - 2 * side
-        self.rough = np.zeros(len(self.nodes), bool)
-        for number, each in enumerate(scene.masses):
-            if clings(each) and self.friction > 0.0:
-                self.rough |= (walls[:, 1] == 1) & (weights.T @ (mass == number).astype(float) > 0.0)
-            if each.k0 is not None and (each.release is not None or not clings(each)):
-                for axis, (low, high) in barriers(scene, each):
-                    inside = ((self.nodes >= low) & (self.nodes < high)).all(axis=1)
-                    self.behind_barriers[inside, axis] = True
-        held = (walls != 0) | self.behind_barriers | self.rough[:, None]
-        self.in_solids = self.contact.fixed_components(scene, self.nodes)
-        self.free = ~(held | self.in_solids)
-
-    def solution(self, stress: Floats) -> Floats:
-        """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3], or the nearest to one."""
-        precondition = None
-        best, smallest, patience = stress, np.inf, PATIENCE
-        tractions = self.contact.traction
-        for _ in range(ITERATIONS):
-            admitted = self.admitted(stress)
-            tractions = self.contact.coulomb_limited(admitted, tractions)
-            force = np.where(self.free, self.unbalanced(admitted, tractions), 0.0)
-            left = float(np.abs(force).sum()) / self.weight
-            patience = PATIENCE if left < PROGRESS * smallest else patience - 1
-            if left < smallest:
-                best, smallest = admitted, left
-                self.contact.traction = tractions
-            if smallest <= BALANCED or patience == 0:
-                break
-            yielded = np.abs(admitted - stress).max(axis=(1, 2)) > ROUNDING * np.abs(stress).max()
-            if yielded.any():
-                stress = np.where(yielded[:, None, None], self.admitted(stress, INSIDE), stress)
-                force = np.where(self.free, self.unbalanced(stress, tractions), 0.0)
-                self.theta[yielded] = np.maximum(SOFTENED * self.theta[yielded], SOFTEST)
-            if precondition is None:
-                precondition = self.preconditioner()
-            displacements, steps = conjugate_gradients(self.stiffness, force, precondition)
-            # Three dimensions factorise a thin layer alone: that is cheap enough to do for every theta.
-            if steps > EXTRA_STEPS or (self.dimension == 3 and yielded.any()):
-                precondition = None
-            stress = stress + self.elastic(displacements)
-            tractions = tractions + self.contact.shear_traction(displacements, self.theta * self.shear)
-            # Walls push and do not pull.
-            pulled = ~self.free & (self.unbalanced(stress, tractions) * self.walls > BALANCED * self.weight)
-            if pulled.any():
-                self.free |= pulled
-                precondition = None
-        return best
-
-    def warn(self, stress: Floats) -> None:
-        """Say how much of the weight a solution leaves unbalanced, where that is more than single particles."""
-        missing = self.missing(stress)
-        if missing > UNBALANCED:
-            warnings.warn(
-                f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
-                "unbalanced at the start",
-                stacklevel=6,
-            )
-
-    def missing(self, stress: Floats) -> float:
-        """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""
-        force = self.unbalanced(stress, self.contact.traction)
-        held = (self.walls != 0) | self.behind_barriers | self.rough[:, None]
-        loose = np.abs(force[self.free]).sum()
-        push = -force * self.walls
-        pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
-        level = [axis for axis in range(self.dimension) if axis != 1]
-        # Where walls or barriers hold a direction, they take what is along it.
-        along = np.where((self.walls[:, level] == 0) & ~self.behind_barriers[:, level], force[:, level], 0.0)
-        shear = np.linalg.norm(along, axis=1)
-        slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
-        # Solids hold nodes altogether; along all faces they bear no more than friction, in the sum: single nodes pull.
-        borne = np.where(self.in_solids & ~held, force, 0.0)
-        across = (borne * self.contact.normals).sum(axis=1)
-        along = np.linalg.norm(borne - across[:, None] * self.contact.normals, axis=1)
-        slides = max(float(along.sum() - self.contact.frictions @ np.maximum(-across, 0.0)), 0.0)
-        return float(loose + pulled + slips + slides) / self.weight
-
-    def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
-        """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
-        push = self.contact.force(np.minimum(self.contact.normal_stress(stress), 0.0), tractions)
-        return np.asarray(self.gravity + push - self.divergence(stress))
-
-    def divergence(self, stress: Floats) -> Floats:
-        """sum_p w_ip V_p (4 / dx^2) sigma_p x_ip [N], shape [n, D]."""
-        flux = (self.volume[:, None, None] * stress)[:, : self.dimension, : self.dimension]
-        return np.asarray(self.slopes_t @ np.moveaxis(flux, 2, 0).reshape(-1, self.dimension))
-
-    def elastic(self, displacements: Floats) -> Floats:
-        """Change of stress [Pa], shape [N, 3, 3], by nodal displacements [m], shape [n, D]."""
-        gradient = np.zeros((len(self.volume), 3, 3))
-        columns = (self.slopes @ displacements).reshape(self.dimension, -1, self.dimension)
-        gradient[:, : self.dimension, : self.dimension] = np.moveaxis(columns, 0, 2)
-        gradient[self.contact.touching] += self.contact.gradient(displacements)
-        change = (self.theta * self.shear)[:, None, None] * (gradient + gradient.swapaxes(1, 2))
-        pressure = self.theta * self.lame * np.trace(gradient, axis1=1, axis2=2)
-        return np.asarray(change + pressure[:, None, None] * np.eye(3))
-
-    def stiffness(self, displacements: Floats) -> Floats:
-        """(K + inertia) u [N], shape [n, D], zero where a node is held."""
-        change = self.elastic(displacements)
-        shear = self.contact.shear_traction(displacements, self.theta * self.shear)
-        force = self.divergence(change) - self.contact.force(self.contact.normal_stress(change), shear)
-        return np.where(self.free, force + self.inertia * displacements, 0.0)
-
-    def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
-        """`stress` without tension beyond the limit, then scaled towards its mean until Mohr-Coulomb admits it.
-
-        Where that was needed, by a factor `inside` further.
-        """
-        beyond = np.linalg.eigvalsh(stress)[:, 2] > self.limit
-        principal, axes = np.linalg.eigh(stress[beyond])
-        stress = stress.copy()
-        stress[beyond] = np.einsum("nik,nk,njk->nij", axes, np.minimum(principal, self.limit[beyond, None]), axes)
-        mean = np.trace(stress, axis1=1, axis2=2) / 3.0
-        deviator = stress - mean[:, None, None] * np.eye(3)
-        principal = np.linalg.eigvalsh(deviator)
-        shear = principal[:, 2] * (1.0 + self.sin_phi) - principal[:, 0] * (1.0 - self.sin_phi)
-        margin = np.minimum(
-            quotient(self.strength - 2.0 * self.sin_phi * mean, shear), quotient(self.limit - mean, principal[:, 2])
-        )
-        factor = np.where(margin < 1.0, inside * np.maximum(margin, 0.0), 1.0)
-        return np.asarray(mean[:, None, None] * np.eye(3) + factor[:, None, None] * deviator)
-
-    def preconditioner(self) -> Callable[[Floats], Floats]:
-        """An approximate inverse of K: its diagonal, and the factorised block of the nodes `direct`."""
-        dimension, count = self.dimension, len(self.volume)
-        each = [self.slopes[axis * count : (axis + 1) * count] for axis in range(dimension)]
-        stiff = self.volume * self.theta
-        squares = [matrix.multiply(matrix).T @ np.stack([stiff * self.lame, stiff * self.shear], 1) for matrix in each]
-        total = sum(square[:, 1] for square in squares)
-        diagonal = np.stack([squares[axis].sum(axis=1) + total for axis in range(dimension)], axis=1)
-        contact = self.theta * self.lame, self.theta * self.shear
-        diagonal += self.contact.diagonal(*contact) + self.inertia
-        inverse = np.where(self.free & (diagonal > 0.0), 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
-        parts = [matrix[:, self.direct].tocsr() for matrix in each]
-        used = np.flatnonzero(np.diff(parts[0].indptr))
-        parts = [part[used] for part in parts]
-        lame, shear = (sparse.diags_array((stiff * value)[used]) for value in (self.lame, self.shear))
-        first = [[(parts[i].T @ (lame @ parts[j])).tocsr() for j in range(dimension)] for i in range(dimension)]
-        second = [[(parts[i].T @ (shear @ parts[j])).tocsr() for j in range(dimension)] for i in range(dimension)]
-        trace = sum(second[axis][axis] for axis in range(dimension))
-        block = sparse.block_array(
-            [
-                [first[i][j] + second[j][i] + (trace if i == j else 0.0 * trace) for j in range(dimension)]
-                for i in range(dimension)
-            ]
-        ).tocsr()
-        block = block + self.contact.block(*contact, self.direct)
-        block = block + sparse.diags_array(np.tile(self.inertia[self.direct, 0], dimension))
-        # Components of a node side by side: the factorisation then orders nodes, not components.
-        order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()
-        free = self.free[self.direct].ravel()
-        order = order[free]
-        scale = np.sqrt(inverse[self.direct].ravel()[free])
-        scaled = sparse.diags_array(scale) @ block[order][:, order] @ sparse.diags_array(scale)
-        factors = splu(
-            (scaled + SHIFT * sparse.eye_array(len(order))).tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-
-        def precondition(force: Floats) -> Floats:
-            result = inverse * force
-            part = result[self.direct]
-            part[self.free[self.direct]] = scale * factors.solve(scale * force[self.direct].ravel()[free])
-            result[self.direct] = part
-            return result
-
-        return precondition
-
-
-def quotient(top: Floats, bottom: Floats) -> Floats:
-    """top / bottom, infinite where `bottom` is not positive."""
-    return np.asarray(np.divide(top, bottom, out=np.full_like(top, np.inf), where=bottom > 0.0))
-
-
-def conjugate_gradients(
-    matrix: Callable[[Floats], Floats], force: Floats, precondition: Callable[[Floats], Floats]
-) -> tuple[Floats, int]:
-    """u with matrix(u) = force to a relative residual of ACCURACY (Hestenes & Stiefel 1952), and the steps taken."""
-    solution, residual = np.zeros_like(force), force.copy()
-    direction = toward = precondition(residual)
-    product = float((residual * toward).sum())
-    goal = ACCURACY * np.sqrt(product)
-    steps = 0
-    while product > goal * goal and steps < MOST_STEPS:
-        steps += 1
-        image = matrix(direction)
-        curvature = float((direction * image).sum())
-        if curvature <= 0.0:
-            break
-        solution = solution + product / curvature * direction
-        residual = residual - product / curvature * image
-        toward = precondition(residual)
-        before, product = product, float((residual * toward).sum())
-        direction = toward + product / before * direction
-    return solution, steps

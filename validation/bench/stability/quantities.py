@@ -44,6 +44,28 @@ def slides(flow: Trajectory) -> float:
     return float(exact.centre_displacement(flow)[-1, 0]) / block.displacement(flow.time[-1])
 
 
+@quantity("displacement of the middle third over rigid block's", minimum=0.96, maximum=1.04)
+def middle_slides(flow: Trajectory) -> float:
+    """Mean displacement of the middle third of a layer down an incline, over that of a rigid block."""
+    moved = middle_displacement(flow)[:, 0].mean()
+    return float(moved / exact.SlidingBlock.of_scene(flow.scene).displacement(flow.time[-1]))
+
+
+@quantity("mean displacement of the middle third", "mm", maximum=1.0)
+def middle_stays(flow: Trajectory) -> float:
+    """How far the middle third of a layer has moved on average, while its ends collapse."""
+    return 1.0e3 * float(np.linalg.norm(middle_displacement(flow), axis=1).mean())
+
+
+@quantity("thrust over rho g H^2 / 2")
+def thrust_ratio(flow: Trajectory) -> float:
+    """Mean thrust of a bed on the first solid beside it, over that of a liquid of its density: its `k0`."""
+    assert flow.solid_impulse is not None
+    mass = flow.scene.masses[0]
+    liquid = 0.5 * flow.scene.material_of(mass).density * flow.scene.gravity * mass.size[1] ** 2
+    return float(flow.solid_impulse[-1, 0, 0]) / (liquid * float(flow.time[-1]))
+
+
 @quantity("displacement over v t", minimum=0.99, maximum=1.01)
 def moves_on(flow: Trajectory) -> float:
     """Displacement of the centre of a body on which no force along its motion acts, over v t."""
@@ -217,6 +239,14 @@ def is_symmetric(flow: Trajectory) -> float:
     """Difference between the toes along x and z, the mean of the furthest tenth, where both are alike."""
     end = flow.positions[-1]
     return in_cells(abs(toe(end)[0] - toe(end[:, ::-1])[0]), flow)
+
+
+def middle_displacement(flow: Trajectory) -> NDArray[np.float64]:
+    """Displacement [m] at the end of the particles that began in the middle third along x, shape [N, D]."""
+    x = flow.positions[0, :, 0]
+    low, high = float(x.min()), float(x.max())
+    middle = np.abs(x - 0.5 * (low + high)) < (high - low) / 6.0
+    return np.asarray((flow.positions[-1] - flow.positions[0])[middle], np.float64)
 
 
 def in_cells(length: float, flow: Trajectory) -> float:
