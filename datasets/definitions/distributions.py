@@ -88,14 +88,17 @@ def definition_from_file(path: Path) -> Definition:
 def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Path) -> Scene:
     """A scene that can be simulated: a draw whose parts overlap, leave the box or are out of range is drawn again.
 
-    Raises InputError, that of the last draw, where none of `TRIES` can be, or of fewer where a scene has more than `MANY` bodies.
+    Raises InputError, that of the last draw, where none of `TRIES` can be, fewer of a scene of more than `MANY` bodies.
     """
     tries, bodies = 0, 0
     while bodies < TRIES * MANY:
         variables = {name: drawn(value, stream, {}, ("variables", name)) for name, value in content.variables.items()}
         data = {key: drawn(value, stream, variables, ("scene", key)) for key, value in content.scene.items()}
         data.setdefault("seed", int(stream.integers(2**31)))
-        tries, bodies = tries + 1, bodies + max(MANY, sum(len(each) for each in data.values() if isinstance(each, list)))
+        tries, bodies = (
+            tries + 1,
+            bodies + max(MANY, sum(len(each) for each in data.values() if isinstance(each, list))),
+        )
         try:
             scene = scene_from(data, folder)
             check_gaps(scene, content.baffle_gap)
