@@ -79,7 +79,7 @@ def test_under_ground_there_is_no_floor(changes: dict[str, Any]) -> None:
 
 
 def test_a_front_is_one_at_any_height_of_its_terrain() -> None:
-    """33.3, 26.6, 24.5, 22.9 m while a smooth floor under it took part."""
+    """33.3, 26.6, 24.5, 22.9 m while a smooth floor under it took part; half a cell of offset alone moves it by 1.6 %."""
 
     def raised(height: float) -> Scene:
         points = ((0.0, 10.0 + height), (20.0, height), (80.0, height))
@@ -90,7 +90,7 @@ def test_a_front_is_one_at_any_height_of_its_terrain() -> None:
 
     flows = simulate_many([raised(height) for height in (0.0, 0.25, 0.5, 1.0)], record=LAST)
     fronts = [front(flow.positions[-1], flow.volumes) for flow in flows]
-    assert fronts == pytest.approx([22.5] * 4, rel=0.02)
+    assert fronts == pytest.approx([22.2] * 4, rel=0.02)
 
 
 def test_only_a_covered_wall_takes_no_part() -> None:
