@@ -44,5 +44,6 @@ def require(ok: bool, key: str, expected: str, got: object) -> None:
 
 
 def shortened(text: str, most: int = LONGEST) -> str:
-    """The first characters of a text."""
+    """The first characters of a text, in one line."""
+    text = " ".join(text.splitlines())
     return text if len(text) <= most else f"{text[:most]}..."

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 FEWEST_RUNS = 5
 """MPM runs besides one for each unknown: a trend, its error, and one at the answer."""
+MOST = 1_000_000
+"""Of runs, draws and iterations: more would take years, and memory that no machine has."""
 FILLING = 32
 """Points by which the box of the bounds is filled, and corners of it, that are tried."""
 OF_FIELDS = ("mean", "deviation", "length")
@@ -212,6 +214,8 @@ def check_search(problem: "Problem") -> None:
         ("loop.mpm_runs", problem.loop.budget(unknowns), unknowns + FEWEST_RUNS),
     ):
         require(number >= minimum, key, f"an integer of at least {minimum}", number)
+        most = 2**62 if key.endswith(".seed") else MOST
+        require(number <= most, key, f"an integer of at most {most}", number)
     for each in problem.numbers:
         fixed = not (KINDS[kind].every_particle and each.kind.changes_volume)
         expected = f"another kind: with {each.name} the number of particles changes"

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from datasets.command_line import disk_failed, run
 from datasets.definitions import read_definition
 from datasets.definitions.definition import DEPOSITS, Definition, Entry, Split, Storage
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import InputError, WorkFailed, require
 from datasets.files import write_json
 from datasets.lock import locked
 from datasets.particles import mass_counts
@@ -26,6 +26,8 @@ from mpm.cluster import QUEUED, Workers, connected, pool
 from mpm.expected import expected, kind_of, learn, planned
 from mpm.footprint import PROCESS
 
+MOST_JOBS = 1000
+"""Processes of one machine."""
 TIMINGS = ("wall_s", "compile_s")
 """Keys of a summary that differ from run to run; the files of a dataset must not."""
 
@@ -84,8 +86,8 @@ def generate(
     [s] of what its caller does next and `beside` [bytes] of what that holds. Raises InputError where `out` holds other
     trajectories than these, WorkFailed where a simulation fails.
     """
-    if jobs < 1:
-        raise InputError(f"expected at least 1 job, got {jobs}", key="jobs")
+    require(jobs >= 1, "jobs", "at least 1 job", jobs)
+    require(jobs <= MOST_JOBS, "jobs", f"at most {MOST_JOBS} jobs", jobs)
     entries = definition.entries(seed=seed, count=count)
     # Those of an inversion are read each in units of its own.
     alike = definition.storage is None or not definition.storage.deposit

@@ -25,6 +25,10 @@ MOST_COPIES = 4096
 """Of a mass or a baffle."""
 TRIES = 1000
 """Draws of a scene before the definition is refused: the chance of a valid one is then below one in a hundred."""
+MANY = 20
+"""Bodies and solids of a scene above which the draws are fewer in proportion: each takes its time."""
+MOST_SCENES = 1_000_000
+"""Of a dataset."""
 NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
 OPTIONS = {
     "uniform": {"step"},
@@ -53,6 +57,7 @@ class DefinitionFile(Record):
     """Least distance of a baffle from other baffles and from masses along some axis [m]."""
 
     def __post_init__(self) -> None:
+        require(self.count <= MOST_SCENES, "count", f"at most {MOST_SCENES} scenes", self.count)
         for key, minimum in (("count", 1), ("split_period", 3), ("baffle_gap", 0.0)):
             require(getattr(self, key) >= minimum, key, f"at least {minimum}", getattr(self, key))
 
@@ -83,12 +88,17 @@ def definition_from_file(path: Path) -> Definition:
 def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Path) -> Scene:
     """A scene that can be simulated: a draw whose parts overlap, leave the box or are out of range is drawn again.
 
-    Raises InputError, that of the last draw, where none of `TRIES` can be.
+    Raises InputError, that of the last draw, where none of `TRIES` can be, fewer of a scene of more than `MANY` bodies.
     """
-    for _ in range(TRIES):
+    tries, bodies = 0, 0
+    while bodies < TRIES * MANY:
         variables = {name: drawn(value, stream, {}, ("variables", name)) for name, value in content.variables.items()}
         data = {key: drawn(value, stream, variables, ("scene", key)) for key, value in content.scene.items()}
         data.setdefault("seed", int(stream.integers(2**31)))
+        tries, bodies = (
+            tries + 1,
+            bodies + max(MANY, sum(len(each) for each in data.values() if isinstance(each, list))),
+        )
         try:
             scene = scene_from(data, folder)
             check_gaps(scene, content.baffle_gap)
@@ -97,7 +107,7 @@ def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Pat
             last: InputError = error
         except InputError as error:
             raise InputError(error.message, key=f"scene.{error.key}") from None
-    raise InputError(f"{last.message} (in each of {TRIES} draws)", key=f"scene.{last.key}" if last.key else "scene")
+    raise InputError(f"{last.message} (in each of {tries} draws)", key=f"scene.{last.key}" if last.key else "scene")
 
 
 def drawn(value: Any, stream: np.random.Generator, variables: Draws, key: Key) -> Any:
@@ -130,10 +140,14 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
         require(isinstance(given, list) and len(given) > 0, where, "a list of values", value)
         return drawn(given[int(stream.integers(len(given)))], stream, variables, key)
     if kind == "variable":
-        require(given in variables, where, f"one of the variables {sorted(variables)}", repr(given))
+        known = isinstance(given, str) and given in variables
+        require(known, where, f"one of the variables {sorted(variables)}", repr(given))
         if not OPTIONS[kind] & value.keys():
             return variables[given]
-        return rounded(variables[given] * value.get("factor", 1.0) + value.get("offset", 0.0))
+        factor, offset = value.get("factor", 1.0), value.get("offset", 0.0)
+        usable = all(type(each) in (int, float) and abs(each) <= LARGEST for each in (variables[given], factor, offset))
+        require(usable, where, "numbers, variable, factor and offset", [variables[given], factor, offset])
+        return rounded(variables[given] * factor + offset)
     numbers = isinstance(given, list) and len(given) == 2 and all(type(each) in (int, float) for each in given)
     require(numbers, where, "two numbers", value)
     low, high = given

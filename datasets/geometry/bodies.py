@@ -21,7 +21,7 @@ from datasets.geometry.closed import Body, check_simple, manifold, outward, slic
 from datasets.geometry.ground import TOUCHING, Floats, elevation, plan_axes
 from datasets.geometry.shapes import FARTHEST, check_grid, check_shape
 from datasets.memory import require as require_memory
-from datasets.scene import Domain, Mass, Scene, Solid, keyed
+from datasets.scene import TOLERANCE, Domain, Mass, Scene, Solid, keyed
 
 LATTICE = 40
 """Bytes that a coordinate of a lattice takes while it is made."""
@@ -95,6 +95,11 @@ def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, ke
     if mass.kind == "layer":
         found = layer(mass, domain, ground, share, key)
     else:
+        # Before it is filled: a mesh in millimetres would be a billion times as large.
+        low, high = np.min(np.array(mass.vertices), axis=0), np.max(np.array(mass.vertices), axis=0)
+        inside = bool((low >= -TOLERANCE).all() and (high <= np.array(domain.size) + TOLERANCE).all())
+        expected = f"a {mass.kind} inside the domain {list(domain.size)}"
+        require(inside, key, expected, f"one from {low.tolist()} to {high.tolist()}")
         found = (polygon if mass.kind == "polygon" else mesh)(mass, share, key)
     require(len(found.lattice) > 0, key, f"a body that a lattice of {share:g} m puts particles into", "one without")
     return found

@@ -10,12 +10,12 @@ import manifold3d
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
 from datasets.errors import InputError, require
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats, Integers, grid_triangles, ground_grid
+from datasets.geometry.joints import check_corners, check_lines
 from datasets.scene import Domain, Solid
 
 OUTSIDE = "expected a solid that reaches into the domain, this one lies outside of it"
@@ -296,27 +296,13 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
     distance = np.stack([shapely.distance(middle, shapely.linearrings(body.vertices)) for body in bodies])
     # Faces that coincide go to the first of their solids.
     owner = np.argmax(distance <= distance.min(axis=0) + 10.0 * gap, axis=0).astype(np.int32)
-    check_joints(vertices, owner, [body.key for body in bodies], 100.0 * gap)
+    check_corners(vertices, owner, [body.key for body in bodies], 100.0 * gap)
     friction = np.zeros(faces.shape)
     for number, body in enumerate(bodies):
         mine = faces[owner == number]
         if len(mine):
             friction[owner == number] = friction_at(body, vertices[mine].reshape(-1, 2)).reshape(-1, 2)
     return vertices, faces, friction, owner
-
-
-def check_joints(vertices: Floats, owner: NDArray[np.int32], keys: list[str], tolerance: float) -> None:
-    """Raise InputError where solids meet in a point alone: sand would pass through it.
-
-    There the boundary of the union has two corners in one place [m], [V, 2]; owner: the solid of each, [V].
-    """
-    pairs = cKDTree(vertices).query_pairs(tolerance, output_type="ndarray")
-    for first, second in sorted({(min(pair), max(pair)) for pair in owner[pairs].tolist()}):
-        if first != second:
-            raise InputError(
-                f"expected solids that overlap or share an edge, got one that meets {keys[first]} in a point",
-                key=keys[second],
-            )
 
 
 def friction_at(body: Body, positions: Floats) -> Floats:
@@ -356,6 +342,7 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
             raise InputError("expected a closed surface that does not cross itself", key=body.key)
         parts.append(part)
         numbers[part.original_id()] = number
+    check_lines(parts, [body.key for body in bodies], gap)
     mesh = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add).to_mesh64()
     values, triangles = np.array(mesh.vert_properties), np.array(mesh.tri_verts, np.int64)
     owner = np.zeros(len(triangles), np.int32)

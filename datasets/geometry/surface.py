@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from datasets.errors import require
 from datasets.geometry.closed import (
     Body,
     check_simple,
@@ -25,7 +26,7 @@ from datasets.geometry.closed import (
     union_of_rings,
     union_of_surfaces,
 )
-from datasets.geometry.ground import CLOSING, Floats
+from datasets.geometry.ground import CLOSING, TOUCHING, Floats
 from datasets.scene import ROUGH, Domain, Scene, Solid, coefficient, keyed
 
 KEPT = 3.0
@@ -137,6 +138,8 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
 def body_of(solid: Solid, key: str, box: Domain) -> Body:
     """The surface of `solid`, continued where it meets a side of the box. Raises InputError."""
     body = closed_body(solid, key, box)
+    thinnest = float(np.ptp(body.vertices, axis=0).min())
+    require(thinnest > TOUCHING, key, f"a solid thicker than {TOUCHING:g} m", f"one of {thinnest:.3g} m")
     # The floor last.
     for axis, side in itertools.product(() if solid.kind == "terrain" else (0, 2, 1), (0, 1)):
         if axis < box.dimension:

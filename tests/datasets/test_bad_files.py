@@ -149,3 +149,23 @@ def test_strange_scenes(name: str, seed: int, tmp_path: Path) -> None:
             one_line(error, tmp_path)  # or a file beside it
             outcomes.append(0)
     assert outcomes.count(0) > PER_SEED // 4
+
+
+def test_text_of_several_lines_is_said_in_one() -> None:
+    error = InputError("expected a name, got a\nb", where="a\r\nb.toml", key="key")
+    assert str(error) == "a b.toml: key: expected a name, got a b"
+    with pytest.raises(InputError, match="^no scene: expected the path of a scene"):
+        read_scene("no\nscene")
+
+
+@pytest.mark.parametrize("solid", ["baffles", "solids"])
+@pytest.mark.parametrize("lower", [[0.0, 0.0], [0.3, 0.1]])
+def test_a_solid_without_thickness_is_one_line(solid: str, lower: list[float]) -> None:
+    data = {
+        "domain": {"size": [1.0, 0.4], "cell": 0.02},
+        "material": {"friction_deg": 30.0},
+        "masses": [{"lower": [0.5, 0.0], "size": [0.1, 0.1]}],
+        solid: [{"lower": lower, "size": [5.0e-13, 0.1]}],
+    }
+    with pytest.raises(InputError, match=rf"{solid}\[0\].*: expected .* 1e-09"):
+        scene_from(data, Path())

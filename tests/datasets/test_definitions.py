@@ -210,8 +210,22 @@ def test_the_definition_on_the_page(tmp_path: Path) -> None:
             "scene.material.cohesoin: expected a known key, did you mean 'cohesion'",
         ),
         ("{friction}", "{ uniform = [91, 95] }", "(in each of 1000 draws)"),
+        ("{friction}", "{ variable = [30.0] }", "expected one of the variables [], got [30.0]"),
+        (
+            "{friction}",
+            "{ variable = 'a', factor = 2 }\n[variables]\na = 'x'",
+            "expected numbers, variable, factor and",
+        ),
+        ("[scene]", "count = 1000000000000\n[scene]", "count: expected at most 1000000 scenes"),
     ],
 )
 def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = TEXT.replace(old, new).replace("{friction}", "30.0").replace("{lower}", "0.1")
     assert refused(definition, tmp_path, text, said=expected).where == str(tmp_path / "steps.toml")
+
+
+def test_many_bodies_are_drawn_less_often(tmp_path: Path) -> None:
+    """A draw of 200 bodies takes ten times as long as one of 20: 1000 of them would take minutes."""
+    baffles = "[[scene.baffles]]\ncount = 199\nlower = [{ uniform = [0.3, 0.5] }, 0.0]\nsize = [0.1, 0.1]\n"
+    text = TEXT.replace("{friction}", "30.0").replace("{lower}", "0.1") + baffles
+    refused(definition, tmp_path, text, said="(in each of 100 draws)")

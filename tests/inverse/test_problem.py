@@ -93,6 +93,16 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
         ("upper = 52.0", "upper = 90.0", "unknowns[0].upper"),
         ('"column-tall-42"', '"column-tall-43"', "column-tall-43"),
         ("[target]", "[loop]\nmpm_runs = 0\n[target]", "loop.mpm_runs"),
+        (
+            "[target]",
+            "[loop]\nmpm_runs = 1000000000000\n[target]",
+            "loop.mpm_runs: expected an integer of at most 1000000",
+        ),
+        (
+            "[target]",
+            "[optimiser]\nensemble = 10000000\n[target]",
+            "optimiser.ensemble: expected an integer of at most",
+        ),
         ("[target]", "[[target", "problem.toml"),
         ('"friction_deg"', '"baffles[0].x"', "unknowns[0].name"),
         ("value = 0.55", "values = [0.5, 0.1]", "observations[0].values"),

@@ -162,6 +162,7 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
         (["paper3d", "--count", "1001"], "1 to 1000"),
         (["flow2d", "--seed", "-1"], "seed"),
         (["flow2d", "--jobs", "0"], "at least 1 job"),
+        (["flow2d", "--jobs", "1000000000000"], "at most 1000 jobs"),
         (["flow2d", "--cuont", "3"], "--count"),
     ],
 )

@@ -44,13 +44,16 @@ def test_the_floor_is_met_where_it_is(offset: float) -> None:
     assert flow.positions[-1, :, 1].mean() == pytest.approx(0.05, abs=0.2 * 0.02)
 
 
+@pytest.mark.parametrize("kind", ["box", "terrain"])
 @pytest.mark.parametrize("height", [0.2, pytest.param(0.4, marks=pytest.mark.slow)])
-def test_sand_that_falls_over_a_step_fills_its_own_volume(height: float) -> None:
+def test_sand_that_falls_over_a_step_fills_its_own_volume(kind: str, height: float) -> None:
     """Area under the top particles of columns of a cell beyond the step, over the particles' own; 1.37 and 2.4 without.
 
     Grains that still fall are left out: over the higher step sand pours for four seconds.
     """
+    line = ((0.0, height), (0.5, height), (0.501, 0.0), (3.0, 0.0))
     step = Solid(kind="box", lower=(0.0, 0.0), size=(0.5, height), friction=0.4)
+    step = step if kind == "box" else Solid(kind="terrain", points=line, friction=0.4)
     scene = scene_of(
         Mass(lower=(0.0, height), size=(0.4, 0.4)), size=(3.0, 1.6), solids=(step,), floor_friction=0.4, duration=2.5
     )

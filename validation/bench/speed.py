@@ -1,4 +1,4 @@
-"""`python -m validation.bench speed`: rates, cost of baffles, price of a gradient, networks, a large terrain."""
+"""`python -m validation.bench speed`: rates, baffles, first runs, price of a gradient, networks, a large terrain."""
 
 import statistics
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
-from validation.bench import large
+from validation.bench import first, large
 from validation.bench.network import network_rows
 from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
 from validation.report.page import GNS, MPM, Page, Row, between
@@ -217,15 +217,18 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
     scenes = list(behind_baffles().items())[: 1 if quick else None]
     solids = [baffle_row(name, each, 3 * rounds) for name, each in scenes]
     prices = [isolated(price, enlarged(*each), rounds) for each in (((0.5, 0.1),) if quick else SCALES)]
+    starts = first.first_runs(quick=quick)
     networks = network_rows(rounds=rounds, sizes=1 if quick else 3)
     terrain = large.measured(keep, quick=quick)
     draw(out / "speed.png", rates, prices)
-    return page(rates, solids, prices, networks, terrain, rounds=rounds, quick=quick).write(out / "speed.md")
+    text = page(rates, solids, starts, prices, networks, terrain, rounds=rounds, quick=quick)
+    return text.write(out / "speed.md")
 
 
 def page(
     rates: Rates,
     solids: Sequence[Row],
+    starts: first.Starts,
     prices: Sequence[Price],
     networks: Sequence[Mapping[str, str]],
     terrain: Mapping[str, large.Found],
@@ -240,8 +243,7 @@ def page(
     text.text(f"""
         2D: the paper's tall column (42°, damped, cohesive), 4 particles per cell. 3D: a cube of its 3D sand, 8 per
         cell. One scene of fewer than {LARGE:,} particles runs on one thread, copies on a thread each, a larger one on
-        all. Medians of rounds in turn, in brackets minimum and maximum. Compilation (2 to 10 s the first time, kept on
-        disk from then on) is not included.
+        all. Medians of rounds in turn, in brackets minimum and maximum. Compilation is not included (see First runs).
     """)
     text.table(rate_rows(rates))
     text.text("Other codes on two cores of an AMD EPYC, not in this run (`validation/bench/speed.toml`):")
@@ -255,6 +257,7 @@ def page(
         is the flow's: sand that baffles throw up makes the box of nodes that a step goes through larger.
     """)
     text.table(solids)
+    first.add_section(text, starts)
     text.section("A gradient by the adjoint")
     text.text(f"""
         A run of `{PRICED}`, longer and higher on its own cells, and the gradient of its mean x with respect to all that

@@ -21,7 +21,7 @@ from datasets.library import SCENES, find, read_scene, scene_from
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
-from inverse.checks import check_bounds, check_number
+from inverse.checks import MOST, check_bounds, check_number
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, with_kinds
 from inverse.parameters.prior import Correlation, JointPrior, Prior
@@ -175,8 +175,9 @@ class DesignProblem(_Keys):
         for name in self.cost:
             require(name in known, f"cost.{name}", f"one of the variables {', '.join(known)}", name)
         budget, fewest = self.budget, 4 * len(names)
-        require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
-        require(budget.checks >= 20, "budget.checks", "an integer of at least 20", budget.checks)
+        for key, number, least in (("runs", self.runs, fewest), ("checks", budget.checks, 20)):
+            require(number >= least, f"budget.{key}", f"an integer of at least {least}", number)
+            require(number <= MOST, f"budget.{key}", f"an integer of at most {MOST}", number)
         require(budget.seed >= 0, "budget.seed", "an integer of at least 0", budget.seed)
 
     @property

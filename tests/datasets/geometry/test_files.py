@@ -123,6 +123,20 @@ def test_a_release_has_the_volume_of_its_cells(
     assert initial_particles(found).volume.sum() == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.parametrize(("rows", "volume"), [("2 2 2", 18.0), ("2", 2.0)])
+@pytest.mark.parametrize("cell", [0.5, 0.25, 0.125])
+def test_an_ascii_release_has_its_volume(tmp_path: Path, rows: str, volume: float, cell: float) -> None:
+    """Cells of 1 m, 2 m thick, within a ring of no data: 8.0 of 18 m^3 and 1.31 of 2 before."""
+    count = len(rows.split())
+    none = " ".join(["-9999"] * (count + 2))
+    lines = [none, *[f"-9999 {rows} -9999"] * count, none]
+    head = f"ncols {count + 2}\nnrows {count + 2}\nxllcorner 0\nyllcorner 0\ncellsize 1\nNODATA_value -9999\n"
+    (tmp_path / "release.asc").write_text(head + "\n".join(lines) + "\n")
+    layer = '[[masses]]\nkind = "layer"\nthickness = "release.asc"\nat = [2.0, 2.0]\n'
+    box = SPACE.replace("[2.0, 1.0, 1.0]", "[10.0, 4.0, 10.0]").replace("0.05", str(cell))
+    assert mass_volumes(scene(tmp_path, box + layer))[0] == pytest.approx(volume, rel=1e-9)
+
+
 def test_a_layer_that_the_box_cuts_is_said(tmp_path: Path) -> None:
     write_raster(tmp_path / "release.tif", np.full((2, 4), 0.2))
     layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\nat = [1.9, 0.2]\n'
@@ -213,6 +227,31 @@ def test_an_obj_with_normals_and_texture(tmp_path: Path, corner: str) -> None:
     assert volume_of(tmp_path / "cube.obj") == pytest.approx(8.0, rel=1e-6)
 
 
+def test_a_mesh_in_millimetres_is_not_filled(tmp_path: Path) -> None:
+    """Its lattice would have 10^12 places: what is wrong is not the memory."""
+    lines = [f"v {x} {y} {z}" for x, y, z in 500.0 * CUBE] + ["f " + " ".join(map(str, quad)) for quad in QUADS]
+    (tmp_path / "cube.obj").write_text("\n".join(lines) + "\n")
+    text = SPACE + '[[masses]]\nkind = "mesh"\nfile = "cube.obj"\n'
+    refused(scene, tmp_path, text, said="masses[0]: expected a mesh inside the domain [2.0, 1.0, 1.0], got one from")
+    assert mass_volumes(scene(tmp_path, text + "scale = 0.001\n"))[0] == pytest.approx(0.125, rel=1e-6)
+
+
+def test_a_map_with_scale_holes_and_rows_from_the_south(tmp_path: Path) -> None:
+    """An int16 raster in millimetres of y = 0.1 + 0.2 z, and one of a release with a hole it does not declare."""
+    heights = np.round(1000.0 * (0.1 + 0.2 * (0.05 + 0.1 * np.arange(10)))).astype(np.int16)
+    thickness = np.array([[200, 200, 200], [200, -32768, 200]], np.int16)
+    for name, values in (("dem.tif", np.repeat(heights[:, None], 20, axis=1)), ("release.tif", thickness)):
+        upwards = Affine(0.1, 0.0, 500000.0, 0.0, 0.1, 5000000.0)
+        write_raster(tmp_path / name, values, "EPSG:25832+5783", dtype="int16", nodata=None, transform=upwards)
+        with rasterio.open(tmp_path / name, "r+") as file:
+            file.scales = (0.001,)
+    layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\nat = [0.4, 0.2]\n'
+    with pytest.warns(UserWarning, match="release.tif: 1 values such as -32768 are taken as no data"):
+        found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + layer)
+    np.testing.assert_allclose(ground(found, [(1.0, 0.4, 0.5), (1.0, 0.4, 0.9)]), [0.19612, 0.11767], atol=1e-4)
+    assert mass_volumes(found)[0] == pytest.approx(5 * 0.1**2 * 0.2, rel=1e-9)
+
+
 def stl(*corners: np.ndarray, apart: float = 0.0) -> str:
     """Cubes whose triangles have vertices of their own, up to `apart` from each other."""
     random, lines = np.random.default_rng(0), ["solid"]
@@ -254,6 +293,19 @@ def holes(path: Path) -> None:
     values = tilted()
     values[2, 3] = values[4, 5] = -9999.0
     write_raster(path, values)
+
+
+@pytest.mark.parametrize(
+    ("release", "words"), [("EPSG:25832", "31287"), ("EPSG:3857", "metres are metres on the ground")]
+)
+def test_a_release_of_another_map_is_refused(tmp_path: Path, release: str, words: str) -> None:
+    """Beside a DEM of Austria's Lambert one in UTM at its own place, and one of Web Mercator."""
+    write_raster(
+        tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:31287", transform=Affine(0.1, 0, 4e5, 0, -0.1, 4e5)
+    )
+    write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), release)
+    text = SPACE + TERRAIN + 'file = "dem.tif"\n' + '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
+    assert refused(scene, tmp_path, text, said=words).key == "masses[0].thickness"
 
 
 CASES: list[tuple[str, Callable[[Path], object], str]] = [

@@ -110,7 +110,7 @@ LAYER_BESIDE = Mass(kind="layer", thickness=((0.1,),), origin=(3.0, 0.5), spacin
 THIN = Solid(lower=(1.4, 0.3), size=(0.001, 0.1), turned_deg=10.0)
 REFUSED: list[tuple[int, list[Mass], list[Solid], str]] = [
     (2, [polygon((0.1, 0.1), (0.5, 0.5), (0.5, 0.1), (0.1, 0.5))], [], "masses[0].vertices: expected a polygon that"),
-    (2, [polygon((0.1, 0.1), (2.5, 0.1), (0.5, 0.5))], [], "masses[0]: expected a box inside the domain"),
+    (2, [polygon((0.1, 0.1), (2.5, 0.1), (0.5, 0.5))], [], "masses[0]: expected a polygon inside the domain"),
     (2, [Mass(kind="layer", thickness=-1.0)], [], "masses[0].thickness: expected thicknesses in m of at least 0"),
     (2, [Mass(lower=(0.1, 0.1))], [], "masses[0].size: expected a value, the key is missing"),
     (3, [BALL, LAYER_BESIDE], [], "masses[1]: expected a layer that lies in the box"),

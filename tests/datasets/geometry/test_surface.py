@@ -11,7 +11,6 @@ from datasets.field import Floats
 from datasets.geometry.nearest import inside, nearest
 from datasets.scene import Baffle, Solid
 from tests.datasets.geometry.solids import as_rows, scene_of, sphere, surface
-from tests.refusals import refused
 
 SPACE = (2.0, 1.0, 1.0)
 
@@ -168,20 +167,3 @@ def test_a_sphere(flipped: bool) -> None:
     # Between a sphere and triangles on it lies h^2 / 8 r at most, for edges of h.
     assert np.abs(found.distance - expected).max() < 0.004
     consistent(points, found)
-
-
-@pytest.mark.parametrize(("first", "second"), [(60.0, 120.0), (0.0, 90.0), (30.0, 150.0)])
-def test_plates_with_a_point_in_common_are_refused(first: float, second: float) -> None:
-    """Sand leaks through such a point: one line, unless a third solid closes it."""
-    tip, plates = np.array((0.5037, 0.1561)), []
-    for angle, side in ((first, -1.0), (second, 1.0)):
-        along = 0.25 * np.array((math.cos(math.radians(angle)), math.sin(math.radians(angle))))
-        across = 0.02 * side * np.array((-along[1], along[0]))
-        corners = tip, tip + along, tip + along + across, tip + across
-        plates.append(Solid(kind="polygon", vertices=tuple((float(x), float(y)) for x, y in corners)))
-    refused(
-        lambda: surface(scene_of(*plates, size=SPACE[:2])),
-        said="solids[1]: expected solids that overlap or share an edge, got one that meets solids[0] in a point",
-    )
-    lid = Solid(lower=(0.49, 0.14), size=(0.03, 0.03))
-    assert inside(surface(scene_of(*plates, lid, size=SPACE[:2])), tip[None]).all()

@@ -108,7 +108,10 @@ TERRAIN: dict[str, Found] = {
 
 def test_the_page_says_what_was_measured(tmp_path: Path) -> None:
     networks = [{"model": "`flow2d`", "nodes": "500", "µs per node": "148"}]
-    text = page(RATES, [], PRICES, networks, TERRAIN, rounds=1, quick=False)
+    starts = {"2D column": (8.0, 3.0), "3D column": (20.0, 4.0), "3D baffles": (41.0, 5.0)}
+    text = page(RATES, [], starts, PRICES, networks, TERRAIN, rounds=1, quick=False)
+    assert "takes 8 s of CPU in 2D and 20 to 41 s of CPU in 3D until" in " ".join(str(text).split())
+    assert "| 3D baffles |" in str(text)
     assert "In 2D the MPM makes 22 to 55 million particle-steps a second, at 3,200 to " in text.conclusion
     assert "5.0 to 5.5 runs, for any number of unknowns, and at most 16 MiB (12,800" in text.conclusion
     assert "takes 148 µs for each node" in text.conclusion

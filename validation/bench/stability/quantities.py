@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.measures import front, toe
+from datasets.measures import bulk, front, particle_spacing, toe
 from datasets.trajectory import Trajectory
 from validation.bench.stability import exact_solutions as exact
 from validation.bench.stability.invariants import Finding, particle_masses, wall_impulse
@@ -146,6 +146,25 @@ def settles(flow: Trajectory) -> float:
 def fills_raster(flow: Trajectory) -> float:
     """Volume of the particles over sum h A of the release raster: 3 x 3 cells of 1 m, 2 m thick, within no data."""
     return float(flow.volumes.sum(dtype=np.float64)) / 18.0
+
+
+@quantity("bulk beyond the step over the particles' volume", minimum=0.95, maximum=1.08)
+def fills_its_volume(flow: Trajectory) -> float:
+    """Volume under the surface of what rests beyond the first solid, over that of its particles: no gaps between them.
+
+    Grains that still fall are left out, those that move by more than a tenth of a cell in a frame, and those within
+    three cells of the step, where one on its edge would count as a column as high as the step.
+    """
+    before, last = flow.positions[-2:].astype(np.float64)
+    moved = np.linalg.norm(last - before, axis=1)
+    step = flow.scene.solids[0]
+    assert step.lower is not None
+    assert step.size is not None
+    beyond = step.lower[0] + step.size[0] + 3.0 * flow.scene.domain.cell
+    rests = (last[:, 0] > beyond) & (moved < 0.1 * flow.scene.domain.cell)
+    volumes = flow.volumes[rests].astype(np.float64)
+    spacing = particle_spacing(volumes, flow.scene.dimension)
+    return bulk(last[rests], spacing, float(volumes.sum()), flow.scene.domain.cell)
 
 
 @quantity("deepest settlement over elastic", maximum=2.1)
