@@ -148,7 +148,7 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
 
 @ti.func
 def crack_reverse(arguments: ti.template(), strain_bar, dt, features: ti.template()):
-    """Bars of the `arguments` of `strain_of`, a list each, from that of the plastic strain; 0 where none is of cracks."""
+    """Bars of the `arguments` of `strain_of`, a list each, from that of the plastic strain; 0 without cracks."""
     if ti.static(features.cracks):
         strain = ti.static([Pullback(strain_of, arguments, (dt, features))])[0]
         old, strained, jumped, touched, new, spread, sheared = ti.static(strain([strain_bar]))

@@ -154,7 +154,7 @@ def test_strange_scenes(name: str, seed: int, tmp_path: Path) -> None:
 def test_text_of_several_lines_is_said_in_one() -> None:
     error = InputError("expected a name, got a\nb", where="a\r\nb.toml", key="key")
     assert str(error) == "a b.toml: key: expected a name, got a b"
-    with pytest.raises(InputError, match="^no scene: expected the path of a scene"):
+    with pytest.raises(InputError, match=r"^no scene: expected the path of a scene"):
         read_scene("no\nscene")
 
 

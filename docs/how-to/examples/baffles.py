@@ -26,7 +26,7 @@ def with_row(x: float, friction_deg: float, seed: int) -> Scene:
 
 
 def largest_force(places: list[float], seeds: tuple[int, ...]) -> np.ndarray:
-    """The largest force on any baffle of rows at `places` [N], at the worst friction and the worst packing of grains."""
+    """The largest force on any baffle of rows at `places` [N], at the worst friction and packing of grains."""
     flows = simulate_many([with_row(*each) for each in product(places, FRICTION, seeds)])
     largest = [max(peak for peak, _ in forces_of(flow, window=WINDOW).peaks[:3]) for flow in flows]
     return np.array(largest).reshape(len(places), -1).max(axis=1)

@@ -12,7 +12,7 @@ from datasets.scene import Gate, Scene
 from mpm import simulate
 from mpm.adjoint.gradient import gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, steady
-from tests.mpm.adjoint.flows import SOIL, Weighted, plane, room
+from tests.mpm.adjoint.flows import Weighted, plane, room
 from tests.mpm.adjoint.test_gradient import SCENES
 
 
@@ -117,7 +117,7 @@ def test_steady_steps_are_those_of_a_lone_particle() -> None:
 @pytest.mark.slow
 @pytest.mark.double
 def test_lone_particles_that_swing_are_cut() -> None:
-    """Sand of ten layers without memory of gaps: at 0.9 of the step lone particles swing on their own, at 0.8 none does.
+    """Sand of ten layers without memory of gaps: at 0.9 of the step lone particles swing, at 0.8 none does.
 
     Exact, the first gradient has no bound; with a few bars cut it is that of the same flow in shorter steps.
     """
