@@ -39,13 +39,19 @@ FARTHEST = 1.0e12
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` to write to; it becomes `path` if the block succeeds, else it goes.
 
-    An OSError, such as that of a full disk, names `path`.
+    An OSError, such as that of a full disk, names `path`. Raises InputError where a folder has its name, or a file that
+    of its folder.
     """
     part = path
+    if path.is_dir():
+        raise InputError("expected the name of a file to write, got a folder", where=str(path))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # The suffix stays: savez and savefig choose their format by it.
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f"{PART}{path.stem}-", suffix=path.suffix)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # The suffix stays: savez and savefig choose their format by it.
+            handle, name = tempfile.mkstemp(dir=path.parent, prefix=f"{PART}{path.stem}-", suffix=path.suffix)
+        except (FileExistsError, FileNotFoundError, NotADirectoryError) as error:
+            raise InputError(f"expected a folder to write to, {error.strerror}", where=str(path.parent)) from None
         os.close(handle)
         part = Path(name)
         _being_written.add(part)

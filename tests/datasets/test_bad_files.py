@@ -151,7 +151,7 @@ def test_strange_scenes(name: str, seed: int, tmp_path: Path) -> None:
     assert outcomes.count(0) > PER_SEED // 4
 
 
-def test_text_of_several_lines_is_said_in_one() -> None:
+def test_line_breaks_leave_one_line() -> None:
     error = InputError("expected a name, got a\nb", where="a\r\nb.toml", key="key")
     assert str(error) == "a b.toml: key: expected a name, got a b"
     with pytest.raises(InputError, match=r"^no scene: expected the path of a scene"):

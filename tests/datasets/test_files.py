@@ -196,3 +196,12 @@ def test_more_than_is_free_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         memory.require(2**20, "a thing", "less", key="key")
     with pytest.raises(InputError):
         memory.require(float("nan"), "a thing", "less")
+
+
+def test_a_folder_is_no_file_to_write_and_a_file_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected the name of a file to write, got a folder"):
+        write_json(tmp_path, {})
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="file: expected a folder to write to"):
+        write_json(tmp_path / "file" / "result.json", {})
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -1,4 +1,4 @@
-"""CPU seconds until the first frame of shipped scenes: the first run of a kind compiles its kernel."""
+"""CPU seconds until the first frame of shipped scenes: what the first run of a kind costs, which compiles."""
 
 import os
 import time

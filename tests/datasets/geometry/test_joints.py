@@ -63,7 +63,7 @@ def test_plates_with_a_point_in_common_are_refused(first: float, second: float) 
         (cube(0.4, 0.1, 0.4), "in a point"),
     ],
 )
-def test_solids_that_meet_in_a_line_or_a_point_are_refused_in_3d(second: Solid, said: str) -> None:
+def test_less_than_a_common_face_is_refused(second: Solid, said: str) -> None:
     refused(
         lambda: surface(scene_of(FIRST, second, size=SPACE)),
         said=f"solids[1]: expected solids that overlap or share a face, got one that meets solids[0] {said}",
