@@ -59,7 +59,7 @@ def test_a_layer_slides_from_rest_as_a_block(name: str) -> None:
     assert moved.mean() == pytest.approx(exact, rel=0.05)
 
 
-@pytest.mark.parametrize("how", ["slope_deg", "terrain"])
+@pytest.mark.parametrize("how", ["slope_deg", pytest.param("terrain", marks=pytest.mark.slow)])
 def test_a_layer_that_friction_holds_stays_at_rest(how: str) -> None:
     flow = simulate(layer(how, friction=0.6), threads=1)
     assert np.linalg.norm(middle_displacement(flow), axis=1).mean() < 1.0e-3
