@@ -97,7 +97,7 @@ class Mass(Record):
     material: Material | None = None
     """Its own material; the scene's where absent."""
     k0: float | str | None = None
-    """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic"; where absent none, of a
+    """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic". Where absent none, of a
     flat mass on inclined ground that of an infinite slope (`mpm.initial.slope`)."""
     release: float | str | None = None
     """Time [s] until which smooth vertical barriers hold its sides, or "settled"; free from the start where absent."""

@@ -66,10 +66,10 @@ class WithThrust:
         contact = self.problem.contact
         for _ in range(4):
             force = contact.force(contact.normal_stress(stress), 0.0 * contact.traction)
-            stress = stress + self.problem.elastic(self.solved(force - self.problem.divergence(stress)))
+            stress = stress + self.problem.elastic(self.displaced_by(force - self.problem.divergence(stress)))
         return stress
 
-    def solved(self, force: Floats) -> Floats:
+    def displaced_by(self, force: Floats) -> Floats:
         """Displacements [m], [n, D], by nodal forces [N], but for hundredths of it."""
         problem = self.problem
         return conjugate_gradients(problem.stiffness, np.where(problem.free, force, 0.0), self.precondition)[0]
@@ -78,7 +78,7 @@ class WithThrust:
         """P_E(stress), [N, 3, 3], starting from the displacements of the projection before."""
         problem = self.problem
         force = problem.unbalanced(stress + problem.elastic(self.displacements), problem.contact.traction)
-        self.displacements = self.displacements + self.solved(force)
+        self.displacements = self.displacements + self.displaced_by(force)
         stress = stress + problem.elastic(self.displacements)
         if self.modes:
             factors = np.linalg.solve(self.response, self.thrusts - self.sums(stress))
