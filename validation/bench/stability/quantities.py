@@ -148,23 +148,44 @@ def fills_raster(flow: Trajectory) -> float:
     return float(flow.volumes.sum(dtype=np.float64)) / 18.0
 
 
-@quantity("bulk beyond the step over the particles' volume", minimum=0.95, maximum=1.08)
-def fills_its_volume(flow: Trajectory) -> float:
-    """Volume under the surface of what rests beyond the first solid, over that of its particles: no gaps between them.
+def at_rest_beyond_step(flow: Trajectory) -> NDArray[np.bool_]:
+    """Which particles rest beyond the first solid, shape [N].
 
     Grains that still fall are left out, those that move by more than a tenth of a cell in a frame, and those within
     three cells of the step, where one on its edge would count as a column as high as the step.
     """
     before, last = flow.positions[-2:].astype(np.float64)
-    moved = np.linalg.norm(last - before, axis=1)
-    step = flow.scene.solids[0]
+    step, cell = flow.scene.solids[0], flow.scene.domain.cell
     assert step.lower is not None
     assert step.size is not None
-    beyond = step.lower[0] + step.size[0] + 3.0 * flow.scene.domain.cell
-    rests = (last[:, 0] > beyond) & (moved < 0.1 * flow.scene.domain.cell)
+    beyond = step.lower[0] + step.size[0] + 3.0 * cell
+    return (last[:, 0] > beyond) & (np.linalg.norm(last - before, axis=1) < 0.1 * cell)
+
+
+@quantity("bulk beyond the step over the particles' volume", minimum=0.95, maximum=1.08)
+def fills_its_volume(flow: Trajectory) -> float:
+    """Volume under the surface of what rests beyond the first solid, over that of its particles."""
+    rests = at_rest_beyond_step(flow)
     volumes = flow.volumes[rests].astype(np.float64)
     spacing = particle_spacing(volumes, flow.scene.dimension)
-    return bulk(last[rests], spacing, float(volumes.sum()), flow.scene.domain.cell)
+    return bulk(flow.positions[-1, rests].astype(np.float64), spacing, float(volumes.sum()), flow.scene.domain.cell)
+
+
+@quantity("mean height beyond the step over that of dense sand", minimum=0.95, maximum=1.08)
+def lies_as_high_as_dense(flow: Trajectory) -> float:
+    """Mean height of what rests beyond the first solid over half its volume per area, in strips a cell wide across x.
+
+    It does not count how rough a surface is: in 3D that of a deposit five particles thick is rough by one of them.
+    """
+    rests = at_rest_beyond_step(flow)
+    positions, volumes = flow.positions[-1, rests].astype(np.float64), flow.volumes[rests].astype(np.float64)
+    cell = flow.scene.domain.cell
+    area = cell * math.prod(flow.scene.domain.size[2:])
+    strip = (positions[:, 0] / cell).astype(int)
+    volume = np.bincount(strip, volumes)
+    height = np.bincount(strip, volumes * positions[:, 1]) / np.maximum(volume, 1e-30)
+    thick = volume / area > particle_spacing(volumes, flow.scene.dimension)
+    return float((2.0 * height * area)[thick].sum() / volume[thick].sum())
 
 
 @quantity("deepest settlement over elastic", maximum=2.1)
