@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -12,6 +13,7 @@ from inverse.found import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Ve
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
 from inverse.posterior.answers import Part, half_widths
+from inverse.posterior.posterior import Region
 from inverse.posterior.settings import CONSTANTS
 from validation.loop.search import Search
 from validation.loop.task import Task
@@ -51,11 +53,32 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
         share = (own - (state.task.target.cell or 0.0)) / (own - other)
         change = share * (found[0].observation - np.mean([each.observation for each in cells], axis=0))
         beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
-        state, found = checked(state.inferred(cells=cells, discretisation=change, extrapolated=beyond), moves=moves)
+        wider = reopened(state, cells=cells, discretisation=change, extrapolated=beyond)
+        state, found = checked(wider, moves=moves)
     factor = 1.0 if found[0].fit is None else found[0].fit.factor
     if factor > 1.0:
-        state, found = checked(state.inferred(factor=factor), again=False, moves=min(1, moves))
+        state, found = checked(reopened(state, factor=factor), again=False, moves=min(1, moves))
     return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
+
+
+def reopened(state: Search, **changes: Any) -> Search:
+    """With larger errors: where the posterior leaves the region of its runs, all that smaller errors excluded is open.
+
+    An emulator of the runs in the old region would extrapolate. That of all runs takes its place, then those of smaller
+    regions as long as they know more; of more than `few_parameters` that of all runs in the wider region.
+    """
+    before = state.posterior.region
+    state = state.inferred(**changes)
+    region, unknowns = state.posterior.region, len(state.task.problem.parameters)
+    if np.all(region.low >= before.low) and np.all(region.high <= before.high):
+        return state
+    state = state.inferred(Region.whole(unknowns) if unknowns <= CONSTANTS.few_parameters else region)
+    while state.posterior.emulator_share > CONSTANTS.converged:
+        smaller = state.inferred()
+        if smaller.posterior.emulator_share >= state.posterior.emulator_share:
+            break
+        state = smaller
+    return state.narrowed()
 
 
 def judged(state: Search) -> Outcome:
