@@ -99,6 +99,8 @@ class Fit:
     """U."""
     outliers: dict[int, float] = field(default_factory=dict)
     """Numbers that others do not predict, with z of each (`outlying`)."""
+    applied: float = 1.0
+    """Factor by which half-widths are multiplied, as they are reported."""
 
     @property
     def allowed(self) -> float:
@@ -118,7 +120,7 @@ class Fit:
 
     @property
     def factor(self) -> float:
-        """By which half-widths are multiplied, 1 at least: Birge's ratio, of M - U free numbers."""
+        """By which half-widths are to be multiplied, 1 at least: Birge's ratio, of M - U free numbers."""
         if self.numbers <= self.parameters or self.ratio <= 1.0 or self.probability >= RARE:
             return 1.0
         return self.ratio * math.sqrt(self.numbers / (self.numbers - self.parameters))
