@@ -189,9 +189,9 @@ def quality(found: "Result") -> str:
         inside = f"{len(found.inside)} of {len(truth)} within the interval"
         parts.append(f"error against the truth: {error}{which}, {inside}")
     fit = found.answers[0].fit
-    if fit is not None and fit.factor > 1.0:
+    if fit is not None and fit.applied > 1.0:
         wider = "so much wider are the intervals"
-        parts.append(f"the fit is {fit.factor:.2g} times worse than noise, scatter and cells explain, {wider}")
+        parts.append(f"the fit is {fit.applied:.2g} times worse than noise, scatter and cells explain, {wider}")
     if off := outlying(found):
         parts.append(f"outliers: {', '.join(name for name, _ in off)}")
     return sentence(parts)
@@ -311,7 +311,7 @@ def uncertainty(found: "Result") -> list[str]:
         )
     if (fit := found.answers[0].fit) is not None:
         chance = f"(p = {fit.probability:.2g})"
-        widths = "the intervals stay" if fit.factor == 1.0 else f"**the intervals are {fit.factor:.2g} times as wide**"
+        widths = "the intervals stay" if fit.applied == 1.0 else f"**the intervals are {fit.applied:.2g} times as wide**"
         parts.append(f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain {chance}: {widths}.")
         if fit.outliers:
             listed = ", ".join(f"{name} ({off:+.1f})" for name, off in outlying(found))

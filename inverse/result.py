@@ -188,7 +188,7 @@ class Result:
             found["observation"]["profile"] = {"x": profile.x.tolist(), "height": profile.height.tolist()}
         if fit := first.fit:
             keys = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
-            found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.factor}
+            found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.applied}
             found["check"] |= {
                 "outliers": {str(index): off for index, off in fit.outliers.items()},
                 "probability": fit.probability,
