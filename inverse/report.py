@@ -61,7 +61,7 @@ def write(found: "Result", folder: Path, command: str) -> None:
 
 def conclusion(found: "Result") -> list[str]:
     """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
-    runs = f"{found.record.get('flows', len(found.mpm_runs))} MPM runs, " if found.forward == "MPM" else ""
+    runs = f"{found.run_count} MPM runs, " if found.forward == "MPM" else ""
     sentences = [first_found(found), verdict(found), numbers(found), angles(found)]
     sentences += [f"`{each.name}`: {identified(each)}" for each in found.fields]
     sentences += [equifinality(found), quality(found), *(f"At the answer: {each}." for each in found.remarks)]
@@ -311,7 +311,9 @@ def uncertainty(found: "Result") -> list[str]:
         )
     if (fit := found.answers[0].fit) is not None:
         chance = f"(p = {fit.probability:.2g})"
-        widths = "the intervals stay" if fit.applied == 1.0 else f"**the intervals are {fit.applied:.2g} times as wide**"
+        widths = (
+            "the intervals stay" if fit.applied == 1.0 else f"**the intervals are {fit.applied:.2g} times as wide**"
+        )
         parts.append(f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain {chance}: {widths}.")
         if fit.outliers:
             listed = ", ".join(f"{name} ({off:+.1f})" for name, off in outlying(found))
@@ -377,13 +379,16 @@ def search_table(found: "Result") -> str:
 def cost(found: "Result") -> str:
     """Runs, seconds and memory."""
     every = [each.purpose for each in found.mpm_runs]
-    runs = {f"MPM runs, {purpose}": every.count(purpose) for purpose in Purpose if every}
+    runs = {"MPM runs": found.run_count} if found.forward == "MPM" else {}
+    runs |= {f"of them, {purpose}": every.count(purpose) for purpose in Purpose if purpose in every}
+    runs |= {"of them, the twin's own flow": 1} if found.problem.target.twin and every else {}
     counts = {key.replace("_", " "): value for key, value in found.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in found.seconds.items()}
     peak = {"peak memory": f"{peak_memory_mib():.0f} MiB"}
-    budget = "\n\nRuns on other cells are no part of the budget `mpm_runs`; those of the search and at answers are."
     made = table([{key: str(value) for key, value in (runs | counts | seconds | peak).items()}])
-    return made + (budget if Purpose.CELLS in every else "")
+    return made + (
+        "\n\nThe budget `mpm_runs` is of those on the problem's own cells, the twin's excepted." if every else ""
+    )
 
 
 def table(rows: Sequence[dict[str, str]]) -> str:

@@ -102,6 +102,12 @@ class Result:
         return [name for name, within in zip(names, held, strict=True) if within]
 
     @property
+    def run_count(self) -> int:
+        """Every run of the MPM: of the search, at answers, on other cells, of a coarse surrogate, a twin's own flow."""
+        own = len(self.mpm_runs) + self.record.get("coarse_runs", 0) + int(self.problem.target.twin)
+        return int(self.record.get("flows", own))
+
+    @property
     def error_pct(self) -> dict[str, float]:
         """Relative errors that are known: of each number in a twin experiment, of the front where the MPM ran."""
         truth = self.target.truth or {}
@@ -176,6 +182,7 @@ class Result:
             "observation": {"target": plain(raw(self.target.values)), key: shown} | self.target.observation.record(),
             "loss": {key: self.target.misfit(self.predicted) if same else self.iterations[-1].get("loss")},
             "mpm_runs": [each.as_json(problem) for each in self.mpm_runs],
+            "run_count": self.run_count,
             "iterations": list(self.iterations),
             "surrogate": self.surrogate,
             "remarks": self.remarks,

@@ -91,7 +91,7 @@ def run(
         MpmRun(purpose=Purpose.KNOWN, parameters=parameters, trajectory=flow, target=task.target)
         for parameters, flow in known
     )
-    led, outcome = None, None
+    led, outcome, cells = None, None, tuple[MpmRun, ...]()
     forward, reason = surrogate.choose(task, model=model, load=load)
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
@@ -107,9 +107,12 @@ def run(
     elif not outcome.verdict.confirms:
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
         tried = tuple(replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
+        cells = outcome.state.cells
         outcome = nearer(outcome.state, concluded(searched(first(task, tried, before))))
     state, answer = outcome.state, outcome.answers[0]
-    runs = (*state.runs, *state.cells)
+    files = {each.file for each in state.cells}
+    runs = (*state.runs, *state.cells, *(each for each in cells if each.file not in files))
+    coarse = {"coarse_runs": len(led.points)} if led is not None and isinstance(forward, MpmForward) else {}
     mpm_seconds = sum(each.seconds for each in runs)
     return Result(
         problem=task.problem,
@@ -126,6 +129,7 @@ def run(
         notes=(statement(state),),
         surrogate={"asked": led is not None, "reason": reason} | ({} if led is None else of_surrogate(led, state)),
         seconds={"mpm": mpm_seconds, "total": time.perf_counter() - began},
+        record=coarse,
         command="python -m validation.loop",
     )
 

@@ -76,7 +76,9 @@ def exact(values: Floats, unknowns: int) -> tuple[float, Floats]:
 
 
 @pytest.mark.parametrize(("off", "unknowns"), [(0.03, 1), (0.06, 1), (0.15, 1), (0.05, 2), (0.15, 2)])
-def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(tmp_path: Path, off: float, unknowns: int) -> None:
+def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
+    tmp_path: Path, off: float, unknowns: int
+) -> None:
     """With two unknowns and + 150 mm the least squares are at (1.705, 0.481), the median at (1.729, 0.500)."""
     truth = moved(TIMES, np.array(SPEED), np.array(FRICTION))
     values, names = 0.3 + truth + off * (TIMES == 0.30), NAMES[:unknowns]
