@@ -129,15 +129,19 @@ class Fit:
 def biases(target: Target, cells: Floats, extrapolated: float) -> Floats:
     """Covariance D [M, M] of the errors by cells that change the numbers by `cells` [M]: smooth within an observation.
 
-    extrapolated: share e of d that no run has shown, of which half has the shape of d and half any smooth one.
+    D = (1 - e/2) d d^T + e/2 a a^T k,    a_i^2 = sum_j k_ij d_j^2 / sum_j k_ij,    k Gaussian of length `SMOOTH`
+
+    extrapolated: share e of d that no run has shown, of which half has the shape of d and half any smooth one, as large
+    as d around each number: cells change no front before it has moved, and what they leave unknown of it is no more.
     """
     found = (1.0 - 0.5 * extrapolated) * np.outer(cells, cells)
     for part in target.observation.parts:
         own = np.arange(len(cells))[part.numbers]
         apart = (own[:, None] - own) / max(1.0, SMOOTH * len(own))
-        alike = rms(cells[own]) ** 2 * np.exp(-0.5 * apart**2)
+        alike = np.exp(-0.5 * apart**2)
+        around = np.sqrt(alike @ cells[own] ** 2 / alike.sum(axis=1))
         # Each observation has a factor of its own.
-        found[np.ix_(own, own)] += 0.5 * extrapolated * alike
+        found[np.ix_(own, own)] += 0.5 * extrapolated * alike * np.outer(around, around)
     return found
 
 

@@ -96,7 +96,10 @@ FAMILIES = {
         "Velocity and friction of a block, eight fronts, one off by 10 deviations", "sliding-block", outlier=10.0
     ),
     "cells": Family(
-        "Friction, eight fronts of half the cells of 20 mm to 2 mm", "friction-tall-42-fronts", cell=0.02, finer=0.5
+        "Friction, eight fronts of a third of the cells of 20 mm to 2 mm",
+        "friction-tall-42-fronts",
+        cell=0.02,
+        finer=1.0 / 3.0,
     ),
     "layers": Family("Friction of four layers, deposit", "slope-layers"),
     "velocities": Family("Velocities of ten layers, deposit", "velocity-layers-10"),
