@@ -52,7 +52,7 @@ class Family:
 
     title: str
     problem: str
-    """Name of a shipped problem, whose scene, numbers and observation the twins have."""
+    """Name or path of a problem, whose scene, numbers and observation the twins have."""
     _: KW_ONLY
     noise: float | str | None = None
     """Of each observed number, as in `inverse.settings.ObservationSettings`; unless given the problem's own."""
@@ -74,6 +74,8 @@ class Family:
     """How many are solved unless another number is asked for; of dear ones half as many."""
 
 
+TWINS = Path(__file__).parent / "twins"
+"""Problems of twins alone, that do not ship."""
 FAMILIES = {
     "front": Family("Friction, front", "friction-tall-42"),
     "profile": Family("Friction, profile", "friction-tall-42-profile"),
@@ -93,11 +95,13 @@ FAMILIES = {
         finer=2.0 / 3.0,
     ),
     "outlier": Family(
-        "Velocity and friction of a block, eight fronts, one off by 10 deviations", "sliding-block", outlier=10.0
+        "Velocity and friction of a block, eight fronts, one off by 10 deviations",
+        str(TWINS / "sliding-block.toml"),
+        outlier=10.0,
     ),
     "cells": Family(
         "Friction, eight fronts of a third of the cells of 20 mm to 2 mm",
-        "friction-tall-42-fronts",
+        str(TWINS / "friction-tall-42-fronts.toml"),
         cell=0.02,
         finer=1.0 / 3.0,
     ),
@@ -178,7 +182,8 @@ def bench(
         Families to solve (front, profile, front-noise, front-fine, profile-fine, cohesion, cohesion-fine, floor,
         floor-fine, outlier, cells, terrain, layers, velocities, baffles; with stated priors: prior-normal,
         prior-lognormal, prior-triangular, prior-correlated; where the surrogate leads: front-gns, velocities-gns,
-        baffles-gns, front-adapted), and reference, a posterior without an emulator; the page has all that there are in `keep`.
+        baffles-gns, front-adapted), and reference, a posterior without an emulator; the page has all that there are
+        in `keep`.
     model
         Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
     scheduler
@@ -358,7 +363,7 @@ def row(family: Family, found: Sequence[Twin]) -> Row:
     verdicts, count = [each.verdict for each in found], len(found[0].below)
     return {
         "twins of": family.title,
-        "problem": f"`{family.problem}`",
+        "problem": f"`{Path(family.problem).stem}`",
         "twins": len(found),
         **{f"in the {level:.0%} region": f"{held(found, level):.0%}" for level in REGIONS},
         "p, regions": f"{uniformity(found):.2g}",

@@ -51,7 +51,7 @@ def solve(
 
     >>> from validation import solve
     >>> result = solve("friction-tall-42", "out/loop")
-    >>> print(result.verdict, result.unknowns, result.certainty)
+    >>> print(result.verdict, result.unknowns, result.interval)
     >>> result.plot().savefig("found.png")
 
     problem: one built in Python, the path of a TOML file or the name of a shipped one. out: folder for `result.json`,
