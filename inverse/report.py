@@ -297,11 +297,11 @@ def field_table(field: FoundField) -> str:
 
 
 def uncertainty(found: "Result") -> list[str]:
-    """What the half-widths are made of."""
+    """What the intervals are made of."""
     parts = list(found.notes)
     if found.problem.target.minimise:
         parts.append(
-            "A design has no truth. Each parameter may move by its half-width, the others with it, before the MPM "
+            "A design has no truth. Each parameter may move within its interval, the others with it, before the MPM "
             "distinguishes what passes from its scatter."
         )
     if found.target.roughness > 1.0:
@@ -385,10 +385,8 @@ def cost(found: "Result") -> str:
     counts = {key.replace("_", " "): value for key, value in found.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in found.seconds.items()}
     peak = {"peak memory": f"{peak_memory_mib():.0f} MiB"}
-    made = table([{key: str(value) for key, value in (runs | counts | seconds | peak).items()}])
-    return made + (
-        "\n\nThe budget `mpm_runs` is of those on the problem's own cells, the twin's excepted." if every else ""
-    )
+    budget = "\n\nThe budget `mpm_runs` is of those on the problem's own cells, the twin's excepted." if every else ""
+    return table([{key: str(value) for key, value in (runs | counts | seconds | peak).items()}]) + budget
 
 
 def table(rows: Sequence[dict[str, str]]) -> str:

@@ -31,8 +31,8 @@ class Result:
     """What an inversion found.
 
     >>> result = solve("friction-tall-42")
-    >>> result.verdict, result.unknowns, result.certainty
-    (<Verdict.CONFIRMED: 'confirmed'>, {'friction_deg': 41.6...}, {'friction_deg': 0.9...})
+    >>> result.verdict, result.unknowns, result.interval
+    (<Verdict.CONFIRMED: 'confirmed'>, {'friction_deg': 41.6...}, {'friction_deg': [40.7..., 42.5...]})
     >>> result.plot().savefig("found.png")
     """
 

@@ -219,9 +219,9 @@ def page(
         Each problem is solved by one `python -m validation.loop`. Targets of twin experiments are runs of the MPM with
         another initial jitter than the inversion's. Loss and front are those of the MPM at the answer; numbers are
         medians with their 95 % intervals, of a problem with more than one answer those of the heaviest. The paper
-        (Choi and Kumar 2024) takes its targets from its own MPM; its front is the largest x, here the x that 99.5 % of the volume is
-        behind. The surrogate's own answer is found by its gradient alone, before any run of the MPM, which then shows
-        the loss and the front there.
+        (Choi and Kumar 2024) takes its targets from its own MPM; its front is the largest x, here the x that 99.5 % of
+        the volume is behind. The surrogate's own answer is found by its gradient alone, before any run of the MPM,
+        which then shows the loss and the front there.
     """)
     for title, group in found.items():
         result.section(title)

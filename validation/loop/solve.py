@@ -21,6 +21,7 @@ from inverse.found import MpmRun, Purpose, Verdict
 from inverse.optimise import ROUGH, Inversion, inverted
 from inverse.parameters import Vector
 from inverse.posterior.information import information, measurements
+from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.target import read_each, read_target
@@ -158,11 +159,13 @@ def of_surrogate(led: Inversion, state: Search) -> dict[str, Any]:
 def statement(state: Search) -> str:
     """What the posterior is made of, in sentences."""
     found = state.posterior
+    enough = CONSTANTS.converged_around if state.known or state.guide is not None else CONSTANTS.converged
+    more = " **More runs of the MPM (`mpm_runs`) would narrow these.**" if found.emulator_share > enough else ""
     before = f" ({len(state.known)} of them made before)" if state.known else ""
     return (
         f"An emulator of {int(found.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
         f"seed, gives the posterior over the whole box ({prior_of(state.task.problem)}). What the emulator does not "
-        f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the half-widths, at 95 %. "
+        f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} "
         f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     )
 
