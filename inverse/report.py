@@ -332,20 +332,21 @@ def outlying(found: "Result") -> list[tuple[str, float]]:
 
 
 def finer(found: "Result") -> str:
-    """The cells whose error would be the noise's, to first order, where that of the scene's is larger; and their price.
+    """The cells whose error would be the noise's, where that of the scene's is larger, and their price.
 
-    Steps grow as the cell falls, particles by its power of the dimension: seconds by that of one more.
+    The error is that of the cell beyond the target's, 0 in nature; work grows by the power dimension + 1 of 1 / cell.
     """
     fit, checks = found.answers[0].fit, found.answers[0].checks
-    if fit is None or not 0.0 < fit.noise < fit.cells:
+    cell, own = found.problem.scene.domain.cell, found.target.cell or 0.0
+    if fit is None or not 0.0 < fit.noise < fit.cells or own >= cell:
         return ""
-    domain, share = found.problem.scene.domain, fit.cells / fit.noise
-    times = share ** (found.problem.scene.dimension + 1)
+    enough = own + (cell - own) * fit.noise / fit.cells
+    times = (cell / enough) ** (found.problem.scene.dimension + 1)
     seconds = float(np.mean([each.seconds for each in checks]))
     price = f", {times * seconds:.2g} s instead of {seconds:.2g} s a run" if seconds > 0.0 else ""
     return (
-        f"finer cells first: the error of the cells is {share:.2g} times the noise, as large as it on cells of "
-        f"{domain.cell / share:.2g} m ({times:.2g} times the work{price})"
+        f"finer cells first: the error of the cells is {fit.cells / fit.noise:.2g} times the noise, as large as it on cells of "
+        f"{enough:.2g} m ({times:.2g} times the work{price})"
     )
 
 
@@ -379,7 +380,7 @@ def search_table(found: "Result") -> str:
 def cost(found: "Result") -> str:
     """Runs, seconds and memory."""
     every = [each.purpose for each in found.mpm_runs]
-    runs = {"MPM runs": found.run_count} if found.forward == "MPM" else {}
+    runs = {"MPM runs": found.run_count} if every else {}
     runs |= {f"of them, {purpose}": every.count(purpose) for purpose in Purpose if purpose in every}
     runs |= {"of them, the twin's own flow": 1} if found.problem.target.twin and every else {}
     counts = {key.replace("_", " "): value for key, value in found.record.items() if isinstance(value, int)}
