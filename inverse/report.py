@@ -190,8 +190,8 @@ def quality(found: "Result") -> str:
         parts.append(f"error against the truth: {error}{which}, {inside}")
     fit = found.answers[0].fit
     if fit is not None and fit.applied > 1.0:
-        wider = "so much wider are the intervals"
-        parts.append(f"the fit is {fit.applied:.2g} times worse than noise, scatter and cells explain, {wider}")
+        times = f"{fit.applied:.2g} times"
+        parts.append(f"the fit is {times} worse than noise, scatter and cells explain, the intervals {times} as wide")
     if off := outlying(found):
         parts.append(f"outliers: {', '.join(name for name, _ in off)}")
     return sentence(parts)
@@ -310,11 +310,12 @@ def uncertainty(found: "Result") -> list[str]:
             "noise: so much noise is counted."
         )
     if (fit := found.answers[0].fit) is not None:
-        chance = f"(p = {fit.probability:.2g})"
         widths = (
             "the intervals stay" if fit.applied == 1.0 else f"**the intervals are {fit.applied:.2g} times as wide**"
         )
-        parts.append(f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain {chance}: {widths}.")
+        parts.append(
+            f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain (p = {fit.probability:.2g}): {widths}."
+        )
         if fit.outliers:
             listed = ", ".join(f"{name} ({off:+.1f})" for name, off in outlying(found))
             parts.append(f"**Outliers**, in standard deviations from what all other numbers predict: {listed}.")
@@ -336,16 +337,16 @@ def finer(found: "Result") -> str:
 
     The error is that of the cell beyond the target's, 0 in nature; work grows by the power dimension + 1 of 1 / cell.
     """
-    fit, checks = found.answers[0].fit, found.answers[0].checks
-    cell, own = found.problem.scene.domain.cell, found.target.cell or 0.0
+    fit, cell, own = found.answers[0].fit, found.problem.scene.domain.cell, found.target.cell or 0.0
     if fit is None or not 0.0 < fit.noise < fit.cells or own >= cell:
         return ""
-    enough = own + (cell - own) * fit.noise / fit.cells
+    share = fit.cells / fit.noise
+    enough = own + (cell - own) / share
     times = (cell / enough) ** (found.problem.scene.dimension + 1)
-    seconds = float(np.mean([each.seconds for each in checks]))
+    seconds = float(np.mean([each.seconds for each in found.answers[0].checks]))
     price = f", {times * seconds:.2g} s instead of {seconds:.2g} s a run" if seconds > 0.0 else ""
     return (
-        f"finer cells first: the error of the cells is {fit.cells / fit.noise:.2g} times the noise, as large as it on cells of "
+        f"finer cells first: the error of the cells is {share:.2g} times the noise, as large as it on cells of "
         f"{enough:.2g} m ({times:.2g} times the work{price})"
     )
 
@@ -385,9 +386,9 @@ def cost(found: "Result") -> str:
     runs |= {"of them, the twin's own flow": 1} if found.problem.target.twin and every else {}
     counts = {key.replace("_", " "): value for key, value in found.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in found.seconds.items()}
-    peak = {"peak memory": f"{peak_memory_mib():.0f} MiB"}
+    seconds["peak memory"] = f"{peak_memory_mib():.0f} MiB"
     budget = "\n\nThe budget `mpm_runs` is of those on the problem's own cells, the twin's excepted." if every else ""
-    return table([{key: str(value) for key, value in (runs | counts | seconds | peak).items()}]) + budget
+    return table([{key: str(value) for key, value in (runs | counts | seconds).items()}]) + budget
 
 
 def table(rows: Sequence[dict[str, str]]) -> str:
