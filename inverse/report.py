@@ -310,12 +310,9 @@ def uncertainty(found: "Result") -> list[str]:
             "noise: so much noise is counted."
         )
     if (fit := found.answers[0].fit) is not None:
-        widths = (
-            "the intervals stay" if fit.applied == 1.0 else f"**the intervals are {fit.applied:.2g} times as wide**"
-        )
-        parts.append(
-            f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain (p = {fit.probability:.2g}): {widths}."
-        )
+        widths = "stay" if fit.applied == 1.0 else f"are {fit.applied:.2g} times as wide"
+        against = f"{fit.ratio:.2g} times what noise, scatter and cells explain (p = {fit.probability:.2g})"
+        parts.append(f"Residuals are {against}: **the intervals {widths}**.")
         if fit.outliers:
             listed = ", ".join(f"{name} ({off:+.1f})" for name, off in outlying(found))
             parts.append(f"**Outliers**, in standard deviations from what all other numbers predict: {listed}.")
