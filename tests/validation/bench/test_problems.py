@@ -123,7 +123,7 @@ def test_every_criterion_can_be_missed() -> None:
     good = result("friction-tall-42")
     assert Outcome(problem=problem, criteria=criteria, result=good).missed == []
     # An interval beyond the criterion promises less than it.
-    wide = found | {"certainty": {"friction_deg": 5.0}, "interval": {"friction_deg": [37.0, 47.0]}}
+    wide = found | {"certainty": {"friction_deg": 5.0}, "interval": {"friction_deg": [27.0, 47.0]}}
     assert Outcome(problem=problem, criteria=criteria, result=wide).missed == []
 
 
