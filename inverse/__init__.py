@@ -3,7 +3,7 @@
     from inverse import invert, read_problem
 
     result = invert(read_problem("friction-tall-42"))
-    print(result.unknowns, result.certainty)  # by the surrogate alone; the truth of this twin experiment is 42 degrees
+    print(result.unknowns, result.interval)  # by the surrogate alone; the truth of this twin experiment is 42 degrees
 
 A problem is a TOML file (docs/formats.md) or a `Problem` built in Python; its unknowns are numbers or fields.
 """

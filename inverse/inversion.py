@@ -26,7 +26,7 @@ def invert(
 
     >>> from inverse import invert, read_problem
     >>> result = invert(read_problem("friction-tall-42"))
-    >>> result.unknowns, result.certainty
+    >>> result.unknowns, result.interval
 
     forward: the surrogate where absent, unless the problem asks for none; model: weights, those that ship where absent;
     out: folder for `result.json`, `report.md` and pictures. Fields are found by the MPM's adjoint, with their

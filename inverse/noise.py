@@ -36,7 +36,11 @@ from datasets.measures import rms
 from inverse.target import Target
 
 SMOOTH = 0.3
-"""Correlation length of the error of the cells where no run has shown its shape, over the numbers of an observation."""
+"""Correlation length of the error of the cells where no run has shown its shape, over the numbers of an observation.
+
+Of eight fronts of a column over time (cells of 20, 10 and 5 mm) what finer cells change beyond the known shape has one
+change of sign, as a Gaussian process of this length has (docs/theory/uncertainty.md).
+"""
 CONFIDENCE = 0.99
 """Share of right answers that lie within the predictive interval."""
 RARE = 0.05
@@ -99,6 +103,8 @@ class Fit:
     """U."""
     outliers: dict[int, float] = field(default_factory=dict)
     """Numbers that others do not predict, with z of each (`outlying`)."""
+    applied: float = 1.0
+    """Factor by which half-widths are multiplied, as they are reported."""
 
     @property
     def allowed(self) -> float:
@@ -118,7 +124,7 @@ class Fit:
 
     @property
     def factor(self) -> float:
-        """By which half-widths are multiplied, 1 at least: Birge's ratio, of M - U free numbers."""
+        """By which half-widths are to be multiplied, 1 at least: Birge's ratio, of M - U free numbers."""
         if self.numbers <= self.parameters or self.ratio <= 1.0 or self.probability >= RARE:
             return 1.0
         return self.ratio * math.sqrt(self.numbers / (self.numbers - self.parameters))
@@ -127,15 +133,19 @@ class Fit:
 def biases(target: Target, cells: Floats, extrapolated: float) -> Floats:
     """Covariance D [M, M] of the errors by cells that change the numbers by `cells` [M]: smooth within an observation.
 
-    extrapolated: share e of d that no run has shown, of which half has the shape of d and half any smooth one.
+    D = (1 - e/2) d d^T + e/2 a a^T k,    a_i^2 = sum_j k_ij d_j^2 / sum_j k_ij,    k Gaussian of length `SMOOTH`
+
+    extrapolated: share e of d that no run has shown, of which half has the shape of d and half any smooth one, as large
+    as d around each number: cells change no front before it has moved, and what they leave unknown of it is no more.
     """
     found = (1.0 - 0.5 * extrapolated) * np.outer(cells, cells)
     for part in target.observation.parts:
         own = np.arange(len(cells))[part.numbers]
         apart = (own[:, None] - own) / max(1.0, SMOOTH * len(own))
-        alike = rms(cells[own]) ** 2 * np.exp(-0.5 * apart**2)
+        alike = np.exp(-0.5 * apart**2)
+        around = np.sqrt(alike @ cells[own] ** 2 / alike.sum(axis=1))
         # Each observation has a factor of its own.
-        found[np.ix_(own, own)] += 0.5 * extrapolated * alike
+        found[np.ix_(own, own)] += 0.5 * extrapolated * alike * np.outer(around, around)
     return found
 
 

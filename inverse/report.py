@@ -61,7 +61,7 @@ def write(found: "Result", folder: Path, command: str) -> None:
 
 def conclusion(found: "Result") -> list[str]:
     """Five sentences: verdict, parameters, what is not identifiable and would decide, truth and fit, cost."""
-    runs = f"{found.record.get('flows', len(found.mpm_runs))} MPM runs, " if found.forward == "MPM" else ""
+    runs = f"{found.run_count} MPM runs, " if found.forward == "MPM" else ""
     sentences = [first_found(found), verdict(found), numbers(found), angles(found)]
     sentences += [f"`{each.name}`: {identified(each)}" for each in found.fields]
     sentences += [equifinality(found), quality(found), *(f"At the answer: {each}." for each in found.remarks)]
@@ -189,9 +189,9 @@ def quality(found: "Result") -> str:
         inside = f"{len(found.inside)} of {len(truth)} within the interval"
         parts.append(f"error against the truth: {error}{which}, {inside}")
     fit = found.answers[0].fit
-    if fit is not None and fit.factor > 1.0:
-        wider = "so much wider are the intervals"
-        parts.append(f"the fit is {fit.factor:.2g} times worse than noise, scatter and cells explain, {wider}")
+    if fit is not None and fit.applied > 1.0:
+        times = f"{fit.applied:.2g} times"
+        parts.append(f"the fit is {times} worse than noise, scatter and cells explain, the intervals {times} as wide")
     if off := outlying(found):
         parts.append(f"outliers: {', '.join(name for name, _ in off)}")
     return sentence(parts)
@@ -297,11 +297,11 @@ def field_table(field: FoundField) -> str:
 
 
 def uncertainty(found: "Result") -> list[str]:
-    """What the half-widths are made of."""
+    """What the intervals are made of."""
     parts = list(found.notes)
     if found.problem.target.minimise:
         parts.append(
-            "A design has no truth. Each parameter may move by its half-width, the others with it, before the MPM "
+            "A design has no truth. Each parameter may move within its interval, the others with it, before the MPM "
             "distinguishes what passes from its scatter."
         )
     if found.target.roughness > 1.0:
@@ -310,9 +310,9 @@ def uncertainty(found: "Result") -> list[str]:
             "noise: so much noise is counted."
         )
     if (fit := found.answers[0].fit) is not None:
-        chance = f"(p = {fit.probability:.2g})"
-        widths = "the intervals stay" if fit.factor == 1.0 else f"**the intervals are {fit.factor:.2g} times as wide**"
-        parts.append(f"Residuals are {fit.ratio:.2g} times what noise, scatter and cells explain {chance}: {widths}.")
+        widths = "stay" if fit.applied == 1.0 else f"are {fit.applied:.2g} times as wide"
+        against = f"{fit.ratio:.2g} times what noise, scatter and cells explain (p = {fit.probability:.2g})"
+        parts.append(f"Residuals are {against}: **the intervals {widths}**.")
         if fit.outliers:
             listed = ", ".join(f"{name} ({off:+.1f})" for name, off in outlying(found))
             parts.append(f"**Outliers**, in standard deviations from what all other numbers predict: {listed}.")
@@ -330,20 +330,21 @@ def outlying(found: "Result") -> list[tuple[str, float]]:
 
 
 def finer(found: "Result") -> str:
-    """The cells whose error would be the noise's, to first order, where that of the scene's is larger; and their price.
+    """The cells whose error would be the noise's, where that of the scene's is larger, and their price.
 
-    Steps grow as the cell falls, particles by its power of the dimension: seconds by that of one more.
+    The error is that of the cell beyond the target's, 0 in nature; work grows by the power dimension + 1 of 1 / cell.
     """
-    fit, checks = found.answers[0].fit, found.answers[0].checks
-    if fit is None or not 0.0 < fit.noise < fit.cells:
+    fit, cell, own = found.answers[0].fit, found.problem.scene.domain.cell, found.target.cell or 0.0
+    if fit is None or not 0.0 < fit.noise < fit.cells or own >= cell:
         return ""
-    domain, share = found.problem.scene.domain, fit.cells / fit.noise
-    times = share ** (found.problem.scene.dimension + 1)
-    seconds = float(np.mean([each.seconds for each in checks]))
+    share = fit.cells / fit.noise
+    enough = own + (cell - own) / share
+    times = (cell / enough) ** (found.problem.scene.dimension + 1)
+    seconds = float(np.mean([each.seconds for each in found.answers[0].checks]))
     price = f", {times * seconds:.2g} s instead of {seconds:.2g} s a run" if seconds > 0.0 else ""
     return (
         f"finer cells first: the error of the cells is {share:.2g} times the noise, as large as it on cells of "
-        f"{domain.cell / share:.2g} m ({times:.2g} times the work{price})"
+        f"{enough:.2g} m ({times:.2g} times the work{price})"
     )
 
 
@@ -377,13 +378,14 @@ def search_table(found: "Result") -> str:
 def cost(found: "Result") -> str:
     """Runs, seconds and memory."""
     every = [each.purpose for each in found.mpm_runs]
-    runs = {f"MPM runs, {purpose}": every.count(purpose) for purpose in Purpose if every}
+    runs = {"MPM runs": found.run_count} if every else {}
+    runs |= {f"of them, {purpose}": every.count(purpose) for purpose in Purpose if purpose in every}
+    runs |= {"of them, the twin's own flow": 1} if found.problem.target.twin and every else {}
     counts = {key.replace("_", " "): value for key, value in found.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in found.seconds.items()}
-    peak = {"peak memory": f"{peak_memory_mib():.0f} MiB"}
-    budget = "\n\nRuns on other cells are no part of the budget `mpm_runs`; those of the search and at answers are."
-    made = table([{key: str(value) for key, value in (runs | counts | seconds | peak).items()}])
-    return made + (budget if Purpose.CELLS in every else "")
+    seconds["peak memory"] = f"{peak_memory_mib():.0f} MiB"
+    budget = "\n\nThe budget `mpm_runs` is of those on the problem's own cells, the twin's excepted." if every else ""
+    return table([{key: str(value) for key, value in (runs | counts | seconds).items()}]) + budget
 
 
 def table(rows: Sequence[dict[str, str]]) -> str:

@@ -31,8 +31,8 @@ class Result:
     """What an inversion found.
 
     >>> result = solve("friction-tall-42")
-    >>> result.verdict, result.unknowns, result.certainty
-    (<Verdict.CONFIRMED: 'confirmed'>, {'friction_deg': 41.6...}, {'friction_deg': 0.9...})
+    >>> result.verdict, result.unknowns, result.interval
+    (<Verdict.CONFIRMED: 'confirmed'>, {'friction_deg': 41.6...}, {'friction_deg': [40.7..., 42.5...]})
     >>> result.plot().savefig("found.png")
     """
 
@@ -100,6 +100,12 @@ class Result:
             return []
         held = self.answers[0].holds(np.array([truth[name] for name in names]))
         return [name for name, within in zip(names, held, strict=True) if within]
+
+    @property
+    def run_count(self) -> int:
+        """Every run of the MPM: of the search, at answers, on other cells, of a coarse surrogate, a twin's own flow."""
+        own = len(self.mpm_runs) + self.record.get("coarse_runs", 0) + int(self.problem.target.twin)
+        return int(self.record.get("flows", own))
 
     @property
     def error_pct(self) -> dict[str, float]:
@@ -176,6 +182,7 @@ class Result:
             "observation": {"target": plain(raw(self.target.values)), key: shown} | self.target.observation.record(),
             "loss": {key: self.target.misfit(self.predicted) if same else self.iterations[-1].get("loss")},
             "mpm_runs": [each.as_json(problem) for each in self.mpm_runs],
+            "run_count": self.run_count,
             "iterations": list(self.iterations),
             "surrogate": self.surrogate,
             "remarks": self.remarks,
@@ -188,7 +195,7 @@ class Result:
             found["observation"]["profile"] = {"x": profile.x.tolist(), "height": profile.height.tolist()}
         if fit := first.fit:
             keys = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
-            found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.factor}
+            found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.applied}
             found["check"] |= {
                 "outliers": {str(index): off for index, off in fit.outliers.items()},
                 "probability": fit.probability,

@@ -3,7 +3,7 @@
 from validation import solve
 
 result = solve("friction-tall-42", "out/loop")
-print(result.verdict, result.unknowns, result.certainty)
+print(result.verdict, result.unknowns, result.interval)
 result.plot().savefig("found.png")
 """
 

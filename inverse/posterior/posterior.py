@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from scipy.stats import f, qmc
 
+from inverse.noise import biases
 from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, most_informative, squared_distance
 from inverse.posterior.reduction import Reduction, reduction
@@ -250,10 +251,9 @@ def posterior(
 
     scatter: expected standard deviation of each number from flow to flow [M]; region: what is not excluded and holds
     the runs that count, the whole box where absent; factor: F; discretisation: change d of the numbers by the cells
-    [M]; extrapolated: share e of d that no run has shown, in components D = (1 - e / 2) d d^T + (e / 2) |d|^2 I / r:
-    what the next finer cells change is as large, in a direction of which half is known; trends: the one is used that
-    predicts the runs best which are left out one by one;
-    within: logarithm of what is excluded already; prior: logarithm of a stated one (`Likelihood`).
+    [M]; extrapolated: share e of d that no run has shown (`inverse.noise.biases`); trends: the one is used that
+    predicts the runs best which are left out one by one; within: logarithm of what is excluded already; prior:
+    logarithm of a stated one (`Likelihood`).
     """
     unknowns = points.shape[1]
     region = region or Region.whole(unknowns)
@@ -268,9 +268,8 @@ def posterior(
     single = emulator.scatter + np.diag((CONSTANTS.smallest_scatter * reduced.expected_scatter) ** 2)
     known = reduced.noise
     if discretisation is not None:
-        shift = (discretisation * reduced.weights) @ reduced.basis
-        around = float(shift @ shift) / len(shift) * np.eye(len(shift))
-        known = known + (1.0 - 0.5 * extrapolated) * np.outer(shift, shift) + 0.5 * extrapolated * around
+        scaled = reduced.basis * reduced.weights[:, None]
+        known = known + scaled.T @ biases(target, discretisation, extrapolated) @ scaled
     ratio = float(np.trace(known) / max(float(np.trace(single)), 1e-300))
     # Test of lack of fit (Draper & Smith, Applied regression analysis, 1998, section 2.1).
     explained = expected**2 * f.ppf(CONSTANTS.lack_of_fit, emulator.freedom, repeats + CONSTANTS.scatter_prior)

@@ -126,8 +126,12 @@ def moved(
             scale = np.where(rng.random(len(own)) < JUMP, 1.0, 2.38 / np.sqrt(2.0 * unknowns))
             jitter = 1e-3 * points[other].std(axis=0) + 1e-9
             step = scale[:, None] * (points[other[first]] - points[other[second]])
-            proposed = reflected(points[own] + step + jitter * rng.standard_normal((len(own), unknowns)))
-            there = log_likelihood(proposed)
+            proposed = points[own] + step + jitter * rng.standard_normal((len(own), unknowns))
+            # Mirrored at a face, a step of correlated parameters would be likelier than the one back.
+            inside = np.all((proposed >= 0.0) & (proposed <= 1.0), axis=1)
+            there = np.full(len(own), -np.inf)
+            if inside.any():
+                there[inside] = log_likelihood(proposed[inside])
             moves = np.log(rng.random(len(own))) < exponent * (there - likelihood[own])
             points[own[moves]], likelihood[own[moves]] = proposed[moves], there[moves]
             accepted += int(moves.sum())
@@ -135,9 +139,3 @@ def moved(
         if accepted >= CONSTANTS.jumps * size:
             break
     return points, likelihood, accepted / tried
-
-
-def reflected(points: Matrix) -> Matrix:
-    """Points mirrored at the faces of the unit box until they are inside."""
-    folded = np.mod(points, 2.0)
-    return np.asarray(np.where(folded > 1.0, 2.0 - folded, folded))

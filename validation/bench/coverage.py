@@ -7,6 +7,7 @@ Bayesian inference algorithms with simulation-based calibration, arXiv:1804.0678
 highest density regions, Am. Stat. 50 (1996) 120-126).
 """
 
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import KW_ONLY, asdict, dataclass, replace
@@ -25,10 +26,12 @@ from inverse.parameters.prior import Correlation, Prior
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.settings import Surrogate, TargetSettings
+from inverse.target import Target, read_target
 from mpm import simulate_many
 from mpm.cluster import connected
 from validation.bench import reference
-from validation.loop.solve import solve
+from validation.loop.solve import run, solve
+from validation.loop.task import Task
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import GREY, figure
 
@@ -49,7 +52,7 @@ class Family:
 
     title: str
     problem: str
-    """Name of a shipped problem, whose scene, numbers and observation the twins have."""
+    """Name or path of a problem, whose scene, numbers and observation the twins have."""
     _: KW_ONLY
     noise: float | str | None = None
     """Of each observed number, as in `inverse.settings.ObservationSettings`; unless given the problem's own."""
@@ -57,6 +60,8 @@ class Family:
     """Cells of the inversion [m]; unless given those of the problem."""
     finer: float | None = None
     """Cells of the target's flow, as a share of the inversion's: what the inversion's own cells get wrong."""
+    outlier: float = 0.0
+    """Error of one of the numbers besides its noise, in standard deviations of that; which, and its sign, are drawn."""
     priors: tuple[Prior, ...] = ()
     """Of the numbers, in their order; uniform unless given."""
     correlation: float | None = None
@@ -69,6 +74,8 @@ class Family:
     """How many are solved unless another number is asked for; of dear ones half as many."""
 
 
+TWINS = Path(__file__).parent / "twins"
+"""Problems of twins alone, that do not ship."""
 FAMILIES = {
     "front": Family("Friction, front", "friction-tall-42"),
     "profile": Family("Friction, profile", "friction-tall-42-profile"),
@@ -86,6 +93,17 @@ FAMILIES = {
         "hillside",
         cell=1.5,
         finer=2.0 / 3.0,
+    ),
+    "outlier": Family(
+        "Velocity and friction of a block, eight fronts, one off by 10 deviations",
+        str(TWINS / "sliding-block.toml"),
+        outlier=10.0,
+    ),
+    "cells": Family(
+        "Friction, eight fronts of a third of the cells of 20 mm to 2 mm",
+        str(TWINS / "friction-tall-42-fronts.toml"),
+        cell=0.02,
+        finer=1.0 / 3.0,
     ),
     "layers": Family("Friction of four layers, deposit", "slope-layers"),
     "velocities": Family("Velocities of ten layers, deposit", "velocity-layers-10"),
@@ -162,9 +180,10 @@ def bench(
         Of each family, in place of 40, or 20 of velocities-gns and baffles-gns.
     only
         Families to solve (front, profile, front-noise, front-fine, profile-fine, cohesion, cohesion-fine, floor,
-        floor-fine, terrain, layers, velocities, baffles; with stated priors: prior-normal, prior-lognormal,
-        prior-triangular, prior-correlated; where the surrogate leads: front-gns, velocities-gns, baffles-gns,
-        front-adapted), and reference, a posterior without an emulator; the page has all that there are in `keep`.
+        floor-fine, outlier, cells, terrain, layers, velocities, baffles; with stated priors: prior-normal,
+        prior-lognormal, prior-triangular, prior-correlated; where the surrogate leads: front-gns, velocities-gns,
+        baffles-gns, front-adapted), and reference, a posterior without an emulator; the page has all that there are
+        in `keep`.
     model
         Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
     scheduler
@@ -218,8 +237,22 @@ def read_twin(path: Path) -> Twin | None:
 def solve_twin(family: Family, number: int, model: Path | None = None, threads: int | None = None) -> Twin:
     """Solve the twin of this number; model: of an adaptation; threads: of the MPM, all cores unless given."""
     simulate = simulate_many if threads is None else partial(simulate_many, threads=threads)
-    found = solve(drawn(family, number), simulate=simulate, model=model if family.adapted else None)
-    return located(found, found.problem.target.truth, FIRST_SEED + number)
+    problem = drawn(family, number)
+    if family.outlier == 0.0:
+        found = solve(problem, simulate=simulate, model=model if family.adapted else None)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            target = misread(read_target(problem, lambda scene: simulate([scene])[0]), family.outlier, number)
+            found = run(Task(problem=problem, target=target, folder=Path(folder), simulate=simulate))
+    return located(found, problem.target.truth, FIRST_SEED + number)
+
+
+def misread(target: Target, outlier: float, number: int) -> Target:
+    """A target with one number, drawn for the twin of this number, off by so many standard deviations of its noise."""
+    rng, values = np.random.default_rng([FIRST_SEED, number, 1]), target.values.copy()
+    index = int(rng.integers(len(values)))
+    values[index] += rng.choice([-1.0, 1.0]) * outlier * target.deviation[index]
+    return replace(target, values=values)
 
 
 def drawn(family: Family, number: int) -> Problem:
@@ -330,7 +363,7 @@ def row(family: Family, found: Sequence[Twin]) -> Row:
     verdicts, count = [each.verdict for each in found], len(found[0].below)
     return {
         "twins of": family.title,
-        "problem": f"`{family.problem}`",
+        "problem": f"`{Path(family.problem).stem}`",
         "twins": len(found),
         **{f"in the {level:.0%} region": f"{held(found, level):.0%}" for level in REGIONS},
         "p, regions": f"{uniformity(found):.2g}",

@@ -42,7 +42,7 @@ class Criteria(Record):
     loss: float = math.inf
     """Largest loss in the MPM [m^2]."""
     inside: bool = False
-    """Whether every true value is to be within its half-width."""
+    """Whether every true value is to be within its interval."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,8 +108,9 @@ class Outcome:
 
     @property
     def inside(self) -> int:
-        """How many true values are within their half-width."""
-        return sum(error <= self.half_widths[name] for name, error in self.errors.items())
+        """How many true values are within their interval."""
+        ends, truth = self.result["interval"], self.result["truth"]
+        return sum(ends[name][0] <= truth[name] <= ends[name][1] for name in self.errors)
 
     def percent(self, values: Mapping[str, float]) -> float:
         """The largest of `values` by number over the true values [%]."""
@@ -127,7 +128,7 @@ class Outcome:
             f"front within {asked.front_error_pct:g} %: {front:.2f} %": front <= asked.front_error_pct,
             f"loss of {asked.loss:.0e} m²: {loss:.1e}": loss <= asked.loss,
             f"number within {most:g} %: {error:.2f} %": error <= most or most < self.percent(self.half_widths),
-            f"truth within the half-width: {self.inside} of {count}": not asked.inside or self.inside == count,
+            f"truth within the interval: {self.inside} of {count}": not asked.inside or self.inside == count,
         }
         return [text for text, met in checks.items() if not met]
 
@@ -216,11 +217,11 @@ def page(
     result = Page("The inverse problems", "problems --out docs", said, packages=MPM | GNS, quick=quick)
     result.text("""
         Each problem is solved by one `python -m validation.loop`. Targets of twin experiments are runs of the MPM with
-        another initial jitter than the inversion's. Loss and front are those of the MPM at the answer; ± are 95 %
-        half-widths, of a problem with more than one answer those of the heaviest. The paper (Choi and Kumar 2024)
-        takes its targets from its own MPM; its front is the largest x, here the x that 99.5 % of the volume is
-        behind. The surrogate's own answer is found by its gradient alone, before any run of the MPM, which then shows
-        the loss and the front there.
+        another initial jitter than the inversion's. Loss and front are those of the MPM at the answer; numbers are
+        medians with their 95 % intervals, of a problem with more than one answer those of the heaviest. The paper
+        (Choi and Kumar 2024) takes its targets from its own MPM; its front is the largest x, here the x that 99.5 % of
+        the volume is behind. The surrogate's own answer is found by its gradient alone, before any run of the MPM,
+        which then shows the loss and the front there.
     """)
     for title, group in found.items():
         result.section(title)
@@ -250,7 +251,7 @@ def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
     ]
     if truths:
         inside = sum(each.inside for each in known)
-        sentences.append(f"{inside} of {truths} true values are within their 95 % half-widths.")
+        sentences.append(f"{inside} of {truths} true values are within their 95 % intervals.")
     fields = [field for each in outcomes for field in each.result.get("fields", ())]
     if fields:
         values = sum(each["values"] for each in fields)
@@ -325,8 +326,8 @@ def found_text(outcome: Outcome) -> str:
     return "<br>".join(
         (f"`{each}` " if len(widths) > 1 else "")
         + outcome.text(each, outcome.result["unknowns"][each])
-        + f" ± {outcome.text(each, width)}"
-        for each, width in widths.items()
+        + f" ({' to '.join(outcome.text(each, end) for end in outcome.result['interval'][each])})"
+        for each in widths
     )
 
 

@@ -32,8 +32,8 @@ from mpm import simulate, simulate_many
 from validation.loop.solve import Known, solve
 
 RESULT = "result.json"
-WIDTH = " +-"
-"""What follows the name of an unknown, of the column of its half-widths."""
+ENDS = (" from", " to")
+"""What follows the name of an unknown, of the columns of its interval."""
 
 
 def solve_series(
@@ -113,10 +113,11 @@ def runs_of(folder: Path, found: Mapping[str, Any]) -> list[Known]:
 
 
 def row(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
-    """The row of a deposit: its first answer with half-widths, the verdict and what it cost."""
+    """The row of a deposit: its first answer with its intervals, the verdict and what it cost."""
     unknowns = dict[str, float]()
     for key, value in found["unknowns"].items():
-        unknowns |= {key: value, key + WIDTH: found["certainty"][key]}
+        unknowns[key] = value
+        unknowns |= {key + name: end for name, end in zip(ENDS, found["interval"][key], strict=True)}
     cost = {"MPM runs": len(found["mpm_runs"]), "seconds": round(found["seconds"]["total"], 2)}
     return {"deposit": name, **unknowns, "verdict": found["verdict"], "answers": len(found["answers"]), **cost}
 
@@ -132,7 +133,8 @@ def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count:
     digits = {each.name: each.kind.digits for each in problem.numbers}
 
     def shown(key: str, value: Any) -> str:
-        return f"{value:.{digits.get(key.removesuffix(WIDTH), 1)}f}" if isinstance(value, float) else str(value)
+        name = key.removesuffix(ENDS[0]).removesuffix(ENDS[1])
+        return f"{value:.{digits.get(name, 1)}f}" if isinstance(value, float) else str(value)
 
     lines = [{key: shown(key, value) for key, value in each.items()} for each in rows]
     text = tabulate(lines, "keys", "github", disable_numparse=True)

@@ -21,6 +21,7 @@ from inverse.found import MpmRun, Purpose, Verdict
 from inverse.optimise import ROUGH, Inversion, inverted
 from inverse.parameters import Vector
 from inverse.posterior.information import information, measurements
+from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.target import read_each, read_target
@@ -51,7 +52,7 @@ def solve(
 
     >>> from validation import solve
     >>> result = solve("friction-tall-42", "out/loop")
-    >>> print(result.verdict, result.unknowns, result.certainty)
+    >>> print(result.verdict, result.unknowns, result.interval)
     >>> result.plot().savefig("found.png")
 
     problem: one built in Python, the path of a TOML file or the name of a shipped one. out: folder for `result.json`,
@@ -91,7 +92,7 @@ def run(
         MpmRun(purpose=Purpose.KNOWN, parameters=parameters, trajectory=flow, target=task.target)
         for parameters, flow in known
     )
-    led, outcome = None, None
+    led, outcome, cells = None, None, tuple[MpmRun, ...]()
     forward, reason = surrogate.choose(task, model=model, load=load)
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
@@ -107,9 +108,12 @@ def run(
     elif not outcome.verdict.confirms:
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
         tried = tuple(replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
+        cells = outcome.state.cells
         outcome = nearer(outcome.state, concluded(searched(first(task, tried, before))))
     state, answer = outcome.state, outcome.answers[0]
-    runs = (*state.runs, *state.cells)
+    files = {each.file for each in state.cells}
+    runs = (*state.runs, *state.cells, *(each for each in cells if each.file not in files))
+    coarse = {"coarse_runs": len(led.points)} if led is not None and isinstance(forward, MpmForward) else {}
     mpm_seconds = sum(each.seconds for each in runs)
     return Result(
         problem=task.problem,
@@ -126,6 +130,7 @@ def run(
         notes=(statement(state),),
         surrogate={"asked": led is not None, "reason": reason} | ({} if led is None else of_surrogate(led, state)),
         seconds={"mpm": mpm_seconds, "total": time.perf_counter() - began},
+        record=coarse,
         command="python -m validation.loop",
     )
 
@@ -154,11 +159,13 @@ def of_surrogate(led: Inversion, state: Search) -> dict[str, Any]:
 def statement(state: Search) -> str:
     """What the posterior is made of, in sentences."""
     found = state.posterior
+    enough = CONSTANTS.converged_around if state.known or state.guide is not None else CONSTANTS.converged
+    more = " **More runs of the MPM (`mpm_runs`) would narrow these.**" if found.emulator_share > enough else ""
     before = f" ({len(state.known)} of them made before)" if state.known else ""
     return (
         f"An emulator of {int(found.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
         f"seed, gives the posterior over the whole box ({prior_of(state.task.problem)}). What the emulator does not "
-        f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the half-widths, at 95 %. "
+        f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} "
         f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     )
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -11,7 +12,9 @@ from datasets.errors import InputError
 from inverse.found import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
+from inverse.parameters import Vector
 from inverse.posterior.answers import Part, half_widths
+from inverse.posterior.posterior import Region
 from inverse.posterior.settings import CONSTANTS
 from validation.loop.search import Search
 from validation.loop.task import Task
@@ -20,6 +23,10 @@ CLOSE = 0.35
 """Of a half-width: checks this close to an answer are checks of it."""
 EXCLUDED = 1e-3
 """Probability of the nearest fit of all, below which no parameters between the bounds give the target."""
+SETTLED = 0.05
+"""Change of the factor of a discrepancy, over it, that widens or narrows no interval."""
+NEGLIGIBLE = 0.1
+"""Share of the variance of residuals, below which a source of it explains none of a misfit."""
 OTHER_CELLS = {2: 0.5, 3: 2.0}
 """Of the scene's, by dimension: those by which the error of the cells is measured."""
 BETTER = 2.0
@@ -51,11 +58,45 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
         share = (own - (state.task.target.cell or 0.0)) / (own - other)
         change = share * (found[0].observation - np.mean([each.observation for each in cells], axis=0))
         beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
-        state, found = checked(state.inferred(cells=cells, discretisation=change, extrapolated=beyond), moves=moves)
-    factor = 1.0 if found[0].fit is None else found[0].fit.factor
-    if factor > 1.0:
-        state, found = checked(state.inferred(factor=factor), again=False, moves=min(1, moves))
+        wider = reopened(state, cells=cells, discretisation=change, extrapolated=beyond)
+        state, found = checked(wider, moves=moves)
+    for _ in range(CONSTANTS.rounds):
+        factor = discrepancy(state, found[0])
+        if abs(factor - state.factor) <= SETTLED * state.factor:
+            break
+        # The residuals are least in another place where all parameters are open again that they had excluded.
+        state, found = checked(reopened(state, factor=factor), again=False, moves=min(1, moves))
     return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
+
+
+def discrepancy(state: Search, answer: Answer) -> float:
+    """Factor of all errors by the first answer's fit where its part of the posterior is likeliest: Birge's ratio.
+
+    Residuals are least there; a skewed posterior has its median elsewhere.
+    """
+    part = state.parts()[0]
+    best = part.points[[int(np.argmax(state.posterior.likelihood(part.points)))]]
+    return fitted(state, answer.checks, best[0]).factor
+
+
+def reopened(state: Search, **changes: Any) -> Search:
+    """With larger errors: where the posterior leaves the region of its runs, all that smaller errors excluded is open.
+
+    An emulator of the runs in the old region would extrapolate. That of all runs takes its place, then those of smaller
+    regions as long as they know more; of more than `few_parameters` that of all runs in the wider region.
+    """
+    before = state.posterior.region
+    state = state.inferred(**changes)
+    region, unknowns = state.posterior.region, len(state.task.problem.parameters)
+    if np.all(region.low >= before.low) and np.all(region.high <= before.high):
+        return state
+    state = state.inferred(Region.whole(unknowns) if unknowns <= CONSTANTS.few_parameters else region)
+    while state.posterior.emulator_share > CONSTANTS.converged:
+        smaller = state.inferred()
+        if smaller.posterior.emulator_share >= state.posterior.emulator_share:
+            break
+        state = smaller
+    return state.narrowed()
 
 
 def judged(state: Search) -> Outcome:
@@ -85,7 +126,7 @@ def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) 
         locations = [each.point for each in found if not is_checked(state, each, close)]
         if not locations:
             answers = answers_of(state, found)
-            if answers[0].confirmed or not again:
+            if answers[0].confirmed or not again or is_certain(answers[0]):
                 break
             # Where the mean of few runs is not near enough, that of more may be.
             locations = [state.task.bounds.shares(answers[0].parameters)]
@@ -95,6 +136,15 @@ def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) 
         count = min(checks, state.left // len(locations))
         state = state.ran(np.repeat(np.stack(locations), count, axis=0), Purpose.CHECK).inferred()
     return state, answers_of(state, state.parts())
+
+
+def is_certain(answer: Answer) -> bool:
+    """Whether more runs at an answer would leave its misfit as it is: the scatter of their mean is no part of it."""
+    fit = answer.fit
+    if fit is None:
+        return False
+    total = fit.noise**2 + fit.cells**2 + fit.scatter**2
+    return fit.scatter**2 / len(answer.checks) < NEGLIGIBLE * total
 
 
 def distances(state: Search, runs: Sequence[MpmRun], part: Part) -> Values:
@@ -138,16 +188,18 @@ def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
                 interval=task.bounds.at(part.interval),
                 weight=part.weight,
                 checks=tuple(own),
-                fit=fitted(state, own, part),
+                fit=replace(fitted(state, own, part.point), applied=state.factor),
             )
         )
     return tuple(sorted(answers, key=lambda each: not each.confirmed))
 
 
-def fitted(state: Search, checks: Sequence[MpmRun], part: Part) -> Fit:
-    """The checks of an answer beside the target; the scatter is that of runs repeated near it, else anywhere.
+def fitted(state: Search, checks: Sequence[MpmRun], point: Vector) -> Fit:
+    """The checks of an answer, carried over to `point` [U] of the unit box, beside the target.
 
-    The checks may lie a part of a half-width beside the answer: the emulator carries what they show over to it.
+    The scatter is that of runs repeated near it, else anywhere.
+
+    The checks may lie a part of a half-width beside it: the difference is the emulator's.
     """
     task, near = state.task, state.posterior.near
     numbers, unknowns = state.numbers, len(task.problem.parameters)
@@ -155,7 +207,7 @@ def fitted(state: Search, checks: Sequence[MpmRun], part: Part) -> Fit:
     if scatter.freedom == 0:
         scatter = Scatter.of_runs(state.points, numbers, task.scatter)
     shown = np.stack([each.observation for each in checks])
-    there, here = state.posterior.expected(np.stack([part.point, task.bounds.shares(checks[0].parameters)]))
+    there, here = state.posterior.expected(np.stack([point, task.bounds.shares(checks[0].parameters)]))
     return fit(
         task.target,
         shown + (there - here),

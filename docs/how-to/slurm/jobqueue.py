@@ -11,4 +11,4 @@ if __name__ == "__main__":
         slurm.adapt(minimum_jobs=1, maximum_jobs=8)
         with connected(slurm.scheduler_address) as cluster:
             result = solve("velocity-layers-10", "out/loop", simulate=cluster)
-    print(result.verdict, result.unknowns, result.certainty)
+    print(result.verdict, result.unknowns, result.interval)

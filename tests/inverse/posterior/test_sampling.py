@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inverse.posterior import Matrix
-from inverse.posterior.answers import parts
+from inverse.posterior.answers import parts, quantiles
 from inverse.posterior.sampling import sample
 
 
@@ -58,3 +58,20 @@ def test_a_curved_ridge_is_one_part_and_a_ring_has_no_answer_in_its_middle() -> 
 def test_what_is_not_constrained_has_the_prior() -> None:
     found = sample(lambda points: gaussian(points[:, :1], np.array([0.5]), 0.05), np.random.default_rng(0), **whole(2))
     assert np.sqrt(found.covariance[1, 1]) == pytest.approx(np.sqrt(1.0 / 12.0), rel=0.05)
+
+
+def test_a_ridge_that_ends_at_a_bound_has_its_quantiles() -> None:
+    """Steps along a ridge that are mirrored at a face, and not those back, would draw samples towards it."""
+
+    def ridge(points: Matrix) -> Matrix:
+        along, across = points[:, 0] - 0.7, points[:, 1] - 0.6 - 1.1 * (points[:, 0] - 0.7)
+        return np.asarray(-0.5 * ((along / 0.3) ** 2 + (across / 0.05) ** 2))
+
+    middles = (np.arange(500) + 0.5) / 500
+    cells = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
+    exact = quantiles(cells, np.exp(ridge(cells)) / np.exp(ridge(cells)).sum())
+    shown = []
+    for seed in range(4):
+        found = sample(ridge, np.random.default_rng(seed), **whole(2))
+        shown.append(quantiles(found.points, found.weights))
+    np.testing.assert_allclose(np.mean(shown, axis=0), exact, atol=0.01)

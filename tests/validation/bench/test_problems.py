@@ -33,6 +33,7 @@ def result(name: str, off: float = 0.002) -> dict[str, Any]:
         "verdict": "confirmed",
         "unknowns": unknowns,
         "certainty": {name: 0.005 * abs(value) for name, value in truth.items()},
+        "interval": {name: [0.995 * value, 1.005 * value] for name, value in unknowns.items()},
         "truth": truth,
         "error_pct": {"front": 0.1},
         "loss": {"mpm": 4e-5},
@@ -121,8 +122,8 @@ def test_every_criterion_can_be_missed() -> None:
     assert len(Outcome(problem=problem, criteria=criteria, result=worse).missed) == 5
     good = result("friction-tall-42")
     assert Outcome(problem=problem, criteria=criteria, result=good).missed == []
-    # A half-width beyond the criterion promises less than it.
-    wide = found | {"certainty": {"friction_deg": 5.0}}
+    # An interval beyond the criterion promises less than it.
+    wide = found | {"certainty": {"friction_deg": 5.0}, "interval": {"friction_deg": [27.0, 47.0]}}
     assert Outcome(problem=problem, criteria=criteria, result=wide).missed == []
 
 

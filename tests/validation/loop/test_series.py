@@ -62,7 +62,9 @@ def test_deposits_share_the_runs_of_the_mpm(
     rows = solve_series(problem, targets, out, model=adapted, simulate=mpm)
     assert [each["deposit"] for each in rows] == list(TRUTHS)
     for each, truth in zip(rows, TRUTHS.values(), strict=True):
-        assert abs(each["friction_deg"] - truth) < 2.0 * each["friction_deg +-"] < 6.0
+        low, high = each["friction_deg from"], each["friction_deg to"]
+        assert low < each["friction_deg"] < high
+        assert abs(each["friction_deg"] - truth) < high - low < 6.0
         assert each["verdict"] == "confirmed"
     assert len(mpm.scenes) == sum(each["MPM runs"] for each in rows) <= 3 * len(rows)
     assert len({scene.seed for scene in mpm.scenes}) == len(mpm.scenes)
@@ -82,10 +84,11 @@ def test_what_scatters_elsewhere_widens_no_answer(
     for name in ("second", "third"):
         (targets / f"{name}.npz").unlink()
     other = adaptation(problem, tmp_path / "other", steep=0.02)
-    alike, apart = (
-        solve_series(problem, targets, tmp_path / run.stem / "out", model=run, simulate=mpm)[0]["friction_deg +-"]
+    rows = [
+        solve_series(problem, targets, tmp_path / run.stem / "out", model=run, simulate=mpm)[0]
         for run in (adapted, other)
-    )
+    ]
+    alike, apart = (each["friction_deg to"] - each["friction_deg from"] for each in rows)
     assert 0.7 * alike < apart < 1.5 * alike
 
 
