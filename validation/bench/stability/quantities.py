@@ -159,7 +159,7 @@ def at_rest_beyond_step(flow: Trajectory) -> NDArray[np.bool_]:
     assert step.lower is not None
     assert step.size is not None
     beyond = step.lower[0] + step.size[0] + 3.0 * cell
-    return (last[:, 0] > beyond) & (np.linalg.norm(last - before, axis=1) < 0.1 * cell)
+    return np.asarray((last[:, 0] > beyond) & (np.linalg.norm(last - before, axis=1) < 0.1 * cell))
 
 
 @quantity("bulk beyond the step over the particles' volume", minimum=0.95, maximum=1.08)
