@@ -6,6 +6,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,9 @@ from datasets.errors import InputError
 from datasets.files import write_text
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
+from mpm import simulate_many
 from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
+from mpm.runtime import Arch
 from validation.bench.accuracy import columns
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.bench.held_out import deposit_of
@@ -168,12 +171,13 @@ def selected(dimension: int, tolerance: float, known: Sequence[Measured]) -> Mea
         return None
 
 
-def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False) -> str:
+def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False, arch: Arch = "cpu") -> str:
     """Try --tolerance on scenes that it was not measured on, and run columns of sand: accuracy.md and its picture.
 
-    quick: two scenes of each dimension against coarse references. ship: measure mpm/resolution.toml instead.
+    quick: two scenes of each dimension against coarse references. ship: measure mpm/resolution.toml instead. arch: of
+    the runs, as of `mpm.run`; seconds are the processor's with the default alone.
     """
-    store = RunStore(keep)
+    store = RunStore(keep, partial(simulate_many, arch=arch))
     if ship:
         every: list[Measured] = []
         for d, sizes in SHIPPED.items():
