@@ -9,7 +9,7 @@ import pytest
 
 from datasets.lock import locked
 from datasets.particles import particle_count
-from validation.bench import __main__, efficiency, searches
+from validation.bench import __main__, efficiency
 from validation.bench.__main__ import BENCHES, bench_of, main
 from validation.bench.large import CELL, QUICK, Found, friction, slide
 from validation.bench.speed import CASES, Price, column, draw, enlarged, mean_x, modes, page
@@ -78,7 +78,6 @@ def test_a_page_begins_with_its_conclusion(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore:masses:UserWarning")  # the MPM beside a network is coarse on purpose
 @pytest.mark.parametrize(("name", "flags"), [("accuracy", ()), ("efficiency", ()), ("gns", ("--model", "flow2d"))])
 def test_a_quick_page(name: str, flags: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(searches, "PAPER", {})
     monkeypatch.setattr(efficiency, "JITTERS", 2)
     assert main([name, "--quick", "--out", str(tmp_path), *flags]) == 0
     assert "--quick" in (tmp_path / f"{name}.md").read_text()
