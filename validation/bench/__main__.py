@@ -22,7 +22,7 @@ COMMAND = "python -m validation.bench"
 
 BENCHES = {
     "experiments": "measured experiments: forward with independently measured angles, backward from their fronts",
-    "accuracy": "error over seconds of the MPM, whether --tolerance holds, columns beside the paper and other codes",
+    "accuracy": "error over seconds of the MPM, whether --tolerance holds",
     "stability": "hard cases and exact solutions of the MPM; fronts over stiffness and step",
     "problems": "the shipped inverse problems, beside their criteria and the reference paper",
     "coverage": "how often the posterior of an inverse problem holds the truth, in twin experiments",
