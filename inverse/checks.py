@@ -13,6 +13,7 @@ from datasets.field import FRICTION
 from datasets.scene import Scene
 from inverse.observations import KINDS, build
 from inverse.parameters import Parameter, known_names, with_kinds
+from inverse.parameters.prior import JointPrior
 from inverse.settings import noise_of
 
 if TYPE_CHECKING:
@@ -33,7 +34,9 @@ OF_NUMBERS = ("initial", "prior")
 def check(problem: "Problem") -> None:
     """Raise InputError, which names the key, for a problem that has no answer."""
     check_parameters(problem.scene, problem.parameters)
-    require(not (problem.prior and problem.target.minimise), "target.minimise", "no prior, a design has none", "one")
+    if problem.correlations:
+        # It refuses pairs that are none.
+        JointPrior(problem.numbers, problem.correlations)
     check_observations(problem)
     check_target(problem)
     check_search(problem)
@@ -138,7 +141,6 @@ def check_fields(problem: "Problem") -> None:
         operator = KINDS[kind]
         jointly = operator.of_positions and not operator.every_particle
         require(jointly, f"observations[{index}].kind", "an observation of positions of few numbers", kind)
-    require(not target.minimise, "target.minimise", "numbers, a field has no design", "fields")
     expected = f"none of the {len(problem.seeds)} seeds from {problem.seeds[0]} on, which the search has"
     other = target.seed not in problem.seeds or not target.twin
     require(other, "target.seed", expected, target.seed)
@@ -170,19 +172,15 @@ def check_observations(problem: "Problem") -> None:
             raise InputError(error.message, key=f"{prefix}.{error.key}") from None
         if target.measured and not given:
             message = f"expected what was measured for {settings.kind}: {' or '.join(kind.sources) or 'a trajectory'}"
-            raise InputError(f"{message}; or twin, a trajectory or minimise in [target]", key=prefix)
+            raise InputError(f"{message}; or twin or a trajectory in [target]", key=prefix)
         require(target.measured or not given, prefix, "no numbers beside those of [target]", " and ".join(given))
-    if target.minimise and (len(observations) > 1 or not KINDS[observations[0].kind].scalar):
-        scalar = ", ".join(name for name, each in KINDS.items() if each.scalar)
-        raise InputError(f"expected it with one observation of {scalar}", key="target.minimise")
 
 
 def check_target(problem: "Problem") -> None:
     """Raise InputError for two sources of numbers, a twin that is the inversion's own flow, or one without a truth."""
     scene, target = problem.scene, problem.target
-    sources = {"twin": target.twin, "trajectory": target.trajectory is not None, "minimise": target.minimise}
-    given = [name for name, there in sources.items() if there]
-    require(len(given) < 2, "target", "one of twin = true, trajectory and minimise = true", " and ".join(given))
+    both = target.twin and target.trajectory is not None
+    require(not both, "target", "one of twin = true and trajectory", "twin and trajectory")
     if not target.twin:
         require(not target.truth, "target.truth", "twin = true beside a truth", "none")
         require(target.cell is None, "target.cell", "twin = true beside cells of the twin", "none")

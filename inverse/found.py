@@ -57,8 +57,6 @@ class Purpose(StrEnum):
     """Where it narrows the posterior most."""
     CHECK = "check"
     """At an answer."""
-    START = "start"
-    """Of a design, at the problem's start."""
     KNOWN = "known"
     """Before, for another target."""
     CELLS = "cells"
@@ -109,12 +107,12 @@ class Answer:
     parameters: Vector
     """Shape [U]."""
     interval: Values
-    """Quantiles of 2.5 and 97.5 % within the bounds, shape [2, U]; of a design how far each may move."""
+    """Quantiles of 2.5 and 97.5 % within the bounds, shape [2, U]."""
     weight: float = 1.0
     """Share of the posterior."""
     checks: tuple[MpmRun, ...] = ()
     fit: Fit | None = None
-    """Of the checks beside the target; None of a design, and where the MPM was not asked."""
+    """Of the checks beside the target; None where the MPM was not asked."""
 
     @property
     def half_widths(self) -> Vector:

@@ -91,11 +91,6 @@ def verdict(found: "Result") -> str:
     if runs == 1:
         at_answer = first.checks[0].purpose is Purpose.CHECK
         which = "an MPM run at the answer" if at_answer else "the MPM run nearest to the answer"
-    if found.problem.target.minimise:
-        begun = [each.observation for each in found.mpm_runs if each.purpose is Purpose.START]
-        now, before = (found.target.observation.text(each) for each in (first.observation, np.mean(begun, axis=0)))
-        better = "The MPM confirms the design" if found.verdict is Verdict.CONFIRMED else "The MPM does not confirm it"
-        return f"**{better}**: {now} in {which}, {before} at the start."
     count = len(found.answers)
     many = f"{count} separate answers" if count > 1 else "the MPM confirms a whole range of parameters"
     words = {
@@ -110,7 +105,7 @@ def verdict(found: "Result") -> str:
 def distance(found: "Result", answer: Answer) -> str:
     """Distance of the MPM at an answer from the target, beside the predictive interval."""
     fit, text = answer.fit, found.target.observation.root_text
-    assert fit is not None, "a design has no target"
+    assert fit is not None, "the MPM was asked"
     sources = {"noise": fit.noise, "scatter of flows": fit.scatter, "cells": fit.cells}
     given = ", ".join(f"{name} {text(value)}" for name, value in sources.items() if value > 0.0)
     many = f" (root mean square of {fit.numbers} numbers)" if fit.numbers > 1 else ""
@@ -135,8 +130,7 @@ def numbers(found: "Result") -> str:
     for answer in found.answers:
         share = f" ({100.0 * answer.weight:.0f} % of the posterior)" if len(found.answers) > 1 else ""
         texts.append(named(found, answer.parameters.tolist(), answer.interval.T.tolist()) + share)
-    meaning = "changes that the MPM distinguishes" if found.problem.target.minimise else "95 %"
-    return f"{'; or '.join(texts)} ({meaning})."
+    return f"{'; or '.join(texts)} (95 %)."
 
 
 def angles(found: "Result") -> str:
@@ -165,7 +159,7 @@ def within(number: "Parameter", ends: Sequence[float]) -> str:
 
 def equifinality(found: "Result") -> str:
     """What the observation does not constrain, and which measurement would."""
-    if found.posterior is None or found.problem.target.minimise:
+    if found.posterior is None:
         return ""
     parts = [advice] if (advice := finer(found)) else []
     if names := unidentified(found.problem, found.answers[0]):
@@ -218,7 +212,6 @@ def question(found: "Result") -> str:
         what = found.target.observation.label
     observed = " ".join([*fields, f"Observed: {what}."])
     truth, intervals, rows = found.target.truth, found.answers[0].interval.T, []
-    uncertainty = "may move between" if found.problem.target.minimise else "95 %"
     for index, each in enumerate(found.problem.numbers):
         text, value, (low, high) = each.kind.text, float(found.answer[index]), each.bounds
         row = {"unknown": f"`{each.name}`", "between": f"{low:g}, {high:g}"}
@@ -226,7 +219,7 @@ def question(found: "Result") -> str:
             row["prior"] = "uniform" if each.prior is None else each.prior.text
         row["start"] = text(each.start)
         row["found"] = f"**{text(value)}**"
-        row[uncertainty] = within(each, intervals[index])
+        row["95 %"] = within(each, intervals[index])
         if truth:
             row |= {"truth": text(truth[each.name]), "error": text(value - truth[each.name])}
             row["truth inside"] = "yes" if each.name in found.inside else "**no**"
@@ -250,17 +243,16 @@ def comparison(found: "Result") -> str:
     """Each observation as it was measured and at the answer."""
     whole, target, shown = found.target.observation, found.target, found.predicted
     scale = whole.raw(np.ones(len(target.values)))
-    design, same = found.problem.target.minimise, len(shown) == len(target.values)
-    rows, runs = [], len(found.answers[0].checks)
+    same, rows, runs = len(shown) == len(target.values), [], len(found.answers[0].checks)
     which = f"{found.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
     for part in whole.parts:
         own, text, root = part.numbers, part.observation.text, part.observation.root_text
         measured = whole.raw(target.values)[own]
         answer = whole.raw(shown)[own] if same else shown
         noise, residual = rms(target.deviation[own] * scale[own]), rms(answer - measured) if same else np.nan
-        row = {"observation": part.name, "target": "-" if design else text(measured), which: text(answer)}
-        row["noise"] = "-" if design else root(noise)
-        row["residual (root mean square)"] = "-" if design else root(residual)
+        row = {"observation": part.name, "target": text(measured), which: text(answer)}
+        row["noise"] = root(noise)
+        row["residual (root mean square)"] = root(residual)
         rows.append(row)
     return table(rows)
 
@@ -299,11 +291,6 @@ def field_table(field: FoundField) -> str:
 def uncertainty(found: "Result") -> list[str]:
     """What the intervals are made of."""
     parts = list(found.notes)
-    if found.problem.target.minimise:
-        parts.append(
-            "A design has no truth. Each parameter may move within its interval, the others with it, before the MPM "
-            "distinguishes what passes from its scatter."
-        )
     if found.target.roughness > 1.0:
         parts.append(
             f"The measured heights scatter about their neighbours by {found.target.roughness:.2g} times the stated "

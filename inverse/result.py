@@ -228,8 +228,7 @@ class Result:
             names, weights = np.array(self.problem.names, dtype=np.str_), self.posterior.samples.weights
             with replacing(folder / "posterior.npz") as part:
                 np.savez_compressed(part, names=names, samples=self.samples, weights=weights)
-            if not self.problem.target.minimise:
-                inference_data.write(self, folder / "posterior.nc")
+            inference_data.write(self, folder / "posterior.nc")
         if self.fields:
             arrays = {f"{k}_{key}": own for k, found in enumerate(self.fields) for key, own in found.saved.items()}
             with replacing(folder / "field.npz") as part:

@@ -113,13 +113,11 @@ class TargetSettings(Record):
     """Cells of the twin [m], the scene's unless given: with others the answer has the error of the scene's cells."""
     trajectory: str | None = None
     """A trajectory (NPZ) that was observed."""
-    minimise: bool = False
-    """A design: nothing was observed, the one number is to be as small as possible."""
 
     @property
     def measured(self) -> bool:
         """Whether the observations bring their own numbers."""
-        return not (self.twin or self.minimise or self.trajectory is not None)
+        return not self.twin and self.trajectory is None
 
 
 def noise_of(noise: float | str) -> tuple[float, float]:

@@ -114,7 +114,7 @@ def assembled(problem: Problem, measurements: Sequence[Measurement], run: Trajec
     front = math.nan
     if run is not None:
         front = measures.front(run.positions[-1], run.volumes)
-    elif whole is only and not problem.target.minimise:
+    elif whole is only:
         front = only.observation.front(only.values)
     return Target(
         **vars(whole),

@@ -1,7 +1,6 @@
 """python -m mpm.generate DEFINITION --out DIR: simulate a dataset, one process per scene at a time."""
 
 import sys
-import time
 from collections.abc import Iterable
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -23,7 +22,7 @@ from datasets.scene import Scene
 from datasets.training import MotionStatistics, metadata, motion_statistics, thin
 from datasets.trajectory import Trajectory, stored_scene, trajectory_files
 from mpm.cluster import QUEUED, Workers, connected, pool
-from mpm.expected import expected, kind_of, learn, planned
+from mpm.expected import expected, planned
 from mpm.footprint import PROCESS
 
 MOST_JOBS = 1000
@@ -94,18 +93,17 @@ def generate(
     if alike and len({entry.scene.frame_dt for entry in entries}) > 1:
         raise InputError(f"expected the same time between frames in all scenes of {definition.name}", key="frame_dt")
     with locked(out), pool(jobs) if scheduler is None else connected(scheduler) as workers:
-        missing, begun = missing_entries(entries, out), time.perf_counter()
+        missing = missing_entries(entries, out)
         if missing:
             until_rest = definition.storage is not None and not definition.storage.deposit
-            kind = kind_of(missing[0].scene, until_rest=until_rest, many=True)
             processes = jobs if scheduler is None else max(1, workers.width() // QUEUED)
             work, size = planned([entry.scene for entry in missing])
             # The process that directs the others has no Taichi.
             size = PROCESS / 2 + beside + min(processes, len(missing)) * size
-            print(expected(kind, work, memory=size, processors=processes, after=after), flush=True)
-        seconds = simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
-        if scheduler is None and missing:
-            learn(kind, work, seconds, start=time.perf_counter() - begun - seconds / jobs)
+            first = missing[0].scene
+            price = expected(first, work, memory=size, processors=processes, until_rest=until_rest, after=after)
+            print(price, flush=True)
+        simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
         paths = [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
         described = metadata(definition.name, entries, seed=seed, statistics=statistics_of(workers, paths))
         write_json(out / "metadata.json", described)
@@ -130,13 +128,13 @@ def missing_entries(entries: Iterable[Entry], out: Path) -> list[Entry]:
 
 def simulate_all(
     workers: Workers, entries: list[Entry], out: Path, *, total: int, storage: Storage | None = None
-) -> float:
-    """Simulate `entries`, of `total` in the dataset; the seconds of all of them, of one after the other.
+) -> None:
+    """Simulate `entries`, of `total` in the dataset.
 
     A failed one does not stop the others; WorkFailed names it. Raises OSError where the disk is full or read-only: the
     others would fail too.
     """
-    failures, seconds = [], 0.0
+    failures = []
     tasks = [(entry.scene, trajectory_path(entry, out), storage) for entry in entries]
     with tqdm(total=total, initial=total - len(entries), unit="trajectory", dynamic_ncols=True) as bar:
         for number, future in workers.completed(simulate_one, tasks):
@@ -145,26 +143,18 @@ def simulate_all(
                 raise error
             if error is not None:
                 failures.append(f"{entries[number].name} ({type(error).__name__}: {error})")
-            else:
-                seconds += future.result()
             bar.update()
     if failures:
         raise WorkFailed(f"{len(failures)} of {len(entries)} trajectories failed, first {min(failures)}")
-    return seconds
 
 
-def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> float:
-    """Simulate `scene` and save its trajectory, or what `storage` says of it, to `path`; in a process of the pool.
-
-    Returns the seconds that it took, compilation apart.
-    """
+def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> None:
+    """Simulate `scene` and save its trajectory, or what `storage` says of it, to `path`; in a process of the pool."""
     # Taichi belongs to the processes that simulate: the one that directs them does not import it.
     from mpm import Recording, simulate
 
-    begun: float = time.perf_counter()
     until_rest = storage is not None and not storage.deposit
     trajectory = simulate(scene, precision="f32", threads=1, record=Recording(until_rest=until_rest))
-    begun += trajectory.summary["compile_s"]
     summary = {key: value for key, value in trajectory.summary.items() if key not in TIMINGS}
     trajectory = replace(trajectory, summary=summary)
     if storage is not None:
@@ -174,7 +164,6 @@ def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> fl
             deposit.save(path.parents[1] / DEPOSITS / path.name)
         trajectory = thinned(trajectory, storage)
     trajectory.save(path)
-    return time.perf_counter() - begun
 
 
 def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:

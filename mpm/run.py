@@ -2,7 +2,6 @@
 
 import dataclasses
 import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from datasets.processes import stopping
 from datasets.scene import Scene
 from datasets.trajectory import open_trajectory
 from mpm.arrays.layout import Precision
-from mpm.expected import expected, kind_of, learn
+from mpm.expected import expected
 from mpm.footprint import footprint
 from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.request import Recording
@@ -108,7 +107,6 @@ def command(
     workers = workers_for(particle_count(given)) if arch == "cpu" else 1
     appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
     plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)
-    kind = kind_of(given, precision=precise, arch=arch, until_rest=until_rest)
     file, frames = out / "checkpoint.npz", out / f"trajectory{HDF5}"
     start = Checkpoint.load(file) if file.exists() else None
     if start is not None and start.run != described(given, record, precise):
@@ -117,8 +115,16 @@ def command(
     if start is not None and frames.exists():
         start.arrays["positions"] = open_trajectory(frames).positions
     left = 1.0 if start is None else 1.0 - start.frame / max(1, given.frames - 1)
-    print(f"{plan}; {expected(kind, left * plan.work, memory=plan.bytes, processors=workers)}", flush=True)
-    began = time.perf_counter()
+    price = expected(
+        given,
+        left * plan.work,
+        memory=plan.bytes,
+        processors=workers,
+        precision=precise,
+        arch=arch,
+        until_rest=until_rest,
+    )
+    print(f"{plan}; {price}", flush=True)
     with ExitStack() as stack:
         options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
         if appended:
@@ -135,10 +141,7 @@ def command(
             return stop.status
         except InputError as error:
             raise error.at(str(file)) if start is not None and not error.where else error from None
-        summary, seconds = trajectory.summary, time.perf_counter() - began
-        if start is None:
-            computed = summary["wall_s"]
-            learn(kind, plan.work, computed, processors=workers, start=seconds - computed)
+        summary = trajectory.summary
         write_json(out / "summary.json", summary)
         file.unlink(missing_ok=True)
         # The folder holds one trajectory: that of this run.

@@ -5,5 +5,3 @@ import os
 # Before torch and NumPy are imported: they read these once.
 for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
-# What runs take beside each other says nothing of the machine; a file is no folder, so nothing is kept.
-os.environ["TALUS_CACHE"] = os.devnull

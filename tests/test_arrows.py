@@ -144,7 +144,7 @@ def test_nothing_banned_comes_in_by_the_back_door(folder: str, banned: str) -> N
 def test_every_package_that_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    packages = [*project["dependencies"], *extras["cluster"], *extras["efficiency"]]
+    packages = [*project["dependencies"], *extras["cluster"]]
     declared = {re.split(r"[^\w-]", name)[0].replace("-", "_") for name in packages}
     used = {package for path in MODULES for _, package in imports(ast.parse(path.read_text()))}
     assert used - set(sys.stdlib_module_names) - set(MAY_IMPORT) - declared == set()

@@ -30,7 +30,6 @@ class Front(Observation):
     sources = ("value", "values", "csv")
     options = ("times", "unit")
     columns: ClassVar = {"time": "times", "front": "values"}
-    scalar = True
 
     def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
         super().__init__(settings, scene)
@@ -51,7 +50,6 @@ class Runout(Observation):
 
     kind = "runout"
     label = "the runout, the largest x of the deposit"
-    scalar = True
 
     def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
         super().__init__(settings, scene)
@@ -114,7 +112,6 @@ class Passed(Observation):
     label = "the share of the material that came to rest beyond the line"
     unit = ""
     options = ("line", "width")
-    scalar = True
     limits = (0.0, 1.0)
 
     def __init__(self, settings: ObservationSettings, scene: Scene) -> None:

@@ -49,7 +49,7 @@ class Measurement:
 
     observation: "Observation"
     values: Values
-    """Shape [M]; 0 of a design, and of a flow that has not been simulated yet."""
+    """Shape [M]; 0 of a flow that has not been simulated yet."""
     deviation: Values
     """Standard deviation of each number, shape [M]."""
     covariance: Matrix | None = None
@@ -90,8 +90,6 @@ class Observation:
     """Those of them that may be absent."""
     limits: tuple[Any, Any] = (-math.inf, math.inf)
     """Between which its numbers are possible."""
-    scalar: ClassVar[bool] = False
-    """Whether it is one number, which a design may minimise."""
     every_particle: ClassVar[bool] = False
     """Whether its numbers are those of single particles: too many for a Jacobian, and as many in every run."""
     components: int = 1

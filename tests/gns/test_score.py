@@ -21,6 +21,7 @@ from gns.simulator import Simulator
 from gns.state import Conditions, State
 from tests.gns.conftest import NORMALISATION, spreading
 from tests.refusals import refused_by
+from validation.bench.stability.exact_solutions import FreeFlight
 
 
 def scored(**errors: Any) -> Score:
@@ -118,10 +119,9 @@ def test_what_cannot_be_calibrated_is_an_input_error(
 
 def flying(flow: Flow) -> Flow:
     """Free flight, as the model steps it: its displacement changes by -g dt^2 a step."""
-    step = np.arange(16)[:, None, None]
-    fall = -9.81 * flow.step**2 * step * (step + 1) / 2
+    flight = FreeFlight(velocity=(1e-3 / flow.step, 1e-2 / flow.step), gravity=(0.0, -9.81), step=flow.step)
     start = flow.positions[0] + np.array([0.2, 0.1], np.float32)
-    positions = start + step * np.array([1e-3, 1e-2]) + fall * np.array([0.0, 1.0])
+    positions = start + flight.displacement(flow.step * np.arange(16))[:, None]
     velocity0 = np.full_like(start, 1.0) * np.array([0.1, 1.0], np.float32)
     return dataclasses.replace(flow, positions=positions.astype(np.float32), velocity0=velocity0)
 

@@ -16,6 +16,7 @@ from gns.simulator import Simulator, moving
 from gns.state import Conditions, State
 from gns.unroll import step_activation_bytes, unroll
 from tests.gns.conftest import Cloud
+from validation.bench.stability.exact_solutions import FreeFlight
 
 
 def test_the_order_of_the_particles_does_not_matter(lively: Simulator, cloud: Cloud) -> None:
@@ -42,14 +43,12 @@ def test_far_from_the_walls_a_shift_by_grid_cells_changes_nothing(lively: Simula
 
 
 def test_an_untrained_model_flies_freely(simulator: Simulator, cloud: Cloud) -> None:
-    velocity = torch.tensor([1.0, 2.0])
     state, conditions = cloud(lower=(0.1, 0.2), velocity=(1.0, 2.0))
     steps, step = 20, simulator.settings.step
     with torch.no_grad():
         moved = unroll(simulator, state, conditions, steps)[-1] - state.positions
-    # Semi-implicit Euler falls through g t (t + dt) / 2.
-    time = steps * step
-    expected = velocity * time - torch.tensor([0.0, 0.5 * 9.81 * time * (time + step)])
+    flight = FreeFlight(velocity=(1.0, 2.0), gravity=(0.0, -9.81), step=step)
+    expected = torch.from_numpy(flight.displacement(np.array([steps * step]))).to(moved)
     torch.testing.assert_close(moved, expected.expand_as(moved), atol=1e-3, rtol=0.0)
 
 

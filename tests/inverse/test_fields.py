@@ -201,7 +201,6 @@ def test_nodes_cover_the_body_between_the_stated_band(tmp_path: Path) -> None:
         ("length = 0.06", "length = 0.06\nlower = 0.0", "unknowns[0].upper"),
         ('kind = "height"', 'kind = "deposit"', "observations[1]"),
         ("seed = 1000", "seed = 1", "target.seed"),
-        ("twin = true", "minimise = true", "target"),
         ("ensemble = 6", "ensemble = 2", "optimiser.ensemble"),
     ],
 )

@@ -1,90 +1,62 @@
-"""What work is expected to take: by the latest runs of its kind; a broken file of them is no failure."""
+"""What work is expected to take: a range that holds slow and fast machines, by the kind of scene."""
 
-import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from datasets.command_line import run
 from datasets.library import read_scene
-from mpm import expected as module
-from mpm.expected import KEPT, expected, kind_of, learn, planned, spoken
+from mpm.expected import FAST, SLOW, SPEED, START, expected, planned, spoken
 from mpm.footprint import footprint
 from mpm.run import command
 from tests.breaking import SCENE
 
-KIND = "2D f32 cpu"
-MIB = 2**20
+COLUMN, BAFFLES = read_scene("column-tall-42"), read_scene("baffles-2")
 
 
-@pytest.fixture
-def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where speeds are kept; every run counts."""
-    monkeypatch.setenv("TALUS_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(module, "SHORTEST", 0.0)
-    return tmp_path / "cache" / "speeds.json"
+def test_a_range_grows_with_the_work_and_falls_with_the_processors() -> None:
+    found = expected(COLUMN, SPEED[2] * 120.0, memory=300 * 2**20, processors=2)
+    assert found.shortest == pytest.approx(START[2][0] + 60.0 / FAST)
+    assert found.longest == pytest.approx(START[2][1] + 60.0 / SLOW)
+    assert str(found) == "expected: 0.6 to 2.6 min, 300 MiB of memory"
+    more = expected(COLUMN, SPEED[2] * 120.0, memory=0, processors=2, after=600.0)
+    assert more.shortest == pytest.approx(found.shortest + 600.0)
+    assert str(more).startswith("expected: at least 11 to 13 min, ")
+    assert str(expected(COLUMN, 0.0, memory=0, least=True)).startswith("expected: at least 1 to 8 s, ")
 
 
-def test_a_machine_that_is_not_known_is_said_to_be(file: Path) -> None:
-    line = str(expected(KIND, 3.0e9, memory=300 * MIB))
-    assert line == "expected: about 4.6 min, 300 MiB of memory; no such run was measured on this machine yet"
-    assert not file.exists()
-
-
-def test_the_next_run_takes_what_the_latest_ones_took(file: Path) -> None:
-    learn(KIND, 2.0e7, 2.0, start=3.0)
-    assert str(expected(KIND, 4.0e7, memory=300 * MIB)) == "expected: about 7 s, 300 MiB of memory"
-    # On two processors 1.5 times the work; of another kind nothing is known.
-    assert expected(KIND, 6.0e7, memory=0, processors=2, after=60.0).seconds == pytest.approx(66.0)
-    assert not expected(KIND + " solids", 1.0, memory=0).measured
-    # Two runs beside others do not count, nor does what was long ago.
-    for seconds in (4.0, 4.0, 40.0, 4.0, 40.0):
-        learn(KIND, 8.0e7, seconds, processors=2)
-    assert expected(KIND, 1.0e7, memory=0, least=True).seconds == pytest.approx(3.0 + 1.0)
-    assert str(expected(KIND, 1.0e7, memory=0, least=True)).startswith("expected: at least 4 s")
-    assert len(json.loads(file.read_text())[KIND]["speed"]) == KEPT
-
-
-def test_a_short_run_says_nothing(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "SHORTEST", 0.2)
-    learn(KIND, 1.0e7, 0.1)
-    assert not file.exists()
-
-
-@pytest.mark.parametrize(
-    "text", ["{", "[1]", '{"2D f32 cpu": 3}', '{"2D f32 cpu": {"speed": ["a"]}}', '{"2D f32 cpu": {"speed": [0, -1]}}']
-)
-def test_a_broken_file_counts_as_none(file: Path, text: str) -> None:
-    file.parent.mkdir()
-    file.write_text(text)
-    assert not expected(KIND, 1.0e7, memory=0).measured
-    learn(KIND, 1.0e7, 1.0, start=1.0)
-    assert expected(KIND, 1.0e7, memory=0).seconds == pytest.approx(2.0)
-
-
-def test_a_folder_that_cannot_be_made_is_no_failure(file: Path) -> None:
-    file.parent.write_text("a file")
-    learn(KIND, 1.0e7, 1.0)
-    assert not expected(KIND, 1.0e7, memory=0).measured
+def test_kinds_of_scenes_have_their_own_speeds() -> None:
+    work = 1.0e10
+    column, baffles = (expected(scene, work, memory=0).longest for scene in (COLUMN, BAFFLES))
+    bare = expected(replace(BAFFLES, baffles=()), work, memory=0).longest
+    assert column < bare < baffles
+    assert expected(COLUMN, work, memory=0, precision="f64").longest > column
+    assert expected(COLUMN, work, memory=0, arch="cuda").longest < column / 5.0
+    rests = expected(COLUMN, work, memory=0, until_rest=True)
+    assert (rests.longest, rests.shortest < 0.6 * expected(COLUMN, work, memory=0).shortest) == (column, True)
 
 
 def test_runs_are_planned_from_scenes_alone() -> None:
-    scenes = [read_scene("column-short-21"), read_scene("column-tall-42")]
+    scenes = [read_scene("column-short-21"), COLUMN]
     work, size = planned(scenes)
     plans = [footprint(scene) for scene in scenes]
     assert work == sum(plan.work for plan in plans)
     assert size == plans[1].bytes
-    assert kind_of(read_scene("baffles-2"), until_rest=True, many=True) == "3D f32 cpu solids until rest many"
-    assert [spoken(seconds) for seconds in (0.123, 119.0, 128.0, 9000.0)] == ["0.12 s", "120 s", "2.1 min", "2.5 h"]
 
 
-def test_a_command_says_it_and_keeps_what_it_took(
-    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize(
+    ("shortest", "longest", "said"),
+    [(0.123, 8.0, "0.12 to 8 s"), (41.0, 119.0, "41 to 120 s"), (60.0, 128.0, "1 to 2.1 min"), (9e3, 9e3, "2.5 h")],
+)
+def test_durations_are_said_in_one_unit(shortest: float, longest: float, said: str) -> None:
+    assert spoken(shortest, longest) == said
+
+
+def test_a_command_says_it_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "pile.toml").write_text(SCENE.replace("duration = 0.25", "duration = 0.1"))
-    for end in ("; no such run was measured on this machine yet\n", " of memory\n"):
-        assert run(command, "mpm.run", [str(tmp_path / "pile.toml"), "--out", str(tmp_path / "out")]) == 0
-        line = capsys.readouterr().out.splitlines(keepends=True)[0]
-        assert line.startswith("400 particles, 47 x 27 nodes, ")
-        assert "; expected: about " in line
-        assert line.endswith(end)
+    assert run(command, "mpm.run", [str(tmp_path / "pile.toml"), "--out", str(tmp_path / "out")]) == 0
+    line = capsys.readouterr().out.splitlines()[0]
+    assert line.startswith("400 particles, 47 x 27 nodes, ")
+    assert "; expected: 1 to 8 s, " in line
+    assert line.endswith(" of memory")

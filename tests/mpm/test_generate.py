@@ -109,9 +109,8 @@ def at_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("mpm.generate.pool", thread)
 
-    def copied(scene: Scene, path: Path, storage: Storage | None) -> float:
+    def copied(scene: Scene, path: Path, storage: Storage | None) -> None:
         Trajectory.load(files[scene]).save(path)
-        return 0.0
 
     monkeypatch.setattr("mpm.generate.simulate_one", copied)
 
@@ -146,7 +145,7 @@ def test_another_dataset_in_the_folder_is_refused(dataset: Path, seed: int, coun
 def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tmp_path: Path) -> None:
     # A file where a folder belongs: the second scene cannot be saved.
     (tmp_path / "valid").write_text("")
-    with pytest.raises(WorkFailed, match=r"1 of 4 trajectories failed, first tiny-0001 \(FileExistsError"):
+    with pytest.raises(WorkFailed, match=r"1 of 4 trajectories failed, first tiny-0001 \(InputError: "):
         generate(TINY, tmp_path, seed=7, count=None, jobs=1)
     for name in FILES[:3]:
         assert (tmp_path / name).read_bytes() == (dataset / name).read_bytes()

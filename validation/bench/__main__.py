@@ -22,13 +22,13 @@ COMMAND = "python -m validation.bench"
 
 BENCHES = {
     "experiments": "measured experiments: forward with independently measured angles, backward from their fronts",
-    "accuracy": "error over seconds of the MPM, whether --tolerance holds, columns beside the paper and other codes",
+    "accuracy": "error over seconds of the MPM, whether --tolerance holds",
     "stability": "hard cases and exact solutions of the MPM; fronts over stiffness and step",
     "problems": "the shipped inverse problems, beside their criteria and the reference paper",
     "coverage": "how often the posterior of an inverse problem holds the truth, in twin experiments",
     "speed": "rates of the MPM over sizes, price of a gradient, a network's step, a large terrain",
     "gpu": "rates of the MPM over sizes and a network's step on a GPU, beside all processors",
-    "efficiency": "price of a gradient by surrogate, adjoint and differences; whole searches by each, and by Optuna",
+    "efficiency": "price of a gradient by surrogate, adjoint and differences",
     "gns": "the shipped surrogates beside the MPM: error, price, bands, ranges",
 }
 """Pages that can be measured, each by the module of its name, or the module `bench` of the package of its name."""

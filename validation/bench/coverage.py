@@ -13,7 +13,6 @@ from contextlib import nullcontext
 from dataclasses import KW_ONLY, asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.stats import chisquare, kstest
@@ -29,7 +28,6 @@ from inverse.settings import Surrogate, TargetSettings
 from inverse.target import Target, read_target
 from mpm import simulate_many
 from mpm.cluster import connected
-from validation.bench import reference
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
 from validation.report.page import GNS, MPM, Page, Row
@@ -137,8 +135,8 @@ FAMILIES = {
         adapted=True,
     ),
 }
-REFERENCE, ROWS = "reference", "rows.json"
-"""Name of the posterior without an emulator (`validation.bench.reference`), and the file of its table."""
+RUNS_ALONE = Path(__file__).parent / "frozen" / "coverage.md"
+"""A posterior without an emulator, which was measured once."""
 DEFAULT = ("front", "profile")
 """Families that are solved where none is named."""
 
@@ -182,21 +180,19 @@ def bench(
         Families to solve (front, profile, front-noise, front-fine, profile-fine, cohesion, cohesion-fine, floor,
         floor-fine, outlier, cells, terrain, layers, velocities, baffles; with stated priors: prior-normal,
         prior-lognormal, prior-triangular, prior-correlated; where the surrogate leads: front-gns, velocities-gns,
-        baffles-gns, front-adapted), and reference, a posterior without an emulator; the page has all that there are
-        in `keep`.
+        baffles-gns, front-adapted); the page has all that there are in `keep`.
     model
         Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
     scheduler
         Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
     """
-    if unknown := [name for name in only if name not in (*FAMILIES, REFERENCE)]:
-        raise InputError(f"expected {', '.join((*FAMILIES, REFERENCE))}, got {unknown[0]}", where="--only")
+    if unknown := [name for name in only if name not in FAMILIES]:
+        raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
     if twins is not None and twins < 1:
         raise InputError(f"expected at least one twin, got {twins}", where="--twins")
     asked = {
         keep / name / f"{number:03d}.json": (FAMILIES[name], number, model)
         for name in (only[:1] if quick else only)
-        if name != REFERENCE
         for number in range(2 if quick else twins or FAMILIES[name].twins)
     }
     missing = [path for path in asked if read_twin(path) is None]
@@ -216,17 +212,11 @@ def bench(
         for name, family in FAMILIES.items()
     }
     found = {family: some for family, some in stored.items() if some}
-    if REFERENCE in only:
-        few: dict[str, Any] = {"cells": 2, "stages": ()} if quick else {}
-        compared = reference.compare(drawn(FAMILIES["prior-correlated"], 0), keep / REFERENCE, **few)
-        write_json(keep / REFERENCE / ROWS, {"rows": compared})
-    rows = (read_json(keep / REFERENCE / ROWS) or {}).get("rows", [])
-    if found:
-        draw(out / "coverage.png", found)
+    draw(out / "coverage.png", found)
     flags = "" if twins is None else f" --twins {twins}"
     flags += "" if only == DEFAULT else "".join(f" --only {name}" for name in only)
     flags += "" if model is None else " --model RUN"
-    return page(found, rows, flags=flags, quick=quick).write(out / "coverage.md")
+    return page(found, flags=flags, quick=quick).write(out / "coverage.md")
 
 
 def read_twin(path: Path) -> Twin | None:
@@ -308,14 +298,14 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     )
 
 
-def page(found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]], *, flags: str, quick: bool) -> Page:
+def page(found: Mapping[Family, Sequence[Twin]], *, flags: str, quick: bool) -> Page:
     tested = {
         level: [family.title for family, each in found.items() if not low <= held(each, level) <= high]
         for level, (low, high) in WITHIN.items()
     }
     uneven = [family.title for family, each in found.items() if uniformity(each) < SIGNIFICANT]
     every = [each for twins_of_one in found.values() for each in twins_of_one]
-    about_twins = [
+    conclusion = [
         f"{len(every)} twin experiments of {len(found)} kinds, truths drawn from the prior.",
         *(
             f"{level:.0%} regions hold {held(every, level):.0%} of the truths; outside of {WITHIN[level][0]:.0%} "
@@ -324,11 +314,9 @@ def page(found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]],
         ),
         f"Ranks are not uniform (p below {SIGNIFICANT:g}) for {', '.join(uneven) or 'none'}.",
     ]
-    conclusion = [*(about_twins if every else []), *([reference.conclusion(rows)] if rows else [])]
     bench = f"coverage{flags} --out docs"
     result = Page("Coverage of the posterior", bench, conclusion, packages=MPM | GNS, quick=quick)
-    if every:
-        result.picture("coverage.png", "share of the truths that a region holds over the region's share")
+    result.picture("coverage.png", "share of the truths that a region holds over the region's share")
     result.text(f"""
         A truth is drawn from the prior, its flow by the MPM with a jitter seed of its own is observed, and the loop
         solves for it. A region of highest density holds the truth where less than its share of the posterior is denser.
@@ -336,8 +324,7 @@ def page(found: Mapping[Family, Sequence[Twin]], rows: Sequence[dict[str, Any]],
         Intervals are those of the answer that holds most of the numbers.
     """)
     result.table([row(family, each) for family, each in found.items()])
-    if rows:
-        reference.section(result, rows)
+    result.frozen(RUNS_ALONE)
     return result
 
 

@@ -1,12 +1,12 @@
-"""`python -m validation.bench efficiency`: what a gradient costs by surrogate, adjoint and differences, and a search.
+"""`python -m validation.bench efficiency`: what a gradient costs by surrogate, adjoint and differences.
 
 The paper's column of ten layers is cut into 1 to 100 blocks of unknown velocity. Gradients are compared with the
 MPM's differences averaged over `JITTERS` seeds: along the path of one run the adjoint has its corners, which the mean
 over runs has not. So has that of two baffles in 3D.
 """
 
-import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import product
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 import gns
@@ -21,14 +22,16 @@ from datasets.library import read_scene
 from datasets.processes import processors
 from datasets.scene import Mass, Scene
 from gns.simulator import Simulator
+from inverse.forward import Differentiable, Forward
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
 from inverse.forward.mpm import MpmForward
-from inverse.parameters import Parameter
+from inverse.observations import Values
+from inverse.parameters import Parameter, Vector
 from inverse.problem import Problem, read_problem
 from inverse.settings import ObservationSettings, TargetSettings
-from mpm import simulate_many
-from validation.bench.searches import By, Evaluation, Models, Searched, by_reverse, by_runs, methods, search
+from inverse.target import read_target
+from mpm import simulate, simulate_many
 from validation.report.page import GNS, MPM, Page, Row
 from validation.report.plots import BLUE, INK, ORANGE, RED, figure
 
@@ -44,20 +47,16 @@ STEP = 0.05
 the cosine of the adjoint to differences of 0.5 / 0.15 / 0.05 m/s is 0.88 / 0.97 / 0.99."""
 MOST_COLUMNS = 10
 """Unknowns whose differences are run; the seconds of more are multiplied."""
-HUNDRED = "velocity-blocks-100"
-"""The problem of a hundred blocks; a start of 0.75 m/s and the bounds of `velocity-layers-10`."""
 BLOCKS, BAFFLES = "blocks", "baffles-2"
 BAFFLE_STEP = 0.02
 """Step of the differences of two baffles [m]."""
 JITTERS, BAFFLE_JITTERS = 4, 12
 """Jitter seeds over which gradients of the MPM are averaged: by the place of a baffle one adjoint scatters by half."""
-LIMITS = {"friction-tall-42": 15.0, "velocity-layers-10": 40.0, HUNDRED: 50.0}
-"""Seconds for each method, by problem."""
-QUICK_S, QUICK_LIMIT = 0.2, 3.0
-"""How long flows last and seconds for each method, with `--quick` [s]."""
-SAME = 1.5
-"""Losses whose ratio is less than this do not differ: a check run scatters too."""
+QUICK_S = 0.2
+"""How long flows last with `--quick` [s]."""
 PICTURES, LINE = "pictures", "efficiency-line.png"
+SEARCHES = Path(__file__).parent / "frozen" / "efficiency.md"
+"""Whole searches, which were measured once."""
 
 
 class Method(StrEnum):
@@ -87,18 +86,46 @@ class Gradient:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compared:
-    problem: str
-    limit: float
-    """Seconds that each method may use."""
-    floor: float
-    """Loss that the MPM shows at the truth, by its own scatter."""
-    searches: tuple[Searched, ...]
+class Evaluation:
+    """The loss at one vector of parameters, mean of the squared distances of what is compared."""
 
-    @property
-    def level(self) -> float:
-        """The loss below which no answer is better than another, by the MPM's own scatter."""
-        return SAME * max(self.floor, min(each.loss for each in self.searches))
+    loss: float
+    seconds: float
+    slope: Vector
+    """d(loss)/d(parameters), shape [U], or along k of them, shape [k]."""
+
+
+Evaluate = Callable[[Vector], Evaluation]
+
+
+def by_reverse(forward: Differentiable, target: Values, components: int) -> Evaluate:
+    """Loss against `target` [m] and its gradient by one backward pass."""
+
+    def evaluate(at: Vector) -> Evaluation:
+        began = time.perf_counter()
+        point = torch.tensor(at, dtype=torch.float64, requires_grad=True)
+        loss = components * (forward.predict(point) - torch.from_numpy(target)).square().mean()
+        loss.backward()  # type: ignore[no-untyped-call]
+        assert point.grad is not None, "a leaf"
+        seconds = time.perf_counter() - began
+        return Evaluation(loss=loss.item(), slope=point.grad.numpy(), seconds=seconds)
+
+    return evaluate
+
+
+def by_runs(forward: Forward, target: Values, components: int, moves: NDArray[np.float64]) -> Evaluate:
+    """Loss against `target` [m] and its slope along each of `moves` [k, U] by central differences."""
+
+    def evaluate(at: Vector) -> Evaluation:
+        began = time.perf_counter()
+        first, *rows = forward.observe([at, *(at + moves), *(at - moves)])
+        seconds, residual = time.perf_counter() - began, first - target
+        ahead, behind = np.split(np.reshape(rows, (2 * len(moves), len(first))).T.copy(), 2, axis=1)
+        jacobian = (ahead - behind) / (2.0 * np.linalg.norm(moves, axis=1))
+        slope = 2.0 * components * residual @ jacobian / len(residual)
+        return Evaluation(loss=components * float(np.mean(residual**2)), slope=slope, seconds=seconds)
+
+    return evaluate
 
 
 def blocks(columns: int, layers: int) -> Scene:
@@ -142,17 +169,10 @@ def blocks_problem(unknowns: int) -> Problem:
     )
 
 
-def hundred_problem() -> Problem:
-    """As `velocity-layers-10`, of a hundred blocks."""
-    problem = blocks_problem(100)
-    numbers = tuple(replace(each, initial=0.75, lower=-1.0, upper=3.0) for each in problem.parameters)
-    return replace(problem, name=HUNDRED, parameters=numbers)
-
-
 def bench(out: Path, *, quick: bool, keep: Path) -> str:
-    """Gradients over the number of unknowns, and whole searches, by every method; some seven minutes.
+    """Gradients over the number of unknowns by every method; some minutes.
 
-    quick: short flows, ten unknowns, one problem. keep: not used, seconds are measured anew.
+    quick: short flows, at most ten unknowns. keep: not used, seconds are measured anew.
     """
     torch.set_num_threads(processors())
     simulator = gns.load("flow2d")
@@ -167,28 +187,21 @@ def bench(out: Path, *, quick: bool, keep: Path) -> str:
         for each in gradients_of(BLOCKS, asked(blocks_problem(number)), STEP, simulator, JITTERS)
     ]
     if not quick:
-        gradients += gradients_of(BAFFLES, read_problem(BAFFLES), BAFFLE_STEP, gns.load("obstacle3d"), BAFFLE_JITTERS)
-    compared = []
-    for name in [*LIMITS][: 1 if quick else None]:
-        problem = asked(hundred_problem() if name == HUNDRED else read_problem(name))
-        models, limit = Models.build(problem, simulator), QUICK_LIMIT if quick else LIMITS[name]
-        searches = [search(by, models, limit) for by in tqdm(methods(problem), desc=name, unit="method")]
-        compared.append(
-            Compared(problem=name, limit=limit, floor=models.checked(models.truth), searches=tuple(searches))
-        )
-        draw_line(out / PICTURES / LINE, Models.build(read_problem(BAFFLES), gns.load("obstacle3d")))
+        baffles, network = read_problem(BAFFLES), gns.load("obstacle3d")
+        gradients += gradients_of(BAFFLES, baffles, BAFFLE_STEP, network, BAFFLE_JITTERS)
+        draw_line(out / PICTURES / LINE, baffles)
     draw_gradients(out / PICTURES / "efficiency-unknowns.png", gradients)
-    draw_searches(out / PICTURES / "efficiency-searches.png", compared)
-    return page(gradients, compared, quick=quick).write(out / "efficiency.md")
+    return page(gradients, quick=quick).write(out / "efficiency.md")
 
 
 def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator, jitters: int) -> list[Gradient]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
-    models = Models.build(problem, simulator)
-    observation, values, unknowns = models.target.observation, models.target.values, len(problem.numbers)
+    target = read_target(problem, simulate)
+    observation, values, unknowns = target.observation, target.values, len(problem.numbers)
+    mpm, surrogate = MpmForward(problem, observation, simulate_many), GnsForward(simulator, problem, observation)
     # All, or some along the diagonal of the cuts.
     chosen = np.unique(np.linspace(0, unknowns - 1, min(unknowns, MOST_COLUMNS)).round().astype(np.int64))
-    own = models.mpm.select(values)
+    own = mpm.select(values)
 
     def reverse(*forwards: GnsForward | AdjointForward) -> list[Evaluation]:
         evaluates = [by_reverse(each, each.select(values), observation.components) for each in forwards]
@@ -224,14 +237,14 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
         )
 
     return [
-        compared(Method.SURROGATE, reverse(models.surrogate)),
+        compared(Method.SURROGATE, reverse(surrogate)),
         compared(Method.ADJOINT, reverse(*adjoints)),
         compared(Method.DIFFERENCES, differences, whole / runs),
     ]
 
 
-def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> list[str]:
-    """The price of a gradient, its direction, and who gets first to the MPM's own scatter."""
+def conclusion(gradients: Sequence[Gradient]) -> list[str]:
+    """The price of a gradient and its direction."""
     of_blocks = [each for each in gradients if each.problem == BLOCKS]
     seconds = {method: {e.unknowns: e.seconds for e in of_blocks if e.method is method} for method in Method}
     numbers = sorted(seconds[Method.SURROGATE])
@@ -246,20 +259,11 @@ def conclusion(gradients: Sequence[Gradient], compared: Sequence[Compared]) -> l
         sentences.append(
             f"Cosine to the MPM's differences (means of {JITTERS} jitters) in {many}: {'; '.join(cosines)}."
         )
-    for each in compared[: 5 - len(sentences)]:
-        there = {s.by: s.seconds_to(each.level) for s in each.searches}
-        ranked = sorted((seconds, by) for by, seconds in there.items() if math.isfinite(seconds))
-        got = ", ".join(f"{by} {seconds:.2g} s" for seconds, by in ranked)
-        never = ", ".join(by for by, seconds in there.items() if math.isinf(seconds))
-        sentences.append(
-            f"`{each.problem}` to the MPM's own scatter: {got}"
-            + (f"; not within {each.limit:g} s: {never}." if never else ".")
-        )
     return sentences
 
 
-def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: bool) -> Page:
-    said = conclusion(gradients, compared)
+def page(gradients: Sequence[Gradient], *, quick: bool) -> Page:
+    said = conclusion(gradients)
     result = Page("What a gradient costs", "efficiency --out docs", said, packages=MPM | GNS, quick=quick)
     result.section("Over the unknowns")
     result.text(f"""
@@ -279,18 +283,7 @@ def page(gradients: Sequence[Gradient], compared: Sequence[Compared], *, quick: 
             which the adjoint shows and differences of {1000.0 * BAFFLE_STEP:g} mm do not; a mean over jitters has not.
         """)
         result.picture(f"{PICTURES}/{LINE}", "loss of one jitter over the place of a baffle")
-    result.section("To the MPM's own scatter")
-    result.text(f"""
-        Whole searches from the problem's start. The loss is that of an MPM run at the answer, with a jitter that
-        neither target nor search used. The scatter: {SAME:g} times the least loss of any, or that at the truth. The
-        paper's descent: gradient descent for the angle, Adam for velocities, by the surrogate. Optuna uses no gradient.
-    """)
-    for each in compared:
-        result.section(each.problem, level=3)
-        result.text(f"Loss at the truth {each.floor:.1e}; each method has {each.limit:g} s.")
-        result.table([search_row(one, each.level) for one in each.searches])
-    if compared:
-        result.picture(f"{PICTURES}/efficiency-searches.png", "MPM loss over seconds")
+    result.frozen(SEARCHES)
     return result
 
 
@@ -303,19 +296,6 @@ def gradient_row(each: Gradient) -> Row:
         "cosine": f"{each.cosine:.3f}",
         "length": f"{each.length:.2f}",
         "scatter of one jitter": "-" if each.method is Method.SURROGATE else f"{each.scatter:.2f}",
-    }
-
-
-def search_row(each: Searched, level: float) -> Row:
-    there = each.seconds_to(level)
-    return {
-        "method": each.by,
-        "evaluations": len(each.losses),
-        "MPM runs": each.mpm_runs,
-        "seconds": f"{each.seconds[-1]:.1f}",
-        "seconds to the scatter": "-" if math.isinf(there) else f"{there:.1f}",
-        "MPM loss": f"{each.loss:.1e}",
-        "rms error": f"{each.error:.3g}",
     }
 
 
@@ -333,33 +313,21 @@ def draw_gradients(path: Path, gradients: Sequence[Gradient]) -> None:
         axis.legend(fontsize=7)
 
 
-def draw_line(path: Path, models: Models) -> None:
+def draw_line(path: Path, problem: Problem) -> None:
     """Loss of one jitter along the first number and its slopes at the start."""
-    start, along = models.problem.initial, np.linspace(-BAFFLE_STEP, BAFFLE_STEP, 41)
-    own, evaluate = models.mpm.select(models.target.values), models.evaluate(By.ADJOINT)
-    seen = np.stack(models.mpm.observe([start + at * np.eye(len(start))[0] for at in along]))
-    losses = models.target.observation.components * np.mean((seen - own) ** 2, axis=1)
+    start, along = problem.initial, np.linspace(-BAFFLE_STEP, BAFFLE_STEP, 41)
+    target = read_target(problem, simulate)
+    observation, values = target.observation, target.values
+    mpm = MpmForward(problem, observation, simulate_many)
+    adjoint = AdjointForward(problem, observation, simulate_many)
+    evaluate = by_reverse(adjoint, adjoint.select(values), observation.components)
+    seen = np.stack(mpm.observe([start + at * np.eye(len(start))[0] for at in along]))
+    losses = observation.components * np.mean((seen - mpm.select(values)) ** 2, axis=1)
     differences = (losses[-1] - losses[0]) / (along[-1] - along[0])
     slopes = {Method.ADJOINT: evaluate(start).slope[0], Method.DIFFERENCES: differences}
     with figure(path, size=(6.0, 4.0)) as axes:
         axes[0, 0].plot(1000.0 * along, losses, "o-", color=INK, lw=0.8, markersize=3, label="one jitter")
         for method, slope in slopes.items():
             axes[0, 0].plot(1000.0 * along, losses[20] + slope * along, color=COLOURS[method], lw=1.2, label=method)
-        axes[0, 0].set(xlabel=f"{models.problem.names[0]} - start [mm]", ylabel="loss [m²]")
+        axes[0, 0].set(xlabel=f"{problem.names[0]} - start [mm]", ylabel="loss [m²]")
         axes[0, 0].legend(fontsize=7)
-
-
-def draw_searches(path: Path, compared: Sequence[Compared]) -> None:
-    """MPM loss at each method's best iterate over the seconds, a pane for each problem."""
-    with figure(path, columns=max(1, len(compared)), size=(5.0, 4.0)) as axes:
-        for number, each in enumerate(compared):
-            axis = axes[0, number]
-            for by, marker in zip(By, "os^Dv", strict=True):
-                for one in each.searches:
-                    if one.by is by:
-                        # A surrogate's own losses are not the MPM's: its answer alone is shown.
-                        lowest = np.minimum.accumulate(one.losses) if one.by_mpm else [one.loss]
-                        axis.plot(one.seconds[-len(lowest) :], lowest, f"{marker}-", lw=1.2, markersize=4, label=by)
-            axis.axhline(each.floor, color=INK, linewidth=0.8, linestyle=":", label="the truth")
-            axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="MPM loss [m²]", title=each.problem)
-            axis.legend(fontsize=7)

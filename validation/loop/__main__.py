@@ -52,11 +52,9 @@ def main(
     from contextlib import nullcontext
     from dataclasses import replace
 
-    from datasets.processes import processors
     from inverse.problem import read_problem
     from mpm import simulate_many
     from mpm.cluster import connected
-    from mpm.expected import kind_of, learn, planned
     from validation.loop.series import require_confirmed, solve_series, summary
     from validation.loop.solve import solve
 
@@ -68,9 +66,6 @@ def main(
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
         if targets is None:
             result = solve(asked, out, model=model, simulate=simulate)
-            if scheduler is None and not asked.fields:
-                work, _ = planned([each.trajectory.scene for each in result.mpm_runs])
-                learn(kind_of(asked.scene, many=True), work, result.seconds["mpm"], processors=processors())
             print_outcome(result, out)
             return
         rows = solve_series(asked, targets, out, model=model, simulate=simulate)
@@ -82,7 +77,7 @@ def estimate(problem: "Problem", model: Path | None, out: Path) -> str:
     """What the runs take at least that a loop makes first, and those that check its answer."""
     from datasets.processes import processors
     from inverse.posterior.settings import CONSTANTS
-    from mpm.expected import INVERSION, expected, kind_of, planned
+    from mpm.expected import INVERSION, expected, planned
     from mpm.footprint import PROCESS
     from validation.loop.surrogate import quick, seconds_of_run
 
@@ -94,7 +89,7 @@ def estimate(problem: "Problem", model: Path | None, out: Path) -> str:
     work, size = planned([problem.scene])
     size = PROCESS + INVERSION + 2 * processors() * (size - PROCESS)
     runs = max(runs, 0)
-    time = expected(kind_of(problem.scene, many=True), runs * work, memory=size, processors=processors(), least=True)
+    time = expected(problem.scene, runs * work, memory=size, processors=processors(), least=True)
     return f"{runs} runs of the MPM or more; {time}"
 
 

@@ -19,7 +19,6 @@ from inverse.posterior.answers import Part, parts
 from inverse.posterior.emulator import fewest_runs, linear
 from inverse.posterior.posterior import SMALLEST, Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
-from inverse.target import Target
 from validation.loop.task import Task
 
 OUTERMOST = 0.2
@@ -91,7 +90,7 @@ class Search:
         found = posterior(
             points,
             numbers,
-            state.target_so_far(),
+            state.task.target,
             scatter=state.task.scatter,
             region=region or state.region(points),
             rng=state.task.generator(len(state.runs)),
@@ -154,13 +153,6 @@ class Search:
         step, point = 1e-3 * np.eye(len(parameters)), self.task.bounds.shares(parameters)
         return np.asarray((self.posterior.expected(point + step) - self.posterior.expected(point - step)) / 2e-3)
 
-    def target_so_far(self) -> Target:
-        """The target; of a design the smallest number that is expected at any of the runs so far."""
-        if not self.task.problem.target.minimise:
-            return self.task.target
-        expected = self.numbers if self.found is None else self.found.expected(self.points)
-        return replace(self.task.target, values=expected.min(axis=0))
-
     @property
     def at_edge(self) -> bool:
         """Whether samples lie at the edge of the surrogate's region: the MPM leads beyond it.
@@ -194,7 +186,7 @@ def first(task: Task, runs: tuple[MpmRun, ...] = (), known: tuple[MpmRun, ...] =
         return Search(task=task, known=known)
     count = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns
     repeats = CONSTANTS.repeats
-    left = task.budget - task.checks - len(runs)
+    left = task.budget - CONSTANTS.checks - len(runs)
     if count + repeats > left:
         count, repeats = max(unknowns + 3, left), 0
     cube = Region.whole(unknowns).filled(count, task.generator(0))
@@ -205,7 +197,7 @@ def first(task: Task, runs: tuple[MpmRun, ...] = (), known: tuple[MpmRun, ...] =
 def searched(state: Search) -> Search:
     """Run the MPM in waves until the emulator's share is small; runs for checks of an answer are left over."""
     state = state.inferred()
-    unknowns, spared = len(state.task.problem.parameters), CONSTANTS.repeats + state.task.checks
+    unknowns, spared = len(state.task.problem.parameters), CONSTANTS.repeats + CONSTANTS.checks
     size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
     enough = CONSTANTS.converged_around if state.known else CONSTANTS.converged
     while state.posterior.emulator_share > enough and state.left > spared:

@@ -62,8 +62,6 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | Non
     problem, requested = task.problem, task.problem.surrogate
     if requested is Surrogate.NONE:
         return None, "the problem asks for none"
-    if problem.target.minimise:
-        return None, "a design is looked for by the MPM alone"
     if requested is Surrogate.COARSE:
         problem = replace(problem, scene=task.on_cells(problem.scene, 2.0))
         store = RunStore(task.folder, task.simulate, label="coarse-")
@@ -150,13 +148,13 @@ def guided(task: Task, found: Inversion, known: tuple[MpmRun, ...] = ()) -> tupl
     while True:
         while state.at_edge:
             state = state.wider()
-        left, known_enough = state.left - task.checks, state.converged
+        left, known_enough = state.left - CONSTANTS.checks, state.converged
         # The answers of several parameters move until their emulator knows enough: checks of them come last.
         if unknowns == 1 or known_enough or left <= 0:
             state, corrected = checked(state, again=False, moves=1)
             if state.at_edge:
                 continue
-            left, confirmed = state.left - task.checks, corrected[0].confirmed
+            left, confirmed = state.left - CONSTANTS.checks, corrected[0].confirmed
             # What was enough before the checks is so after them, though the scatter that they show may be smaller.
             if not confirmed or known_enough or state.converged or left <= 0:
                 return state, confirmed

@@ -14,7 +14,6 @@ from inverse.found import MpmRun, Purpose
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior import Matrix
-from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Bounds, Problem
 from inverse.target import Target
 from mpm import ALL, LAST, Recording, simulate_many
@@ -45,11 +44,6 @@ class Task:
     def budget(self) -> int:
         """Runs of the MPM that the loop may spend."""
         return self.problem.loop.budget(len(self.problem.parameters))
-
-    @property
-    def checks(self) -> int:
-        """Runs of the budget that are left for an answer; of a design as many at its start."""
-        return CONSTANTS.checks * (2 if self.problem.target.minimise else 1)
 
     @property
     def recorded(self) -> Recording:

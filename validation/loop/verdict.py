@@ -13,7 +13,7 @@ from inverse.found import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Ve
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
 from inverse.parameters import Vector
-from inverse.posterior.answers import Part, half_widths
+from inverse.posterior.answers import Part
 from inverse.posterior.posterior import Region
 from inverse.posterior.settings import CONSTANTS
 from validation.loop.search import Search
@@ -29,8 +29,6 @@ NEGLIGIBLE = 0.1
 """Share of the variance of residuals, below which a source of it explains none of a misfit."""
 OTHER_CELLS = {2: 0.5, 3: 2.0}
 """Of the scene's, by dimension: those by which the error of the cells is measured."""
-BETTER = 2.0
-"""Standard deviations of the scatter by which a design has to improve on the start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +46,6 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
 
     moves: see `checked`.
     """
-    if state.task.problem.target.minimise:
-        return of_design(state)
     excluded = is_excluded(state)
     state, found = checked(state, moves=moves)
     if cells := on_other_cells(state.task, found[0]):
@@ -248,23 +244,3 @@ def is_excluded(state: Search) -> bool:
     (residual,), fixed, (variance,) = found.likelihood.residual(best)
     square = float(residual @ np.linalg.solve(fixed + np.diag(variance), residual))
     return float(chi2.sf(square, len(residual))) < EXCLUDED
-
-
-def of_design(state: Search) -> Outcome:
-    """The design of the smallest number expected, and how far parameters may move before the scatter shows it."""
-    task, samples = state.task, state.posterior.samples
-    design = samples.points[[int(np.argmin(state.posterior.expected(samples.points)[:, 0]))]]
-    start = task.bounds.shares(task.problem.initial)[None]
-    count = min(CONSTANTS.checks, state.left // 2)
-    before = len(state.runs)
-    state = state.ran(np.repeat(design, count, axis=0), Purpose.CHECK)
-    state = state.ran(np.repeat(start, count, axis=0), Purpose.START)
-    checks, begun = state.runs[before : before + count], state.runs[before + count :]
-    widths = half_widths(samples.points, samples.weights, design[0])
-    interval = task.bounds.at(np.clip(np.stack([design[0] - widths, design[0] + widths]), 0.0, 1.0))
-    answer = Answer(parameters=checks[0].parameters, interval=interval, checks=checks)
-    gain = float(np.mean([each.observation[0] for each in begun]) - answer.observation[0])
-    # By all runs: few checks show little of it.
-    scatter = float(np.sqrt(state.posterior.emulator.scatter[0, 0]) / state.posterior.reduction.weights[0])
-    verdict = Verdict.CONFIRMED if gain > BETTER * scatter else Verdict.UNCONFIRMED
-    return Outcome(state=state, answers=(answer,), verdict=verdict)

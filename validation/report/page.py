@@ -86,6 +86,10 @@ class Page:
         """A picture beside the page, by its file's name."""
         self._parts.append(f"![{caption}]({name})")
 
+    def frozen(self, path: Path) -> None:
+        """A section that was measured once and that no command measures again: the text of a Markdown file."""
+        self._parts.append(path.read_text(encoding="utf-8").strip())
+
     def __str__(self) -> str:
         return "\n\n".join(part for part in self._parts if part) + "\n"
 

@@ -198,7 +198,6 @@ def test_a_stated_prior_is_read_and_a_uniform_one_is_none(tmp_path: Path) -> Non
         ("coefficient = -0.5", "coefficient = -1.0", "correlations[0].coefficient"),
         ('["friction_deg", "cohesion"]', '["friction_deg", "young"]', "correlations[0].between"),
         ('["friction_deg", "cohesion"]', '["cohesion", "cohesion"]', "correlations[0].between"),
-        ("value = 0.55", "[target]\nminimise = true", "target.minimise"),
         (
             "[[observations]]",
             '[[correlations]]\nbetween = ["cohesion", "friction_deg"]\ncoefficient = 0.1\n[[observations]]',

@@ -9,12 +9,16 @@ import pytest
 
 from datasets.lock import locked
 from datasets.particles import particle_count
-from validation.bench import __main__, efficiency, searches
+from tests.commands import DOCS
+from validation.bench import __main__, efficiency
 from validation.bench.__main__ import BENCHES, bench_of, main
 from validation.bench.large import CELL, QUICK, Found, friction, slide
 from validation.bench.speed import CASES, Price, column, draw, enlarged, mean_x, modes, page
 from validation.report.measuring import Spread
 from validation.report.page import Page
+
+FROZEN = Path(__main__.__file__).parent / "frozen"
+"""Sections that no command measures any more."""
 
 
 @pytest.mark.parametrize("name", BENCHES)
@@ -74,11 +78,15 @@ def test_a_page_begins_with_its_conclusion(tmp_path: Path) -> None:
         Page("Title", "it", ["one"] * 6, quick=False)
 
 
+@pytest.mark.parametrize("frozen", sorted(FROZEN.glob("*.md")), ids=lambda path: path.stem)
+def test_a_page_ends_with_what_was_measured_once(frozen: Path) -> None:
+    assert (DOCS / frozen.name).read_text(encoding="utf-8").endswith(frozen.read_text(encoding="utf-8"))
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:masses:UserWarning")  # the MPM beside a network is coarse on purpose
 @pytest.mark.parametrize(("name", "flags"), [("accuracy", ()), ("efficiency", ()), ("gns", ("--model", "flow2d"))])
 def test_a_quick_page(name: str, flags: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(searches, "PAPER", {})
     monkeypatch.setattr(efficiency, "JITTERS", 2)
     assert main([name, "--quick", "--out", str(tmp_path), *flags]) == 0
     assert "--quick" in (tmp_path / f"{name}.md").read_text()

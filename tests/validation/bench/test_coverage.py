@@ -2,17 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from inverse import Prior, Problem
 from tests.validation.loop.flows import FakeMpm, wedge
-from validation.bench import coverage, reference
+from validation.bench import coverage
 from validation.bench.__main__ import main
-from validation.bench.coverage import Family, Twin, drawn, held, page, ranks, row, solve_twin, stated, uniformity
+from validation.bench.coverage import Family, Twin, drawn, held, page, ranks, row, solve_twin, uniformity
 
 FAMILY = Family(title="Wedges", problem="wedge", noise=0.01)
 
@@ -60,38 +58,9 @@ def test_even_ranks_pass_and_uneven_ones_are_named() -> None:
     assert max(uniformity(narrow), ranks(narrow)) < 1e-4
     assert row(FAMILY, even)["in the 95% region"] == "95%"
     other = Family(title="Too narrow", problem="wedge")
-    text = page({FAMILY: even, other: narrow}, [], flags="", quick=False).conclusion
+    text = page({FAMILY: even, other: narrow}, flags="", quick=False).conclusion
     assert "outside of 30% to 70%: Too narrow." in text
     assert "Ranks are not uniform (p below 0.01) for Too narrow." in text
-
-
-def test_a_posterior_by_runs_alone_is_that_of_their_likelihood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A Gaussian likelihood over the unit square, and a normal prior of the first number that is as wide."""
-    centre, width, asked = np.array([0.5, 0.6]), 0.1, stated(coverage.FAMILIES["prior-correlated"])
-    friction = replace(asked.parameters[0], prior=Prior(kind="normal", mean=30.5, deviation=2.9))
-    asked = replace(asked, parameters=(friction, *asked.parameters[1:]), correlations=())
-
-    def answered(problem: Problem, out: Path) -> Any:
-        deviations = np.array([width if problem.prior is None else width / 2**0.5, width])
-        samples = SimpleNamespace(mean=centre, covariance=np.diag(deviations**2))
-        return SimpleNamespace(posterior=SimpleNamespace(samples=samples), mpm_runs=range(problem.loop.budget(2)))
-
-    def weighed(problem: Problem, target: Any, store: Any, points: Any, first: int) -> Any:
-        return np.exp(-0.5 * (((points - centre) / width) ** 2).sum(axis=1))
-
-    for name, own in {"solve": answered, "weighed": weighed, "read_target": lambda problem, simulate: None}.items():
-        monkeypatch.setattr(reference, name, own)
-    rows = reference.compare(asked, tmp_path)
-    assert [each["runs of the emulator"] for each in rows] == [64] * 4 + [192] * 2
-    # The lognormal prior of the cohesion is none of the stub's.
-    for each in rows[:3]:
-        assert each["ratio of widths"] == pytest.approx(1.0, abs=0.15)
-        assert each["difference of means over the width"] == pytest.approx(0.0, abs=0.2)
-    again = reference.compare(asked, tmp_path)
-    assert again == rows
-    text = page({FAMILY: [twin(0.3, 0.4)]}, rows, flags="", quick=False)
-    assert "by 192 runs means differ" in text.conclusion
-    assert "A posterior without an emulator" in str(text)
 
 
 def test_truths_of_stated_priors_are_drawn_from_them() -> None:

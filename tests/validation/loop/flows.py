@@ -259,17 +259,7 @@ def true_velocities(count: int) -> Vector:
     return np.linspace(1.5, 0.15, count)
 
 
-def layers(
-    folder: Path,
-    *,
-    count: int = 2,
-    kind: str = "deposit",
-    minimise: bool = False,
-    scatter: float = 0.0,
-    bend: float = 0.0,
-    seed: int = 3,
-    lower: float = -1.0,
-) -> Case:
+def layers(folder: Path, *, count: int = 2, scatter: float = 0.0, bend: float = 0.0, seed: int = 3) -> Case:
     """The velocities of layers."""
     masses = tuple(Mass(lower=(0.0, 0.2 * row), size=(0.5, 0.2), velocity=(9.0, 0.0)) for row in range(count))
     scene = scene_of(*masses, size=(2.0, 4.0), cell=0.05)
@@ -279,9 +269,9 @@ def layers(
         name="layers",
         folder=folder,
         scene=scene,
-        parameters=tuple(Parameter(name=name, initial=0.0, lower=lower, upper=lower + WIDTH) for name in names),
-        observations=(ObservationSettings(kind=kind, line=0.5 if kind == "passed" else None),),
-        target=TargetSettings(minimise=True) if minimise else TargetSettings(twin=True, seed=seed, truth=truth),
+        parameters=tuple(Parameter(name=name, initial=0.0, lower=-1.0, upper=WIDTH - 1.0) for name in names),
+        observations=(ObservationSettings(kind="deposit"),),
+        target=TargetSettings(twin=True, seed=seed, truth=truth),
     )
     mpm = Layers(count=count, particles=particle_count(scene), scatter=scatter, bend=bend)
     read = read_target(problem, mpm.run)

@@ -1,4 +1,4 @@
-"""`python -m validation.bench accuracy`: error over seconds of the MPM, whether --tolerance holds, columns of sand.
+"""`python -m validation.bench accuracy`: error over seconds of the MPM, whether --tolerance holds.
 
 `--ship` measures what --tolerance reads, `mpm/resolution.toml`, on other scenes; it takes longer.
 """
@@ -21,7 +21,6 @@ from datasets.trajectory import Trajectory
 from mpm import simulate_many
 from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
 from mpm.runtime import Arch
-from validation.bench.accuracy import columns
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.bench.held_out import deposit_of
 from validation.report.page import Page, emphasised, percent
@@ -42,6 +41,8 @@ SHIPPED = {2: (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), 3: (5.0, 7.0, 10.0, 14.0
 """Cells across the smallest side with which `mpm/resolution.toml` is measured, by dimension, as all that follow."""
 CHECKED = {2: (7.0, 14.0), 3: (5.0,)}
 """Where another step, 0.4, and other particles per axis, 3, are tried too."""
+COLUMNS = Path(__file__).parents[1] / "frozen" / "accuracy.md"
+"""Columns of sand beside the paper, published laws and other codes, which were measured once."""
 SHIPPED_REFERENCE, SHIPPED_SEEDS = {2: 80.0, 3: 48.0}, {2: 3, 3: 2}
 
 
@@ -172,7 +173,7 @@ def selected(dimension: int, tolerance: float, known: Sequence[Measured]) -> Mea
 
 
 def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False, arch: Arch = "cpu") -> str:
-    """Try --tolerance on scenes that it was not measured on, and run columns of sand: accuracy.md and its picture.
+    """Try --tolerance on scenes that it was not measured on: accuracy.md and its picture.
 
     quick: two scenes of each dimension against coarse references. ship: measure mpm/resolution.toml instead. arch: of
     the runs, as of `mpm.run`; seconds are the processor's with the default alone.
@@ -195,24 +196,15 @@ def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False, arch: Arch 
         kinds = [each for tolerance in TRIED if (each := selected(dimension, tolerance, known))]
         tried = list(dict.fromkeys(each.resolution for each in kinds))[: 1 if quick else None]
         trials[dimension] = errors_of(scenes, tried, 14.0 if quick else reference, (SEED,), store)
-    paper = columns.paper_columns(store, 1 if quick else 3)
-    fronts = columns.collapse(store, quick=quick)
-    draw(out / "accuracy.png", trials, known, fronts)
-    return page(trials, known, paper, fronts, quick=quick).write(out / "accuracy.md")
+    draw(out / "accuracy.png", trials, known)
+    return page(trials, known, quick=quick).write(out / "accuracy.md")
 
 
-def page(
-    trials: Mapping[int, Errors],
-    known: Sequence[Measured],
-    paper: columns.PaperColumns,
-    fronts: columns.Fronts,
-    *,
-    quick: bool,
-) -> Page:
+def page(trials: Mapping[int, Errors], known: Sequence[Measured], *, quick: bool) -> Page:
     limits = {dimension: promises(dimension, known) for dimension in trials}
     held = [trial_text(dimension, found, limits[dimension]) for dimension, found in trials.items()]
-    text = Page("Accuracy of the MPM", "accuracy", [*held, str(paper), columns.aspect_text(fronts)], quick=quick)
-    text.picture("accuracy.png", "error over seconds; fronts of columns over their aspect ratio")
+    text = Page("Accuracy of the MPM", "accuracy", held, quick=quick)
+    text.picture("accuracy.png", "error over seconds")
     text.section("What `--tolerance` selects")
     text.text(f"""
         Cells across the smallest side of the mass, particles per axis and step (over cell / wave speed) that a
@@ -250,8 +242,7 @@ def page(
     """)
     for dimension, found in trials.items():
         text.table(trial_rows(dimension, found, limits[dimension]))
-    paper.table(text)
-    columns.aspect_tables(text, fronts)
+    text.frozen(COLUMNS)
     return text
 
 
@@ -285,9 +276,9 @@ def trial_text(dimension: int, found: Errors, limits: Mapping[Resolution, float]
     return f"**{dimension}D**: {', '.join(parts)}."
 
 
-def draw(path: Path, trials: Mapping[int, Errors], known: Sequence[Measured], fronts: columns.Fronts) -> None:
-    """Error over seconds, a pane per dimension; fronts over the aspect ratio."""
-    with figure(path, columns=len(trials) + 1, size=(4.2, 3.8)) as axes:
+def draw(path: Path, trials: Mapping[int, Errors], known: Sequence[Measured]) -> None:
+    """Error over seconds, a pane per dimension."""
+    with figure(path, columns=len(trials), size=(4.2, 3.8)) as axes:
         for number, (dimension, found) in enumerate(trials.items()):
             axis = axes[0, number]
             for name in next(iter(found.values())):
@@ -302,13 +293,3 @@ def draw(path: Path, trials: Mapping[int, Errors], known: Sequence[Measured], fr
             axis.set(title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
             axis.set(xscale="log", yscale="log", ylabel="error over the extent [%]")
             axis.legend()
-        last = axes[0, len(trials)]
-        others = {**fronts, **columns.laws(), **columns.codes()}
-        for name in dict.fromkeys(name for dimension, name, _ in others if dimension == 2):
-            points = sorted(
-                (a, value) for (dimension, who, a), value in others.items() if (dimension, who) == (2, name)
-            )
-            ours = name in (columns.OURS, columns.APIC)
-            last.plot(*zip(*points, strict=True), "o-" if ours else "--", linewidth=0.8, markersize=4, label=name)
-        last.set(xscale="log", yscale="log", title="columns in 2D", xlabel="H / L", ylabel="front, (d - L) / L")
-        last.legend(fontsize=6)

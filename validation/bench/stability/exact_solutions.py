@@ -3,7 +3,7 @@
     slide = SlidingBlock.of_scene(scene)
     error = centre(trajectory)[-1, 0] - slide.displacement(scene.duration)
 
-The stability page and tests (`tests/mpm`) take them from here. Positions and lengths in m, times in s, angles in
+The stability page and the tests take them from here. Positions and lengths in m, times in s, angles in
 radians; trajectories are read, never simulated.
 """
 
@@ -66,9 +66,20 @@ class SlidingBlock:
 
     @staticmethod
     def of_scene(scene: Scene) -> "SlidingBlock":
-        """That of a tilted box with the friction of its floor."""
-        slope, mu = math.radians(scene.slope_deg), coefficient(scene.floor_friction)
-        return SlidingBlock(acceleration=scene.gravity * max(0.0, math.sin(slope) - mu * math.cos(slope)))
+        """That of a tilted box with the friction of its floor, and of the two walls of its channel.
+
+        The stress on these is nu times the vertical one: together they bear like a floor of 2 mu_w nu (h / 2) / W.
+        """
+        mu = coefficient(scene.floor_friction)
+        if scene.channel is not None:
+            mu += scene.channel.grip * scene.material.poisson * 0.5 * scene.masses[0].size[1]
+        return SlidingBlock.on_incline(scene.slope_deg, mu, scene.gravity)
+
+    @staticmethod
+    def on_incline(slope_deg: float, friction: float, gravity: float = 9.81) -> "SlidingBlock":
+        """That on an incline of a coefficient of friction, under gravity [m/s^2]."""
+        slope = math.radians(slope_deg)
+        return SlidingBlock(acceleration=gravity * max(0.0, math.sin(slope) - friction * math.cos(slope)))
 
     def displacement(self, time: float) -> float:
         """[m] after `time` [s]."""
@@ -127,6 +138,12 @@ def settlement(scene: Scene) -> float:
         total += (load + 0.5 * weight) * height / (material.lame + 2.0 * material.shear_modulus)
         load += weight
     return total
+
+
+def liquid_thrust(scene: Scene) -> float:
+    """Thrust of a liquid of the first mass's density and height, rho g H^2 / 2 [N per metre of width]."""
+    mass = scene.masses[0]
+    return 0.5 * scene.material_of(mass).density * scene.gravity * mass.size[1] ** 2
 
 
 def landing_time(scene: Scene) -> float:

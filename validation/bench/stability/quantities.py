@@ -61,9 +61,7 @@ def middle_stays(flow: Trajectory) -> float:
 def thrust_ratio(flow: Trajectory) -> float:
     """Mean thrust of a bed on the first solid beside it, over that of a liquid of its density: its `k0`."""
     assert flow.solid_impulse is not None
-    mass = flow.scene.masses[0]
-    liquid = 0.5 * flow.scene.material_of(mass).density * flow.scene.gravity * mass.size[1] ** 2
-    return float(flow.solid_impulse[-1, 0, 0]) / (liquid * float(flow.time[-1]))
+    return float(flow.solid_impulse[-1, 0, 0]) / (exact.liquid_thrust(flow.scene) * float(flow.time[-1]))
 
 
 @quantity("displacement over v t", minimum=0.99, maximum=1.01)
