@@ -73,7 +73,7 @@ def slide(height: float, **changes: Any) -> Scene:
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"box": True}, pytest.param({"heights": True}, marks=pytest.mark.slow)],
+    [pytest.param({}, marks=pytest.mark.slow), {"box": True}, pytest.param({"heights": True}, marks=pytest.mark.slow)],
     ids=["line", "box", "raster"],
 )
 def test_under_ground_there_is_no_floor(changes: dict[str, Any]) -> None:

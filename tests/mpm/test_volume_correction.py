@@ -44,7 +44,7 @@ def test_the_floor_is_met_where_it_is(offset: float) -> None:
     assert flow.positions[-1, :, 1].mean() == pytest.approx(0.05, abs=0.2 * 0.02)
 
 
-@pytest.mark.parametrize("kind", ["box", "terrain"])
+@pytest.mark.parametrize("kind", ["box", pytest.param("terrain", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("height", [0.2, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_sand_that_falls_over_a_step_fills_its_own_volume(kind: str, height: float) -> None:
     """Area under the top particles of columns of a cell beyond the step, over the particles' own; 1.37 and 2.4 without.

@@ -62,6 +62,8 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
             break
         # The residuals are least in another place where all parameters are open again that they had excluded.
         state, found = checked(reopened(state, factor=factor), again=False, moves=min(1, moves))
+    # What the MPM refuses is no other answer beside one that it confirms.
+    found = tuple(each for each in found if each.confirmed) or found
     return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
 
 

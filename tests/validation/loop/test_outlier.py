@@ -90,7 +90,10 @@ def exact(values: Floats, unknowns: int) -> tuple[float, Floats]:
     return birge, np.stack([np.interp(at, np.cumsum(own) / own.sum(), axis) for own, axis in both], axis=1)
 
 
-@pytest.mark.parametrize(("off", "unknowns"), [(0.03, 1), (0.06, 1), (0.15, 1), (0.05, 2), (0.15, 2)])
+SLOW = [pytest.param(*each, marks=pytest.mark.slow) for each in ((0.03, 1), (0.05, 2), (0.15, 2))]
+
+
+@pytest.mark.parametrize(("off", "unknowns"), [*SLOW, (0.06, 1), (0.15, 1)])
 def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
     tmp_path: Path, off: float, unknowns: int
 ) -> None:
