@@ -51,7 +51,7 @@ def test_the_commands_run(folder: Path) -> None:
 
 
 def test_every_command_helps(capsys: pytest.CaptureFixture[str]) -> None:
-    for module in sorted({module for module, _ in commands(README)}):
+    for module in sorted({module for page in (README, ROOT / "docs" / "commands.md") for module, _ in commands(page)}):
         assert status(module, ["--help"]) == 0
         assert module in capsys.readouterr().out
 

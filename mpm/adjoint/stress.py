@@ -38,23 +38,23 @@ SWEEPS = {"f32": 4, "f64": 6}
 
 def trial_of(stress, affine, jump, contact, limit, lame, shear, gap, rate, grid, x, density, dx, cells, dt, features):
     """Trial stress [Pa] of a block, traced: after the strain of C and of contact, with the cracks that gaps leave."""
-    increment = midpoint_increment([dt * each for each in affine], features.dimension)
     opened = None
-    if features.contact:
-        increment = with_jump(increment, jump, contact, features.dimension)
     if features.volume_correction:
         around = grid_gap(grid, x, contact, density, dx, cells, features)
         opened = updated_gap(gap[0], limit, lame + shear * (2.0 / 3.0), rate, around)
     cracked = with_cracks(stress, opened, limit, lame, shear, features)
-    return trial_stress(cracked, increment, lame, shear, features.dimension)
+    return trial_stress(cracked, increment_of(affine, jump, contact, dt, features), lame, shear, features.dimension)
+
+
+def increment_of(affine, jump, contact, dt, features):
+    """Strain and rotation [-] of a step of a block, traced: of C and of contact."""
+    increment = midpoint_increment([dt * each for each in affine], features.dimension)
+    return with_jump(increment, jump, contact, features.dimension) if features.contact else increment
 
 
 def strain_of(stress, affine, jump, contact, new, lame, shear, dt, features):
     """Plastic strain [-] of a block where cracks count as strain (`mpm.physics.stress.stress_step`); traced."""
-    increment = midpoint_increment([dt * each for each in affine], features.dimension)
-    if features.contact:
-        increment = with_jump(increment, jump, contact, features.dimension)
-    bare = trial_stress(stress, increment, lame, shear, features.dimension)
+    bare = trial_stress(stress, increment_of(affine, jump, contact, dt, features), lame, shear, features.dimension)
     return [strain_between(bare, new, shear, features.stresses)]
 
 

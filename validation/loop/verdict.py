@@ -68,11 +68,13 @@ def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
 
 
 def discrepancy(state: Search, answer: Answer) -> float:
-    """Factor of all errors by the first answer's fit where its part of the posterior is likeliest: Birge's ratio.
+    """Factor of all errors by the fit of `answer` where its part of the posterior is likeliest: Birge's ratio.
 
     Residuals are least there; a skewed posterior has its median elsewhere.
     """
-    part = state.parts()[0]
+    # Answers are in another order than parts: those first that the MPM confirms.
+    own = state.task.bounds.shares(answer.parameters)
+    part = min(state.parts(), key=lambda each: float(np.linalg.norm(each.point - own)))
     best = part.points[[int(np.argmax(state.posterior.likelihood(part.points)))]]
     return fitted(state, answer.checks, best[0]).factor
 
