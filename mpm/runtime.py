@@ -1,7 +1,10 @@
 """Start Taichi once per precision; the solver keeps its state in NumPy arrays, so a restart loses nothing."""
 
-from contextlib import redirect_stdout
+import os
+from contextlib import redirect_stdout, suppress
+from datetime import datetime
 from io import StringIO
+from pathlib import Path
 from typing import Literal
 
 from datasets.errors import InputError
@@ -14,6 +17,9 @@ ARCHES: dict[Arch, str] = {"cpu": "cpu", "cuda": "cuda"}
 
 PARTICLES_PER_WORKER = 10_000
 """The fewest particles for which another thread pays off."""
+
+STALE = 60.0
+"""Seconds after which the lock of the cache of kernels is nobody's."""
 
 _running: tuple[Precision, int, Arch] | None = None
 
@@ -35,6 +41,8 @@ def start(
     # Imported here: who plans a run, or asks for help, needs no compiler.
     import taichi as ti
 
+    cached = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or ti.lang.impl.default_cfg().offline_cache_file_path
+    drop_stale_lock(Path(cached) / "ticache.lock")
     # Taichi greets on standard output, where commands print what they found.
     with redirect_stdout(StringIO()):
         ti.init(
@@ -56,6 +64,17 @@ def start(
     if arch != "cpu" and ti.cfg.arch != getattr(ti, ARCHES[arch]):
         _running = None
         raise InputError(f"expected a GPU that Taichi can use with {arch}, found none", key="--arch")
+
+
+def drop_stale_lock(lock: Path) -> None:
+    """Remove the lock of the cache of kernels that a killed process has left.
+
+    While it is there Taichi neither reads nor writes the cache, and every run compiles again: `baffles-2` for 26 s in
+    place of 4. A process holds it while it writes its kernels, for seconds at most.
+    """
+    with suppress(OSError):
+        if datetime.now().timestamp() - lock.stat().st_mtime > STALE:
+            lock.unlink()
 
 
 def workers_for(particles: int, threads: int | None = None) -> int:
