@@ -1,4 +1,7 @@
-"""Material: the constants of a Mohr-Coulomb soil; all stresses are in Pa, tension positive.
+"""Material: elastic constants and those of its law of strength; all stresses are in Pa, tension positive.
+
+The law is Mohr's and Coulomb's, with the constants below, unless `law` names another one of `mpm.laws`. Its own keys
+are then `constants`, which that law checks when the MPM takes the scene.
 
 docs/theory/return-map.md derives what follows, says where it holds and has all sources.
 
@@ -32,17 +35,20 @@ with mu_s, mu_2 from `friction_deg`, `friction_limit_deg` and I_0 = `inertial_nu
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from datasets.errors import InputError
 from datasets.records import Record
 
 Depth = TypeVar("Depth", float, NDArray[np.float64])
 
+MOHR_COULOMB = "mohr-coulomb"
+"""The law of a material that names none."""
 STIFFEST = 1.0e15
 """Moduli and strengths [Pa] beyond this, a thousand times those of diamond, are none."""
 LEAST_VOLUME_CHANGE = 0.4999
@@ -66,8 +72,15 @@ BOUNDS = {
 }
 """Of the keys that have fixed ones: least and greatest value, and what is expected."""
 
+SHARED = ("law", "constants", "density", "young", "poisson")
+"""Keys that a material of any law has."""
 SOFTENING = ("friction_deg", "cohesion", "tension_cutoff")
 """Keys that have a residual value."""
+
+
+def sine_of_slope(tangent: Any, psi: float) -> Any:
+    """sin(phi) [-] of the tangent of a slope's angle beside a dilation psi [rad]; a number, an array or a tensor."""
+    return tangent / (math.cos(psi) + tangent * math.sin(psi))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +93,11 @@ class Material(Record):
         Material(friction_deg=0.0, cohesion=2000.0, density=1900.0)  # undrained clay
     """
 
+    law: str = MOHR_COULOMB
+    """Law of strength: this one, or the name of another of `mpm.laws`, whose keys then stand beside density and
+    elasticity in place of those of Mohr and Coulomb."""
+    constants: dict[str, float] = field(default_factory=dict, hash=False)
+    """The keys of another law; from Python together, with `friction_deg` = 0."""
     friction_deg: float
     """Angle of friction [deg], in [0, 90), of a slope in [0, 45); 0, Tresca's law, needs a cohesion."""
     angle: str = "triaxial"
@@ -117,11 +135,28 @@ class Material(Record):
     residual_tension_cutoff: float | None = None
     """Tension cutoff after softening [Pa], at most that of the peak at the top; that of the peak where absent."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def with_constants(cls, data: Any) -> Any:
+        """The keys of a file, those of another law among its `constants`."""
+        if not isinstance(data, dict) or data.get("law", MOHR_COULOMB) == MOHR_COULOMB:
+            return data
+        known = {each.name for each in dataclasses.fields(cls)}
+        own = {key: value for key, value in data.items() if key not in known}
+        rest = {key: value for key, value in data.items() if key in known}
+        return {"friction_deg": 0.0, **rest, "constants": {**rest.get("constants", {}), **own}}
+
     def __post_init__(self) -> None:
         def require(ok: bool, key: str, expected: str) -> None:
             if not ok:
                 raise InputError(f"expected {expected}, got {getattr(self, key):g}", key=f"material.{key}")
 
+        if self.law != MOHR_COULOMB:
+            for each in dataclasses.fields(self):
+                value, usual = getattr(self, each.name), 0.0 if each.name == "friction_deg" else each.default
+                if each.name not in SHARED and value != usual:
+                    message = f"expected none beside law = {self.law!r}, got {value!r}"
+                    raise InputError(message, key=f"material.{each.name}")
         if self.angle not in ANGLES:
             raise InputError(f"expected one of {', '.join(ANGLES)}, got {self.angle!r}", key="material.angle")
         highest = ANGLES[self.angle]
@@ -130,7 +165,7 @@ class Material(Record):
         for key, (low, high, expected) in BOUNDS.items():
             require(getattr(self, key) is None or low <= getattr(self, key) <= high, key, expected)
         require(0.0 <= self.dilation_deg <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
-        strong = self.friction_deg > 0.0 or self.cohesion > 0.0
+        strong = self.friction_deg > 0.0 or self.cohesion > 0.0 or self.law != MOHR_COULOMB
         require(strong, "friction_deg", "an angle above 0 degrees where there is no cohesion")
         for key, peak in zip(SOFTENING, (self.friction_deg, self.cohesion, self.cutoff_at(0.0)), strict=True):
             value = getattr(self, f"residual_{key}")
@@ -157,8 +192,8 @@ class Material(Record):
         """phi [deg] of an angle of friction [deg] that was measured as `angle` says; a number or an array."""
         if self.angle == "triaxial":
             return friction_deg
-        tangent, psi = np.tan(np.radians(friction_deg)), math.radians(dilation_deg)
-        phi = np.degrees(np.arcsin(tangent / (math.cos(psi) + tangent * math.sin(psi))))
+        tangent = np.tan(np.radians(friction_deg))
+        phi = np.degrees(np.arcsin(sine_of_slope(tangent, math.radians(dilation_deg))))
         return phi if isinstance(friction_deg, np.ndarray) else float(phi)
 
     @property
@@ -244,18 +279,19 @@ class Material(Record):
             return TENSION_SHARE * self.cohesion_at(depth)
         return self.tension_cutoff + 0.0 * depth
 
-    def tension_limit_at(self, depth: Depth) -> Depth:
-        """Largest tension that it carries at `depth` [m] before it softens [Pa]."""
-        return self.up_to_apex(self.cutoff_at(depth), depth)
+    def tension_limit_at(self, depth: Depth, tangent: Depth | None = None) -> Depth:
+        """Largest tension that it carries at `depth` [m] before it softens [Pa]; `tangent`: another tan(phi)."""
+        return self.up_to_apex(self.cutoff_at(depth), depth, tangent)
 
-    def residual_tension_limit_at(self, depth: Depth) -> Depth:
-        """Largest tension that it carries at `depth` [m] after softening [Pa]."""
+    def residual_tension_limit_at(self, depth: Depth, tangent: Depth | None = None) -> Depth:
+        """Largest tension that it carries at `depth` [m] after softening [Pa]; `tangent`: another residual tan(phi)."""
         given = self.residual_tension_cutoff
-        return self.residual.up_to_apex(self.cutoff_at(depth) if given is None else given + 0.0 * depth, depth)
+        cutoff = self.cutoff_at(depth) if given is None else given + 0.0 * depth
+        return self.residual.up_to_apex(cutoff, depth, tangent)
 
-    def up_to_apex(self, tension: Depth, depth: Depth) -> Depth:
+    def up_to_apex(self, tension: Depth, depth: Depth, tangent: Depth | None = None) -> Depth:
         """`tension` [Pa], or the apex of the cone c cot(phi) at `depth` [m] where that is lower; Tresca's has none."""
-        if self.friction_deg == 0.0:
+        if tangent is None and self.friction_deg == 0.0:
             return tension
-        apex = self.cohesion_at(depth) / self.friction
+        apex = self.cohesion_at(depth) / (self.friction if tangent is None else tangent)
         return min(tension, apex) if isinstance(apex, float) else np.minimum(tension, apex)
