@@ -183,6 +183,17 @@ class Material(Record):
             strong = self.residual_cohesion != 0.0 and self.cohesion > 0.0
             require(strong, "residual_friction_deg", "an angle above 0 degrees where no cohesion remains")
 
+    def constant(self, name: str) -> float:
+        """A number by its key, of any law."""
+        return float(self.constants[name] if name in self.constants else getattr(self, name))
+
+    def with_constant(self, name: str, value: float) -> "Material":
+        """The same material with another number for a key, of any law."""
+        changes: dict[str, Any] = {name: value}
+        if name in self.constants:
+            changes = {"constants": {**self.constants, name: value}}
+        return dataclasses.replace(self, **changes)
+
     @property
     def phi_deg(self) -> float:
         """Mohr's and Coulomb's angle of internal friction phi [deg]: `friction_deg` where that is "triaxial"."""

@@ -6,6 +6,7 @@ from functools import cache
 from itertools import accumulate
 from typing import Any, ClassVar
 
+from datasets.errors import require
 from datasets.field import FRICTION
 from datasets.geometry.placement import remembers_gaps
 from datasets.material import MOHR_COULOMB
@@ -193,14 +194,17 @@ def features_of(
 ) -> Features:
     """What has to be compiled for these scenes, all of one dimension."""
     materials = [scene.material_of(mass) for scene in scenes for mass in scene.masses]
+    law = law_of(materials)
+    asked = any(scene.volume_correction for scene in scenes)
+    require(law.OPENS or not asked, "volume_correction", "none of a material that does not open", "true")
     stages = [stage for scene in scenes for stage in scene.stages]
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
         damped=any(scene.damping > 0.0 for scene in scenes),
         law_name=materials[0].law,
-        **law_of(materials).features(materials, stages),
-        volume_correction=any(remembers_gaps(scene) for scene in scenes),
+        **law.features(materials, stages),
+        volume_correction=law.OPENS and any(remembers_gaps(scene) for scene in scenes),
         heterogeneous=any(varies(scene) for scene in scenes),
         contact=any(scene.baffles or scene.solids for scene in scenes),
         channel=any(scene.channel is not None for scene in scenes),

@@ -4,6 +4,7 @@
 
     Parameters                        a record of its keys in `[material]`, with units and bounds
     Column                            its columns of `properties`, behind those of `mpm.arrays.layout.Property`
+    OPENS                             whether tension opens it: the fourth of its strengths is then the largest [Pa]
     features(materials, stages)       flags of `mpm.arrays.features.Features` that it sets
     columns(features)                 the columns that a kernel with these features reads
     properties(material, depth, friction_deg)       their values [N, len(Column)]; in NumPy

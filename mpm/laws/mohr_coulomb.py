@@ -55,6 +55,7 @@ from mpm.physics.principal import TINY
 
 Floats = NDArray[np.float64]
 
+OPENS = True
 REDUCED = 1.0e-3
 """Share by which sin(phi) is reduced for `nearest`: what converges to it lies within yield after a number of steps."""
 

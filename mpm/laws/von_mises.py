@@ -40,6 +40,8 @@ from mpm.physics.principal import TINY
 
 Floats = NDArray[np.float64]
 
+OPENS = False
+
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters(Record):
@@ -129,10 +131,8 @@ def return_tensor(trial: ti.template(), strengths: ti.template(), lame, shear, f
     slip = maximum(tau - strength, 0.0) / (shear + hardening)
     # tau - G dgamma over tau, without a difference of large numbers.
     share = (shear * strength + hardening * tau) / ((shear + hardening) * maximum(tau, TINY))
-    deviator = xx, yy, zz
-    admitted = [
-        mean + share * deviator[k] if ti.static(k < 3) else share * trial[k]
-        for k in ti.static(range(features.stresses))
+    admitted = [mean + share * xx, mean + share * yy, mean + share * zz] + [
+        share * trial[k] for k in ti.static(range(3, features.stresses))
     ]
     return [ti.select(yields, admitted[k], trial[k]) for k in ti.static(range(features.stresses))] + [
         slip / 3.0**0.5,

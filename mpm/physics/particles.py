@@ -190,13 +190,17 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
 @ti.func
 def law_values(scene, block, arrays: ti.template()):
     """The values of all columns of the law of a block; zeros known to the compiler where the law reads none."""
-    features = arrays.features
-    columns = ti.static(features.law.columns(features))
-    first = property_of(scene, block, columns[0], arrays)
-    return [
-        property_of(scene, block, column, arrays) if ti.static(column in columns) else 0.0 * first
-        for column in ti.static(list(features.law.Column))
-    ]
+    return [law_value(scene, block, column, arrays) for column in ti.static(list(arrays.features.law.Column))]
+
+
+@ti.func
+def law_value(scene, block, column: ti.template(), arrays: ti.template()):
+    """One of them."""
+    columns = ti.static(arrays.features.law.columns(arrays.features))
+    if ti.static(column in columns):
+        return property_of(scene, block, column, arrays)
+    else:
+        return 0.0 * property_of(scene, block, columns[0], arrays)
 
 
 @ti.func
