@@ -148,7 +148,7 @@ def cut(stability: float, cells: int) -> Scene:
     clay = Material(law="von-mises", friction_deg=0.0, constants={"strength": weight / stability}, young=4.0e6)
     body = Mass(lower=(0.0, 0.0), size=(2.0, 1.0), k0="elastic")
     return scene_of(
-        body, size=(3.0, 1.2), cell=cell, material=clay, floor_friction="rough", duration=1.0, frame_dt=0.02
+        body, size=(3.0, 1.25), cell=cell, material=clay, floor_friction="rough", duration=1.0, frame_dt=0.02
     )
 
 
@@ -171,6 +171,7 @@ def test_a_cut_stands_up_to_taylors_height() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:no initial stress:UserWarning")
 @pytest.mark.parametrize(("stability", "falls"), [(3.0, False), (5.0, True)])
 def test_a_cut_below_it_stands_and_one_above_it_falls(stability: float, falls: bool) -> None:
     flow = simulate(reduced(cut(stability, 16), 1.0), record=LAST)
@@ -192,6 +193,6 @@ def test_the_gradient_is_that_of_differences() -> None:
         return float(run().positions[-1, :, 0].astype(float).sum())
 
     _, slope = gradient(scene, objective, exact=True)
-    for name, step in (("strength", 1.0), ("hardening", 1.0), ("young", 50.0)):
+    for name, step in (("strength", 1.0), ("hardening", 1.0), ("young", 1000.0)):
         difference = (value(name, step) - value(name, -step)) / (2.0 * step)
         assert slope.material(name).sum() == pytest.approx(difference, rel=1e-3), name
