@@ -3,34 +3,15 @@
 The law is Mohr's and Coulomb's, with the constants below, unless `law` names another one of `mpm.laws`. Its own keys
 are then `constants`, which that law checks when the MPM takes the scene.
 
-docs/theory/return-map.md derives what follows, says where it holds and has all sources.
+docs/theory/return-map.md has the equations of what follows and their sources:
 
-**Tension**: a crack opens where a principal stress reaches T = `tension_cutoff`, at most the apex c cot(phi) of the
-cone. By default T = `TENSION_SHARE` c at every depth, which hardly raises a vertical cut above that of soil that cracks
-freely, 2 c tan(45 + phi/2) / gamma (Drucker 1953).
-
-**Depth**: c(z) = cohesion + strength_gradient z (Davis & Booker 1973); every particle keeps the cohesion of its depth z
-at the start. `friction_deg` = 0 with a cohesion is Tresca's law, undrained clay, whose cohesion is s_u.
-
-**Softening**: sin phi, c cos phi and T are linear between peak, w = 1, and residual values, w = 0, in the slip
-
-    w = max(0, 1 - gamma_p h / softening_length),     gamma_p = sqrt(3) e_p,     e_p = int sqrt(2/3 de : de)
-
-of a shear band one cell h thick (Bazant & Oh 1983; Palmer & Rice 1973). The step uses the strength at its start.
-
-**Dilation**: sin psi(w) = w sin psi (Rowe 1962; Bolton 1986); without a `softening_length` **for ever**: fine for small
-strains, wrong for flows.
-
-**Which angle**: "triaxial" is phi itself, "slope" that on the plane that shears, where (Davis 1968)
-
-    tan(angle) = sin phi cos psi / (1 - sin phi sin psi),   so   sin phi = tan(angle) / (cos psi + tan(angle) sin psi)
-
-**Friction that grows with the rate of shear** (Jop, Forterre & Pouliquen 2006): with a `friction_limit_deg` the ratio
-mu of shear to normal stress on the plane that shears, sin phi where nothing dilates, is
-
-    mu(I) = mu_s + (mu_2 - mu_s) / (1 + I_0 / I),     I = shear rate * grain_diameter / sqrt(p / grain_density)
-
-with mu_s, mu_2 from `friction_deg`, `friction_limit_deg` and I_0 = `inertial_number` (`mpm.physics.inertial`).
+- **Tension**: a crack opens where a principal stress reaches T = `tension_cutoff`, at most the apex c cot(phi) of the
+  cone, by default `TENSION_SHARE` c at every depth.
+- **Depth**: c(z) = cohesion + strength_gradient z; every particle keeps the cohesion of its depth z at the start.
+- **Softening**: sin phi, c cos phi and T are linear in the slip of a band one cell thick, from peak to residual values
+  over `softening_length`; sin psi falls to 0. Without that length it dilates **for ever**: wrong for flows.
+- **Which angle**: "triaxial" is phi itself, "slope" that on the plane that shears (`sine_of_slope`).
+- **Rate of shear**: with a `friction_limit_deg` friction grows with the inertial number (`mpm.physics.inertial`).
 """
 
 import dataclasses
@@ -79,7 +60,10 @@ SOFTENING = ("friction_deg", "cohesion", "tension_cutoff")
 
 
 def sine_of_slope(tangent: Any, psi: float) -> Any:
-    """sin(phi) [-] of the tangent of a slope's angle beside a dilation psi [rad]; a number, an array or a tensor."""
+    """sin(phi) [-] of a slope's tan(angle) = sin phi cos psi / (1 - sin phi sin psi), psi in radians (Davis 1968).
+
+    A number, an array or a tensor.
+    """
     return tangent / (math.cos(psi) + tangent * math.sin(psi))
 
 
@@ -204,7 +188,7 @@ class Material(Record):
         if self.angle == "triaxial":
             return friction_deg
         tangent = np.tan(np.radians(friction_deg))
-        phi = np.degrees(np.arcsin(sine_of_slope(tangent, math.radians(dilation_deg))))
+        phi = np.asarray(np.degrees(np.arcsin(sine_of_slope(tangent, math.radians(dilation_deg)))))
         return phi if isinstance(friction_deg, np.ndarray) else float(phi)
 
     @property
