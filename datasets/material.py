@@ -74,7 +74,8 @@ class Material(Record):
     For example:
 
         Material(friction_deg=30.0)  # dry sand
-        Material(friction_deg=0.0, cohesion=2000.0, density=1900.0)  # undrained clay
+        Material(friction_deg=0.0, cohesion=2000.0, density=1900.0)  # undrained clay, by Tresca
+        Material(law="von-mises", friction_deg=0.0, constants={"strength": 2000.0}, density=1900.0)
     """
 
     law: str = MOHR_COULOMB
@@ -121,14 +122,15 @@ class Material(Record):
 
     @model_validator(mode="before")
     @classmethod
-    def with_constants(cls, data: Any) -> Any:
+    def gathered(cls, data: Any) -> Any:
         """The keys of a file, those of another law among its `constants`."""
         if not isinstance(data, dict) or data.get("law", MOHR_COULOMB) == MOHR_COULOMB:
             return data
         known = {each.name for each in dataclasses.fields(cls)}
         own = {key: value for key, value in data.items() if key not in known}
-        rest = {key: value for key, value in data.items() if key in known}
-        return {"friction_deg": 0.0, **rest, "constants": {**rest.get("constants", {}), **own}}
+        constants = data.get("constants", {})
+        constants = {**constants, **own} if isinstance(constants, dict) else constants
+        return {"friction_deg": 0.0, **{key: data[key] for key in data if key in known}, "constants": constants}
 
     def __post_init__(self) -> None:
         def require(ok: bool, key: str, expected: str) -> None:
