@@ -8,7 +8,7 @@ from typing import Any
 from datasets.errors import InputError, require
 from datasets.field import FRICTION, VELOCITIES
 from datasets.geometry.shapes import FARTHEST, check_rows, check_solid, check_vector, usual
-from datasets.material import ANGLES
+from datasets.material import ANGLES, MOHR_COULOMB
 from datasets.scene import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, Scene, keyed
 
 MOST_CELLS = 2**31 - 1
@@ -169,7 +169,8 @@ def check_k0(scene: Scene) -> None:
         K_a - 2 (c / sigma_v) sqrt(K_a) <= K0 <= K_p + 2 (c / sigma_v) sqrt(K_p),    K_a = 1 / K_p = tan^2(45 - phi / 2)
 
     with sigma_v under the mass and what is stacked on it, where c / sigma_v is least or, at its top, greatest; the
-    narrower of both. Where friction varies, phi is the least of the mass.
+    narrower of both. Where friction varies, phi is the least of the mass. Other laws: the MPM warns where no stress
+    within yield has that ratio.
     """
     from datasets.particles import height
 
@@ -177,6 +178,8 @@ def check_k0(scene: Scene) -> None:
         if mass.k0 is None or isinstance(mass.k0, str) or scene.gravity <= 0.0:
             continue
         material = scene.material_of(mass)
+        if material.law != MOHR_COULOMB:
+            continue
         angles = [
             min(each.values) for each in scene.fields if each.quantity == FRICTION and each.mass in (None, number)
         ]

@@ -1,48 +1,35 @@
-"""Material: the constants of a Mohr-Coulomb soil; all stresses are in Pa, tension positive.
+"""Material: elastic constants and those of its law of strength; all stresses are in Pa, tension positive.
 
-docs/theory/return-map.md derives what follows, says where it holds and has all sources.
+The law is Mohr's and Coulomb's, with the constants below, unless `law` names another one of `mpm.laws`. Its own keys
+are then `constants`, which that law checks when the MPM takes the scene.
 
-**Tension**: a crack opens where a principal stress reaches T = `tension_cutoff`, at most the apex c cot(phi) of the
-cone. By default T = `TENSION_SHARE` c at every depth, which hardly raises a vertical cut above that of soil that cracks
-freely, 2 c tan(45 + phi/2) / gamma (Drucker 1953).
+docs/theory/return-map.md has the equations of what follows and their sources:
 
-**Depth**: c(z) = cohesion + strength_gradient z (Davis & Booker 1973); every particle keeps the cohesion of its depth z
-at the start. `friction_deg` = 0 with a cohesion is Tresca's law, undrained clay, whose cohesion is s_u.
-
-**Softening**: sin phi, c cos phi and T are linear between peak, w = 1, and residual values, w = 0, in the slip
-
-    w = max(0, 1 - gamma_p h / softening_length),     gamma_p = sqrt(3) e_p,     e_p = int sqrt(2/3 de : de)
-
-of a shear band one cell h thick (Bazant & Oh 1983; Palmer & Rice 1973). The step uses the strength at its start.
-
-**Dilation**: sin psi(w) = w sin psi (Rowe 1962; Bolton 1986); without a `softening_length` **for ever**: fine for small
-strains, wrong for flows.
-
-**Which angle**: "triaxial" is phi itself, "slope" that on the plane that shears, where (Davis 1968)
-
-    tan(angle) = sin phi cos psi / (1 - sin phi sin psi),   so   sin phi = tan(angle) / (cos psi + tan(angle) sin psi)
-
-**Friction that grows with the rate of shear** (Jop, Forterre & Pouliquen 2006): with a `friction_limit_deg` the ratio
-mu of shear to normal stress on the plane that shears, sin phi where nothing dilates, is
-
-    mu(I) = mu_s + (mu_2 - mu_s) / (1 + I_0 / I),     I = shear rate * grain_diameter / sqrt(p / grain_density)
-
-with mu_s, mu_2 from `friction_deg`, `friction_limit_deg` and I_0 = `inertial_number` (`mpm.physics.inertial`).
+- **Tension**: a crack opens where a principal stress reaches T = `tension_cutoff`, at most the apex c cot(phi) of the
+  cone, by default `TENSION_SHARE` c at every depth.
+- **Depth**: c(z) = cohesion + strength_gradient z; every particle keeps the cohesion of its depth z at the start.
+- **Softening**: sin phi, c cos phi and T are linear in the slip of a band one cell thick, from peak to residual values
+  over `softening_length`; sin psi falls to 0. Without that length it dilates **for ever**: wrong for flows.
+- **Which angle**: "triaxial" is phi itself, "slope" that on the plane that shears (`sine_of_slope`).
+- **Rate of shear**: with a `friction_limit_deg` friction grows with the inertial number (`mpm.physics.inertial`).
 """
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from datasets.errors import InputError
 from datasets.records import Record
 
 Depth = TypeVar("Depth", float, NDArray[np.float64])
 
+MOHR_COULOMB = "mohr-coulomb"
+"""The law of a material that names none."""
 STIFFEST = 1.0e15
 """Moduli and strengths [Pa] beyond this, a thousand times those of diamond, are none."""
 LEAST_VOLUME_CHANGE = 0.4999
@@ -66,8 +53,18 @@ BOUNDS = {
 }
 """Of the keys that have fixed ones: least and greatest value, and what is expected."""
 
+SHARED = ("law", "constants", "density", "young", "poisson")
+"""Keys that a material of any law has."""
 SOFTENING = ("friction_deg", "cohesion", "tension_cutoff")
 """Keys that have a residual value."""
+
+
+def sine_of_slope(tangent: Any, psi: float) -> Any:
+    """sin(phi) [-] of a slope's tan(angle) = sin phi cos psi / (1 - sin phi sin psi), psi in radians (Davis 1968).
+
+    A number, an array or a tensor.
+    """
+    return tangent / (math.cos(psi) + tangent * math.sin(psi))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +74,15 @@ class Material(Record):
     For example:
 
         Material(friction_deg=30.0)  # dry sand
-        Material(friction_deg=0.0, cohesion=2000.0, density=1900.0)  # undrained clay
+        Material(friction_deg=0.0, cohesion=2000.0, density=1900.0)  # undrained clay, by Tresca
+        Material(law="von-mises", friction_deg=0.0, constants={"strength": 2000.0}, density=1900.0)
     """
 
+    law: str = MOHR_COULOMB
+    """Law of strength: this one, or the name of another of `mpm.laws`, whose keys then stand beside density and
+    elasticity in place of those of Mohr and Coulomb."""
+    constants: dict[str, float] = field(default_factory=dict, hash=False)
+    """The keys of another law; from Python together, with `friction_deg` = 0."""
     friction_deg: float
     """Angle of friction [deg], in [0, 90), of a slope in [0, 45); 0, Tresca's law, needs a cohesion."""
     angle: str = "triaxial"
@@ -117,11 +120,29 @@ class Material(Record):
     residual_tension_cutoff: float | None = None
     """Tension cutoff after softening [Pa], at most that of the peak at the top; that of the peak where absent."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def gathered(cls, data: Any) -> Any:
+        """The keys of a file, those of another law among its `constants`."""
+        if not isinstance(data, dict) or data.get("law", MOHR_COULOMB) == MOHR_COULOMB:
+            return data
+        known = {each.name for each in dataclasses.fields(cls)}
+        own = {key: value for key, value in data.items() if key not in known}
+        constants = data.get("constants", {})
+        constants = {**constants, **own} if isinstance(constants, dict) else constants
+        return {"friction_deg": 0.0, **{key: data[key] for key in data if key in known}, "constants": constants}
+
     def __post_init__(self) -> None:
         def require(ok: bool, key: str, expected: str) -> None:
             if not ok:
                 raise InputError(f"expected {expected}, got {getattr(self, key):g}", key=f"material.{key}")
 
+        if self.law != MOHR_COULOMB:
+            for each in dataclasses.fields(self):
+                value, usual = getattr(self, each.name), 0.0 if each.name == "friction_deg" else each.default
+                if each.name not in SHARED and value != usual:
+                    message = f"expected none beside law = {self.law!r}, got {value!r}"
+                    raise InputError(message, key=f"material.{each.name}")
         if self.angle not in ANGLES:
             raise InputError(f"expected one of {', '.join(ANGLES)}, got {self.angle!r}", key="material.angle")
         highest = ANGLES[self.angle]
@@ -130,7 +151,7 @@ class Material(Record):
         for key, (low, high, expected) in BOUNDS.items():
             require(getattr(self, key) is None or low <= getattr(self, key) <= high, key, expected)
         require(0.0 <= self.dilation_deg <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
-        strong = self.friction_deg > 0.0 or self.cohesion > 0.0
+        strong = self.friction_deg > 0.0 or self.cohesion > 0.0 or self.law != MOHR_COULOMB
         require(strong, "friction_deg", "an angle above 0 degrees where there is no cohesion")
         for key, peak in zip(SOFTENING, (self.friction_deg, self.cohesion, self.cutoff_at(0.0)), strict=True):
             value = getattr(self, f"residual_{key}")
@@ -148,6 +169,17 @@ class Material(Record):
             strong = self.residual_cohesion != 0.0 and self.cohesion > 0.0
             require(strong, "residual_friction_deg", "an angle above 0 degrees where no cohesion remains")
 
+    def constant(self, name: str) -> float:
+        """A number by its key, of any law."""
+        return float(self.constants[name] if name in self.constants else getattr(self, name))
+
+    def with_constant(self, name: str, value: float) -> "Material":
+        """The same material with another number for a key, of any law."""
+        changes: dict[str, Any] = {name: value}
+        if name in self.constants:
+            changes = {"constants": {**self.constants, name: value}}
+        return dataclasses.replace(self, **changes)
+
     @property
     def phi_deg(self) -> float:
         """Mohr's and Coulomb's angle of internal friction phi [deg]: `friction_deg` where that is "triaxial"."""
@@ -157,8 +189,8 @@ class Material(Record):
         """phi [deg] of an angle of friction [deg] that was measured as `angle` says; a number or an array."""
         if self.angle == "triaxial":
             return friction_deg
-        tangent, psi = np.tan(np.radians(friction_deg)), math.radians(dilation_deg)
-        phi = np.degrees(np.arcsin(tangent / (math.cos(psi) + tangent * math.sin(psi))))
+        tangent = np.tan(np.radians(friction_deg))
+        phi = np.asarray(np.degrees(np.arcsin(sine_of_slope(tangent, math.radians(dilation_deg)))))
         return phi if isinstance(friction_deg, np.ndarray) else float(phi)
 
     @property
@@ -244,18 +276,19 @@ class Material(Record):
             return TENSION_SHARE * self.cohesion_at(depth)
         return self.tension_cutoff + 0.0 * depth
 
-    def tension_limit_at(self, depth: Depth) -> Depth:
-        """Largest tension that it carries at `depth` [m] before it softens [Pa]."""
-        return self.up_to_apex(self.cutoff_at(depth), depth)
+    def tension_limit_at(self, depth: Depth, tangent: Depth | None = None) -> Depth:
+        """Largest tension that it carries at `depth` [m] before it softens [Pa]; `tangent`: another tan(phi)."""
+        return self.up_to_apex(self.cutoff_at(depth), depth, tangent)
 
-    def residual_tension_limit_at(self, depth: Depth) -> Depth:
-        """Largest tension that it carries at `depth` [m] after softening [Pa]."""
+    def residual_tension_limit_at(self, depth: Depth, tangent: Depth | None = None) -> Depth:
+        """Largest tension that it carries at `depth` [m] after softening [Pa]; `tangent`: another residual tan(phi)."""
         given = self.residual_tension_cutoff
-        return self.residual.up_to_apex(self.cutoff_at(depth) if given is None else given + 0.0 * depth, depth)
+        cutoff = self.cutoff_at(depth) if given is None else given + 0.0 * depth
+        return self.residual.up_to_apex(cutoff, depth, tangent)
 
-    def up_to_apex(self, tension: Depth, depth: Depth) -> Depth:
+    def up_to_apex(self, tension: Depth, depth: Depth, tangent: Depth | None = None) -> Depth:
         """`tension` [Pa], or the apex of the cone c cot(phi) at `depth` [m] where that is lower; Tresca's has none."""
-        if self.friction_deg == 0.0:
+        if tangent is None and self.friction_deg == 0.0:
             return tension
-        apex = self.cohesion_at(depth) / self.friction
+        apex = self.cohesion_at(depth) / (self.friction if tangent is None else tangent)
         return min(tension, apex) if isinstance(apex, float) else np.minimum(tension, apex)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from datasets import __version__
 from datasets.definitions.definition import Entry, Split
 from datasets.errors import InputError
+from datasets.material import MOHR_COULOMB
 from datasets.scene import Scene, keyed
 
 MOVING_SPEED = 0.01
@@ -28,12 +29,14 @@ MOVING_SPEED = 0.01
 
 def check_known(scene: Scene, who: str) -> None:
     """Raise InputError for a scene that has what no surrogate knows: the key, and what was expected."""
-    densities = {scene.material_of(mass).density for mass in scene.masses}
+    materials = [scene.material_of(mass) for mass in scene.masses]
+    densities = {each.density for each in materials}
     refused = [
         (bool(scene.open_sides), "open_sides", "a closed box"),
         (bool(scene.stages), "stages", "a material that stays as it is"),
         (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
         (len(densities) > 1, "masses", "masses of one density"),
+        *((each.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for each in materials),
     ]
     for place, solid in keyed(scene, "solids").items():
         refused.append((solid.kind != "terrain", f"{place}.kind", "baffles and terrain alone"))

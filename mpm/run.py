@@ -7,7 +7,7 @@ from pathlib import Path
 
 from datasets.arrays import HDF5, FrameWriter
 from datasets.command_line import run
-from datasets.errors import InputError
+from datasets.errors import InputError, naming
 from datasets.exchange.vtk import write_vtk
 from datasets.files import write_json
 from datasets.forces import spoken, write_forces
@@ -106,7 +106,8 @@ def command(
     )
     workers = workers_for(particle_count(given)) if arch == "cpu" else 1
     appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
-    plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)
+    with naming(Path(scene)):
+        plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)
     file, frames = out / "checkpoint.npz", out / f"trajectory{HDF5}"
     start = Checkpoint.load(file) if file.exists() else None
     if start is not None and start.run != described(given, record, precise):

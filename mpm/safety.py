@@ -32,7 +32,7 @@ import math
 import time
 import warnings
 from dataclasses import dataclass
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 
@@ -41,6 +41,8 @@ from datasets.field import FRICTION, Field
 from datasets.material import Material
 from datasets.particles import scene_height
 from datasets.scene import Mass, Scene
+from mpm.laws import law_named
+from mpm.laws.mohr_coulomb import flatter
 from mpm.output.request import Recording
 from mpm.simulation import Options, simulate_many
 
@@ -135,7 +137,8 @@ def reduced(scene: Scene, factor: float) -> Scene:
     frame_dt = TIME * math.sqrt(tall / scene.gravity) / FRAMES
 
     def weaker(material: Material) -> Material:
-        return weakened(dataclasses.replace(material, young=material.young * settlement / SETTLEMENT), factor)
+        stiff = dataclasses.replace(material, young=material.young * settlement / SETTLEMENT)
+        return cast(Material, law_named(material.law).weakened(stiff, factor))
 
     def standing(mass: Mass) -> Mass:
         own = None if mass.material is None else weaker(mass.material)
@@ -160,20 +163,3 @@ def reduced(scene: Scene, factor: float) -> Scene:
         frame_dt=frame_dt,
         duration=frame_dt * FRAMES,
     )
-
-
-def flatter(angle: float, factor: float) -> float:
-    """The angle [deg] whose tangent is that of `angle` [deg] over `factor`."""
-    return math.degrees(math.atan(math.tan(math.radians(angle)) / factor))
-
-
-def weakened(material: Material, factor: float) -> Material:
-    """`material` with its strength divided by `factor`: tan(phi), c, tension cutoff, and what remains of them."""
-    phi = flatter(material.phi_deg, factor)
-    values: dict[str, Any] = {"angle": "triaxial", "friction_limit_deg": None, "friction_deg": phi}
-    if material.residual_friction_deg is not None:
-        values["residual_friction_deg"] = flatter(material.residual.phi_deg, factor)
-    for name in ("cohesion", "strength_gradient", "tension_cutoff", "residual_cohesion", "residual_tension_cutoff"):
-        if (value := getattr(material, name)) is not None:
-            values[name] = value / factor
-    return dataclasses.replace(material, dilation_deg=min(material.dilation_deg, phi), **values)

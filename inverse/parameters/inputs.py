@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from datasets.geometry.ground import ground_raster
-from datasets.particles import initial_particles
+from datasets.material import sine_of_slope
 from gns.initial import InitialState
 from inverse.parameters.kind import Constant, Extent, Kind
 
@@ -17,8 +17,7 @@ def friction(kind: Constant, initial: InitialState, value: Tensor) -> InitialSta
     known, material = initial.conditions.friction, kind.material(initial.scene)
     tangent = torch.tan(torch.deg2rad(value))
     if material.angle == "slope":
-        psi = math.radians(material.dilation_deg)
-        sine = tangent / (math.cos(psi) + tangent * math.sin(psi))
+        sine = sine_of_slope(tangent, math.radians(material.dilation_deg))
         tangent = sine / torch.sqrt(1.0 - sine * sine)
     friction = torch.where(initial.of_mass(kind.index), tangent.to(known.dtype), known)
     return initial.with_conditions(friction=friction)
@@ -27,10 +26,7 @@ def friction(kind: Constant, initial: InitialState, value: Tensor) -> InitialSta
 def cohesion(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
     """Cohesion at the top [Pa]; its growth with depth stays."""
     known, material = initial.conditions.cohesion, kind.material(initial.scene)
-    changed = value.to(known.dtype)
-    if material.strength_gradient > 0.0:
-        depths = torch.from_numpy(initial_particles(initial.scene).depth[initial.indices])
-        changed = changed + (material.strength_gradient * depths).to(known.dtype)
+    changed = known + (value - material.cohesion).to(known.dtype)
     return initial.with_conditions(cohesion=torch.where(initial.of_mass(kind.index), changed, known))
 
 

@@ -92,9 +92,9 @@ class Gradient:
             ) -> Floats:
                 if varies:
                     return properties_at(own, depth, angle + value)
-                return properties_at(dataclasses.replace(own, **{name: value}), depth, angle)  # type: ignore[arg-type]
+                return properties_at(own.with_constant(name, value), depth, angle)
 
-            at = 0.0 if varies else getattr(material, name)
+            at = 0.0 if varies else material.constant(name)
             rows = differences(rows_at, at, name, STEP * material.friction_deg if varies else None)
             rows = rows[:, : self.properties.shape[1]]
             # The volume goes with the particle's initial position, not with its material.

@@ -20,13 +20,12 @@ import taichi as ti
 
 from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.contact import grid_motion, jump_reverse, slip_reverse, touched
-from mpm.adjoint.pullback import Pullback
+from mpm.adjoint.pullback import Pullback, traceable
 from mpm.adjoint.transfer import gather_moments
 from mpm.arrays.access import lane_sum, magnitude, maximum, minimum, no_overflow
 from mpm.arrays.layout import Offset, Property, Setting, component
 from mpm.physics.contact import contact_of, jump_at_contact, with_jump
-from mpm.physics.mohr_coulomb import return_principal, softened, strengths_at_rate
-from mpm.physics.particles import peak_strength, residual_strength, strength_of
+from mpm.physics.particles import law_values, strengths_of
 from mpm.physics.principal import TINY
 from mpm.physics.stress import equivalent_strain, midpoint_increment, strain_between, trial_stress, with_cracks
 from mpm.physics.transfer import property_of
@@ -36,13 +35,13 @@ SWEEPS = {"f32": 4, "f64": 6}
 """Sweeps of three rotations: what is left off the diagonal falls at least with its square."""
 
 
-def trial_of(stress, affine, jump, contact, limit, lame, shear, gap, rate, grid, x, density, dx, cells, dt, features):
+def trial_of(stress, affine, jump, contact, limits, lame, shear, gap, rate, grid, x, density, dx, cells, dt, features):
     """Trial stress [Pa] of a block, traced: after the strain of C and of contact, with the cracks that gaps leave."""
     opened = None
     if features.volume_correction:
         around = grid_gap(grid, x, contact, density, dx, cells, features)
-        opened = updated_gap(gap[0], limit, lame + shear * (2.0 / 3.0), rate, around)
-    cracked = with_cracks(stress, opened, limit, lame, shear, features)
+        opened = updated_gap(gap[0], limits[0], lame + shear * (2.0 / 3.0), rate, around)
+    cracked = with_cracks(stress, opened, limits, lame, shear, features)
     return trial_stress(cracked, increment_of(affine, jump, contact, dt, features), lame, shear, features.dimension)
 
 
@@ -58,7 +57,7 @@ def strain_of(stress, affine, jump, contact, new, lame, shear, dt, features):
     return [strain_between(bare, new, shear, features.stresses)]
 
 
-def principal_return(s1, s2, s3, strengths, lame, shear, features):
+def principal_return(s1, s2, s3, strengths, lame, shear, return_principal, features):
     """Returned principal stresses [Pa] and, where a step keeps them, plastic strain [-] and opening [Pa]; traced."""
     t1, t2, t3, opened = return_principal(s1, s2, s3, strengths, lame, shear, features)
     strain = equivalent_strain(t1 - s1, t2 - s2, t3 - s3, shear) if features.softens else None
@@ -76,7 +75,8 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     corrected = ti.static(int(features.volume_correction))
     first, own = no_overflow(block * features.block), block * layout.width
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
-    strengths = strength_of(scene, block, dt, arrays)
+    strengths = strengths_of(scene, block, dt, arrays)
+    limits = [strengths[3] for _ in ti.static(range(corrected))]
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     affine = [arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
     contact = contact_of(block, arrays)
@@ -96,7 +96,7 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(size))]
     rate, dx = dt * arrays.settings[scene, Setting.GAP_RATE], arrays.settings[scene, Setting.CELL]
     density = property_of(scene, block, Property.DENSITY, arrays)
-    numbers = ti.static((stress, affine, jump, contact, strengths[3], lame, shear, gap, rate, around, x, density))
+    numbers = ti.static((stress, affine, jump, contact, limits, lame, shear, gap, rate, around, x, density))
     elastic = ti.static([Pullback(trial_of, numbers, (dx, cells, dt, features))])[0]
     strain_bar, opened_bar = zero, zero
     if ti.static(features.softens):
@@ -118,7 +118,7 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         bar + others, elastic.values, strengths, lame, shear, features
     )
     bars = ti.static(elastic(trial_bar))
-    stress_bar, affine_bar, jump_bar, contacts_bar, limit_bar, lame_bar, shear_bar = ti.static(bars[:7])
+    stress_bar, affine_bar, jump_bar, contacts_bar, limits_bar, lame_bar, shear_bar = ti.static(bars[:7])
     gap_bar, rate_bar, around_bar, x_bar, density_bar = ti.static(bars[7:])
     for k in ti.static(range(features.stresses)):
         arrays.adjoints[own + features.stress + k] = stress_bar[k] + old_bar[k]
@@ -141,11 +141,9 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar + spread_bar + modulus_bar, arrays)
     whole = moduli_bar[1] + shear_bar + sheared_bar + slip_shear_bar + 2.0 * modulus_bar
     add_property_bar(block, Property.SHEAR, whole, arrays)
-    strengths_bar[3] = strengths_bar[3] + limit_bar
-    if ti.static(features.inertial):
-        add_property_bar(block, Property.SIN_PHI_LIMIT, strengths_bar[4], arrays)
-        add_property_bar(block, Property.INERTIAL_RATE, dt * strengths_bar[5], arrays)
-    strength_reverse(scene, block, [strengths_bar[k] for k in ti.static(range(4))], arrays)
+    if ti.static(features.volume_correction):
+        strengths_bar[3] = strengths_bar[3] + limits_bar[0]
+    strengths_reverse(scene, block, strengths_bar, dt, arrays)
 
 
 @ti.func
@@ -164,39 +162,34 @@ def crack_reverse(arguments: ti.template(), strain_bar, dt, features: ti.templat
 
 
 @ti.func
-def strength_reverse(scene, block, bar: ti.template(), arrays: ti.template()):
-    """Bars of the strength of a block's material, and of its plastic strain, from those of `slow_strength`."""
-    features, layout = arrays.features, arrays.layout
-    peak_columns = ti.static((Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT))
+def strengths_reverse(scene, block, bar: ti.template(), dt, arrays: ti.template()):
+    """Bars of the columns of a block's law, and of its plastic strain, from those of its strengths."""
+    features = arrays.features
+    values, cell = law_values(scene, block, arrays), arrays.settings[scene, Setting.CELL]
+    softened = ti.static(int(features.softens))
+    strain = [arrays.state[block * features.block + features.plastic_strain] for _ in ti.static(range(softened))]
+    found = ti.static([Pullback(features.law.strengths, (values, strain), (cell, dt, features))])[0]
+    bars = ti.static(found(bar))
     if ti.static(features.softens):
-        cell = arrays.settings[scene, Setting.CELL]
-        peak, residual = peak_strength(scene, block, arrays), residual_strength(scene, block, arrays)
-        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * cell
-        strain = arrays.state[block * features.block + features.plastic_strain]
-        falling = ti.static([Pullback(softened, (strain, per_strain, peak, residual), (features,))])[0]
-        bars = ti.static(falling(bar))
-        at = block * layout.width + features.plastic_strain
-        arrays.adjoints[at] = arrays.adjoints[at] + bars[0]
-        add_property_bar(block, Property.SOFTENING, cell * bars[1], arrays)
-        for k in ti.static(range(4)):
-            add_property_bar(block, peak_columns[k], bars[2][k], arrays)
-        for k in ti.static(range(3)):
-            add_property_bar(block, Property.RESIDUAL_SIN_PHI + k, bars[3][k], arrays)
-    else:
-        for k in ti.static(range(4)):
-            add_property_bar(block, peak_columns[k], bar[k], arrays)
+        add_bars(block * arrays.layout.width + features.plastic_strain, bars[1], arrays)
+    for column in ti.static(features.law.columns(features)):
+        add_property_bar(block, column, bars[0][ti.static(column - len(Property))], arrays)
 
 
 @ti.func
 def plastic_return_reverse(
     bar: ti.template(), trial: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()
 ):
-    """Bars of the trial stress, of the `strengths` of `mpm.physics.mohr_coulomb` and of (lambda, mu), a list each.
+    """Bars of the trial stress, of the `strengths` of its law and of (lambda, mu), a list each.
 
     bar: of what `mpm.physics.stress.plastic_return` gives: stress, plastic strain and what opened.
     """
     strain_bar, opened_bar = bar[features.stresses], bar[features.stresses + 1]
-    if ti.static(features.dimension == 2):
+    if ti.static(hasattr(features.law, "return_tensor")):
+        whole = ti.static([Pullback(features.law.return_tensor, (trial, strengths, lame, shear), (features,))])[0]
+        found = ti.static(whole(bar))
+        return found[0], found[1], [found[2], found[3]]
+    elif ti.static(features.dimension == 2):
         xx, yy, z, xy = trial
         half = 0.5 * (xx - yy)
         centre = xx - half
@@ -208,7 +201,7 @@ def plastic_return_reverse(
         above, below = z > a, z < b
         s = [maximum(a, z), maximum(b, minimum(a, z)), minimum(b, z)]
         numbers = ti.static((s[0], s[1], s[2], strengths, lame, shear))
-        step = ti.static([Pullback(principal_return, numbers, (features,))])[0]
+        step = ti.static([Pullback(principal_return, numbers, (traceable(features.law.return_principal), features))])[0]
         t = ti.static(step.values)
         top, bottom = ti.select(above, t[1], t[0]), ti.select(below, t[1], t[2])
         difference = bar[0] - bar[1]
@@ -221,7 +214,9 @@ def plastic_return_reverse(
         a_bar = ti.select(above, g[1], g[0])
         z_bar = ti.select(above, g[0], ti.select(below, g[2], g[1]))
         b_bar = ti.select(below, g[1], g[2])
-        free = elastic_at(s, strengths, features) | (above & fell_alike(s, t, strengths, lame, shear, features))
+        free = features.law.elastic_at(s, strengths, features) | (
+            above & features.law.fell_alike(s, t, strengths, lame, shear, features)
+        )
         apart, turned_bar = a_bar - b_bar, theta(top - bottom, a - b, free) * turning
         half_bar, middle = cosine * apart - sine * turned_bar, 0.5 * (a_bar + b_bar)
         trial_bar = [middle + 0.5 * half_bar, middle - 0.5 * half_bar, z_bar, sine * apart + cosine * turned_bar]
@@ -232,40 +227,18 @@ def plastic_return_reverse(
         a, axes = principal_axes(deviator, features.precision)
         s = [p + a[0], p + a[1], p + a[2]]
         numbers = ti.static((s[0], s[1], s[2], strengths, lame, shear))
-        step = ti.static([Pullback(principal_return, numbers, (features,))])[0]
+        step = ti.static([Pullback(principal_return, numbers, (traceable(features.law.return_principal), features))])[0]
         t = ti.static(step.values)
         own = in_axes([bar[0], bar[1], bar[2], 0.5 * bar[3], 0.5 * bar[4], 0.5 * bar[5]], axes)
         g = ti.static(step([own[0], own[1], own[2], strain_bar, opened_bar]))
-        elastic = elastic_at(s, strengths, features)
-        alike = elastic | fell_alike(s, t, strengths, lame, shear, features)
+        elastic = features.law.elastic_at(s, strengths, features)
+        alike = elastic | features.law.fell_alike(s, t, strengths, lame, shear, features)
         k12 = theta(t[0] - t[1], a[0] - a[1], elastic) * own[3]
         k23 = theta(t[1] - t[2], a[1] - a[2], alike) * own[4]
         k31 = theta(t[0] - t[2], a[0] - a[2], elastic) * own[5]
         back = in_axes([g[0], g[1], g[2], k12, k23, k31], [axes[3 * (k % 3) + k // 3] for k in ti.static(range(9))])
         trial_bar = [back[0], back[1], back[2], 2.0 * back[3], 2.0 * back[4], 2.0 * back[5]]
         return trial_bar, g[3], [g[4], g[5]]
-
-
-@ti.func
-def elastic_at(s: ti.template(), strengths: ti.template(), features: ti.template()):
-    """Whether nothing yields at the principal stresses `s`; without cohesion stress 0 is the apex, where all does."""
-    sin_phi, strength, limit = strengths[0], strengths[2], strengths[3]
-    below = s[0] * (1.0 + sin_phi) - s[2] * (1.0 - sin_phi) - strength <= 0.0
-    if ti.static(features.cohesive):
-        return below & (s[0] <= limit)
-    else:
-        return below & (s[0] + s[1] + s[2] < 0.0)
-
-
-@ti.func
-def fell_alike(s: ti.template(), t: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()):
-    """Whether s1 opened and s2 and s3 alone relaxed beside it, both alike (`mpm.physics.mohr_coulomb`, B)."""
-    if ti.static(features.cohesive):
-        sin_phi, limit = strengths_at_rate(s[0], s[1], s[2], strengths, lame, shear, features)
-        lowest = (limit * (1.0 + sin_phi) - strengths[2]) / (1.0 - sin_phi)
-        return (t[0] >= limit) & (t[1] < limit) & (t[2] > lowest)
-    else:
-        return t[0] != t[0]
 
 
 @ti.func

@@ -77,10 +77,10 @@ class Batch:
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
 
         pairs = list(zip(scenes, self.particles, strict=True))
-        self.settings = in_precision([settings_row(s, p) for s, p in pairs], Setting, real)
+        self.settings = in_precision([settings_row(s, p) for s, p in pairs], [*Setting], real)
         rows = [properties_row(material, float(p.volume[0])) for p in self.particles for material in p.materials]
         first = np.cumsum([0, *(len(p.materials) for p in self.particles)])[:-1]
-        self.properties = in_precision(rows, Property, real)[first]
+        self.properties = in_precision(rows, [*Property, *features.law.Column], real)[first]
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
         self.add_contacts(real)
         self.add_barriers()

@@ -4,14 +4,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
-from typing import ClassVar
+from typing import Any, ClassVar
 
+from datasets.errors import require
 from datasets.field import FRICTION
 from datasets.geometry.placement import remembers_gaps
+from datasets.material import MOHR_COULOMB
 from datasets.particles import mass_particle_volumes, particle_count
 from datasets.records import Record
 from datasets.scene import Scene
-from mpm.arrays.layout import Contact, Precision, Property
+from mpm.arrays.layout import Contact, Precision
+from mpm.laws import law_named, law_of
 from mpm.output.request import ALL, Recording
 
 REGISTER = 128
@@ -27,12 +30,14 @@ class Features(Record):
 
     dimension: int
     precision: Precision
+    law_name: str = MOHR_COULOMB
+    """Of strength: the name of one in `mpm.laws`."""
     damped: bool = False
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
     dilates: bool = False
     softens: bool = False
-    """Strength and dilation fall with plastic strain, which is then part of the state."""
+    """Strength depends on the plastic strain, which is then part of the state."""
     inertial: bool = False
     """Friction grows with the inertial number (`mpm.physics.inertial`)."""
     volume_correction: bool = False
@@ -68,6 +73,11 @@ class Features(Record):
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""
 
     @property
+    def law(self) -> Any:
+        """The module of its law."""
+        return law_named(self.law_name)
+
+    @property
     def lanes(self) -> int:
         """Particles in a block: what REGISTER bytes hold; one on a GPU."""
         return 1 if self.gpu else REGISTER // (4 if self.precision == "f32" else 8)
@@ -94,10 +104,8 @@ class Features(Record):
 
     @property
     def columns(self) -> int:
-        """How many of the columns of `Property` a particle of its own material carries."""
-        if self.inertial:
-            return len(Property)
-        return int(Property.SIN_PHI_LIMIT if self.softens else Property.RESIDUAL_SIN_PHI)
+        """How many properties a particle of its own material carries: up to the last that the law reads."""
+        return 1 + int(max(self.law.columns(self)))
 
     @property
     def compensated(self) -> bool:
@@ -186,17 +194,17 @@ def features_of(
 ) -> Features:
     """What has to be compiled for these scenes, all of one dimension."""
     materials = [scene.material_of(mass) for scene in scenes for mass in scene.masses]
+    law = law_of(materials)
+    asked = any(scene.volume_correction for scene in scenes)
+    require(law.OPENS or not asked, "volume_correction", "none of a material that does not open", "true")
     stages = [stage for scene in scenes for stage in scene.stages]
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
         damped=any(scene.damping > 0.0 for scene in scenes),
-        cohesive=any(each.cohesive for each in materials)
-        or any(stage.cohesion or stage.strength_gradient for stage in stages),
-        dilates=any(each.dilation_deg for each in materials) or any(stage.dilation_deg for stage in stages),
-        softens=any(material.softening_length is not None for material in materials),
-        inertial=any(material.friction_limit_deg is not None for material in materials),
-        volume_correction=any(remembers_gaps(scene) for scene in scenes),
+        law_name=materials[0].law,
+        **law.features(materials, stages),
+        volume_correction=law.OPENS and any(remembers_gaps(scene) for scene in scenes),
         heterogeneous=any(varies(scene) for scene in scenes),
         contact=any(scene.baffles or scene.solids for scene in scenes),
         channel=any(scene.channel is not None for scene in scenes),

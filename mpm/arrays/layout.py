@@ -52,24 +52,17 @@ class Setting(Column):
 
 
 class Property(Column):
-    """Columns of `properties`, real, shape [scenes, len(Property)]; of each particle where scenes are heterogeneous."""
+    """First columns of `properties`, real, shape [scenes, columns]; of each particle where scenes are heterogeneous.
+
+    Those of the material's law follow (`mpm.laws`).
+    """
 
     VOLUME = auto()  # initial [m^D]
     DENSITY = auto()  # [kg/m^3]
     LAME = auto()  # [Pa]
     SHEAR = auto()  # [Pa]
-    SIN_PHI = auto()  # [-]
-    SIN_PSI = auto()  # [-]
-    STRENGTH = auto()  # 2 c cos(phi) [Pa]
-    LIMIT = auto()  # largest tensile stress [Pa]
     ELASTIC_DEVIATOR = auto()  # (1 + nu) / (2 E) [1/Pa]
     ELASTIC_TRACE = auto()  # nu / (2 E) [1/Pa]
-    RESIDUAL_SIN_PHI = auto()  # [-]; from here on only where the material softens
-    RESIDUAL_STRENGTH = auto()  # 2 c cos(phi) of the residual values [Pa]
-    RESIDUAL_LIMIT = auto()  # [Pa]
-    SOFTENING = auto()  # sqrt(3) / softening length [1/m], 0 where it does not soften
-    SIN_PHI_LIMIT = auto()  # [-], 0 where friction does not depend on the rate; from here on only where it does
-    INERTIAL_RATE = auto()  # I_0 / (d sqrt(rho_s)) [1/(s sqrt(Pa))]
 
 
 FRAMES_PER_CALL = 20

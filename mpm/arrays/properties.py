@@ -15,6 +15,7 @@ from datasets.particles import Particles, scene_height
 from datasets.scene import NO_SLIP, Scene, coefficient
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import Property, Setting
+from mpm.laws import law_named
 from mpm.output.request import REST_ENERGY
 
 Array = NDArray[Any]
@@ -84,50 +85,33 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
     return [values[column] for column in Setting]
 
 
-def in_precision(rows: Sequence[Sequence[float]], columns: type[IntEnum], real: np.dtype[Any]) -> Array:
+def in_precision(
+    rows: Sequence[Sequence[float]] | Sequence[Array], columns: Sequence[IntEnum], real: np.dtype[Any]
+) -> Array:
     """Lines of a table as the kernels take them. Raises InputError for a number that `real` cannot hold."""
     table = np.array(rows, np.float64)
     size, kind = np.abs(table), np.finfo(real)
     bad = np.argwhere(np.isfinite(table) & ((size > kind.max) | ((size > 0.0) & (size < kind.tiny))))
     if len(bad):
         line, column = bad[0]
-        name = columns(column).name.lower().replace("_", " ")
+        name = columns[column].name.lower().replace("_", " ")
         message = f"expected numbers of {kind.tiny:.0e} to {kind.max:.0e}, got a {name} of {table[line, column]:g}"
         raise InputError(f"{message}; --precision f64 holds more" if real == np.float32 else message)
     return table.astype(real)
 
 
-def properties_row(material: Material, volume: float) -> list[float]:
-    """One line of `properties`, in the order of `Property`; `volume` of a particle [m^D].
+def properties_row(material: Material, volume: float) -> Array:
+    """One line of `properties`; `volume` of a particle [m^D].
 
     Of a material whose strength grows with depth, that at its top.
     """
-    friction, dilation = math.radians(material.phi_deg), math.radians(material.dilation_deg)
-    residual = material.residual
-    values = {
-        Property.VOLUME: volume,
-        Property.DENSITY: material.density,
-        Property.LAME: material.lame,
-        Property.SHEAR: material.shear_modulus,
-        Property.SIN_PHI: math.sin(friction),
-        Property.SIN_PSI: math.sin(dilation),
-        Property.STRENGTH: 2.0 * material.cohesion * math.cos(friction),
-        Property.LIMIT: material.tension_limit,
-        Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
-        Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
-        Property.RESIDUAL_SIN_PHI: math.sin(math.radians(residual.phi_deg)),
-        Property.RESIDUAL_STRENGTH: 2.0 * residual.cohesion * math.cos(math.radians(residual.phi_deg)),
-        Property.RESIDUAL_LIMIT: material.residual_tension_limit_at(0.0),
-        Property.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
-        Property.SIN_PHI_LIMIT: material.sin_phi_limit,
-        Property.INERTIAL_RATE: material.inertial_rate,
-    }
-    return [values[column] for column in Property]
+    return np.asarray(properties_at(material, np.zeros(1), volume=volume)[0])
 
 
 def properties_of(particles: Particles) -> Array:
-    """Lines of `properties`, one for each particle, shape [N, len(Property)]."""
-    rows = np.empty((len(particles.material), len(Property)))
+    """Lines of `properties`, one for each particle, shape [N, columns]."""
+    law = law_named(particles.materials[0].law)
+    rows = np.empty((len(particles.material), len(Property) + len(law.Column)))
     for index, material in enumerate(particles.materials):
         here = particles.material == index
         own = None if particles.friction_deg is None else particles.friction_deg[here]
@@ -136,30 +120,21 @@ def properties_of(particles: Particles) -> Array:
     return rows
 
 
-def properties_at(material: Material, depth: Array, friction_deg: Array | None = None) -> Array:
-    """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, len(Property)].
+def properties_at(material: Material, depth: Array, friction_deg: Array | None = None, *, volume: float = 1.0) -> Array:
+    """Lines of `properties` of particles `depth` [m] below the top of their body, shape [N]; [N, columns].
 
-    friction_deg: of each of them, shape [N], in place of the material's; its residual one stays where it has one.
+    friction_deg: of each of them, shape [N], in place of the material's.
     """
-    rows = np.tile(properties_row(material, 1.0), (len(depth), 1))
-    for state, strength in ((material, Property.STRENGTH), (material.residual, Property.RESIDUAL_STRENGTH)):
-        rows[:, strength] = 2.0 * state.cohesion_at(depth) * math.cos(math.radians(state.phi_deg))
-    rows[:, Property.LIMIT] = material.tension_limit_at(depth)
-    rows[:, Property.RESIDUAL_LIMIT] = material.residual_tension_limit_at(depth)
-    if friction_deg is None:
-        return rows
-    angle, residual = np.radians(material.phi_deg_of(friction_deg, material.dilation_deg)), material.residual
-    cutoff = material.cutoff_at(depth)
-    states = [(material, cutoff, Property.SIN_PHI, Property.STRENGTH, Property.LIMIT)]
-    if material.residual_friction_deg is None:
-        given = material.residual_tension_cutoff
-        columns = (Property.RESIDUAL_SIN_PHI, Property.RESIDUAL_STRENGTH, Property.RESIDUAL_LIMIT)
-        states.append((residual, cutoff if given is None else np.full(len(depth), given), *columns))
-    for state, tension, sine, strength, limit in states:
-        rows[:, sine] = np.sin(angle)
-        rows[:, strength] = 2.0 * state.cohesion_at(depth) * np.cos(angle)
-        rows[:, limit] = np.minimum(tension, state.cohesion_at(depth) / np.tan(angle))
-    return rows
+    values = {
+        Property.VOLUME: volume,
+        Property.DENSITY: material.density,
+        Property.LAME: material.lame,
+        Property.SHEAR: material.shear_modulus,
+        Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
+        Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
+    }
+    common = np.tile([values[column] for column in Property], (len(depth), 1))
+    return np.concatenate([common, law_named(material.law).properties(material, depth, friction_deg)], axis=1)
 
 
 def elastic_energy(particles: Particles, stress: Array) -> float:

@@ -15,6 +15,7 @@ from mpm.arrays.layout import PADDING, Property, node_shape
 from mpm.arrays.properties import properties_of
 from mpm.initial.barriers import barriers
 from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
+from mpm.laws import law_of
 from mpm.solids.obstacles import obstacles_in
 
 Floats = NDArray[np.float64]
@@ -57,10 +58,9 @@ class Equilibrium:
     def __init__(self, scene: Scene, particles: Particles, positions: Floats, chosen: NDArray[np.int64]) -> None:
         self.dimension = scene.dimension
         self.volume, density = particles.volume[chosen], particles.density[chosen]
-        rows = properties_of(particles)[chosen]
-        self.lame, self.shear = rows[:, Property.LAME], rows[:, Property.SHEAR]
-        self.sin_phi, self.strength = rows[:, Property.SIN_PHI], rows[:, Property.STRENGTH]
-        self.limit = rows[:, Property.LIMIT]
+        self.law, self.properties = law_of(particles.materials), properties_of(particles)[chosen]
+        self.lame, self.shear = self.properties[:, Property.LAME], self.properties[:, Property.SHEAR]
+        self.limit = self.law.limit(self.properties)
         weights, self.slopes, self.nodes = gradient_matrices(scene, positions[chosen])
         self.slopes_t = self.slopes.T.tocsr()
         self.mass: Floats = weights.T @ (self.volume * density)
@@ -198,7 +198,7 @@ class Equilibrium:
         return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
-        """`stress` without tension beyond the limit, then scaled towards its mean until Mohr-Coulomb admits it.
+        """`stress` without tension beyond the limit, then scaled towards its mean until its law admits it.
 
         Where that was needed, by a factor `inside` further.
         """
@@ -208,11 +208,7 @@ class Equilibrium:
         stress[beyond] = np.einsum("nik,nk,njk->nij", axes, np.minimum(principal, self.limit[beyond, None]), axes)
         mean = np.trace(stress, axis1=1, axis2=2) / 3.0
         deviator = stress - mean[:, None, None] * np.eye(3)
-        principal = np.linalg.eigvalsh(deviator)
-        shear = principal[:, 2] * (1.0 + self.sin_phi) - principal[:, 0] * (1.0 - self.sin_phi)
-        margin = np.minimum(
-            quotient(self.strength - 2.0 * self.sin_phi * mean, shear), quotient(self.limit - mean, principal[:, 2])
-        )
+        margin = self.law.admitted_share(mean, np.linalg.eigvalsh(deviator), self.properties)
         factor = np.where(margin < 1.0, inside * np.maximum(margin, 0.0), 1.0)
         return np.asarray(mean[:, None, None] * np.eye(3) + factor[:, None, None] * deviator)
 
@@ -263,11 +259,6 @@ class Equilibrium:
             return result
 
         return precondition
-
-
-def quotient(top: Floats, bottom: Floats) -> Floats:
-    """top / bottom, infinite where `bottom` is not positive."""
-    return np.asarray(np.divide(top, bottom, out=np.full_like(top, np.inf), where=bottom > 0.0))
 
 
 def conjugate_gradients(

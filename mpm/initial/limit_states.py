@@ -6,7 +6,7 @@ excess is then scaled back, moves their mean away from it (0.40 for 0.34). Equil
 stress and the yield surface is convex, so a stress that has them all is a point of two convex sets,
 
     E = {sigma: r(sigma) = 0, sum_p V_p sigma_aa = K0 sum_p V_p sigma_v for every box and level axis a}
-    Y = {sigma: Mohr-Coulomb and the tension limit hold in every particle, sin(phi) reduced by a little}
+    Y = {sigma: the law of strength, reduced by a little, and the tension limit hold in every particle}
 
 and Douglas-Rachford iteration finds one (Lions & Mercier 1979; Bauschke, Combettes & Luke 2002):
 
@@ -28,8 +28,6 @@ Floats = NDArray[np.float64]
 
 RELAXED = 1.6
 """Factor on the step of z, below 2."""
-REDUCED = 1.0e-3
-"""Share by which sin(phi) is reduced in Y: what converges to it lies within yield after finitely many steps."""
 ITERATIONS, BETWEEN, PATIENCE = 240, 4, 8
 """Steps at most; after how many what is unbalanced is computed, and how often in a row that may be no less."""
 FEW_NODES = 6000
@@ -112,28 +110,7 @@ def with_thrusts(
 
 
 def nearest_admissible(problem: Equilibrium, stress: Floats) -> Floats:
-    """P_Y(stress), [N, 3, 3]: onto Mohr-Coulomb in principal stresses, then without tension beyond the limit.
-
-    Principal stresses a >= b >= c with a (1 + s) - c (1 - s) <= k: onto that plane, where b then lies between a and c;
-    else with the two that would pass each other as one.
-    """
+    """P_Y(stress), [N, 3, 3]."""
     principal, axes = np.linalg.eigh(stress)
-    c, b, a = principal.T
-    sin_phi = (1.0 - REDUCED) * problem.sin_phi
-    upper, lower = 1.0 + sin_phi, 1.0 - sin_phi
-
-    def on_plane(a: Floats, c: Floats, count_a: int, count_c: int) -> tuple[Floats, Floats]:
-        excess = np.maximum(upper * a - lower * c - problem.strength, 0.0)
-        excess /= upper**2 / count_a + lower**2 / count_c
-        return a - excess * upper / count_a, c + excess * lower / count_c
-
-    largest, least = on_plane(a, c, 1, 1)
-    above, below = on_plane(0.5 * (a + b), c, 2, 1), on_plane(a, 0.5 * (b + c), 1, 2)
-    high, low = b > largest, b < least
-    middle = np.where(high, above[0], np.where(low, below[1], b))
-    largest = np.where(high, above[0], np.where(low, below[0], largest))
-    least = np.where(high, above[1], np.where(low, below[1], least))
-    apex = least > largest
-    changed = np.minimum(np.stack([least, middle, largest], axis=1), problem.limit[:, None])
-    changed[apex] = problem.limit[apex, None]
+    changed = problem.law.nearest(principal, problem.properties)
     return np.asarray(np.einsum("nik,nk,njk->nij", axes, changed, axes))

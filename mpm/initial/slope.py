@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.geometry.ground import highest, plan_axes
+from datasets.material import MOHR_COULOMB
 from datasets.particles import Particles, height
 from datasets.scene import TOLERANCE, Mass, Scene, coefficient
 
@@ -31,8 +32,9 @@ MARGIN = 0.1
 
 
 def begins_as_slope(scene: Scene, mass: Mass) -> bool:
-    """Whether `mass`, without `k0`, is flat and lies on inclined ground: a box on a tilted floor, or a layer."""
-    if mass.k0 is not None or mass.angular_velocity is not None or scene.gravity <= 0.0:
+    """Whether `mass`, of friction and without `k0`, lies flat on inclined ground: a box on a tilted floor, a layer."""
+    frictional = scene.material_of(mass).law == MOHR_COULOMB
+    if not frictional or mass.k0 is not None or mass.angular_velocity is not None or scene.gravity <= 0.0:
         return False
     tilted = scene.slope_deg != 0.0
     if mass.kind == "layer":

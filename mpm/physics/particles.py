@@ -16,7 +16,6 @@ from mpm.physics.contact import (
     touches,
     with_jump,
 )
-from mpm.physics.mohr_coulomb import softened
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
 from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_gap
@@ -134,7 +133,7 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     features = arrays.features
     first = no_overflow(block * features.block)
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
-    strengths = strength_of(scene, block, dt, arrays)
+    strengths = strengths_of(scene, block, dt, arrays)
     stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
     increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
     opened = 0.0 * stress[0]
@@ -189,50 +188,27 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
 
 
 @ti.func
-def strength_of(scene, block, dt, arrays: ti.template()):
-    """The strengths of a block in this step, as `mpm.physics.mohr_coulomb.return_principal` takes them."""
-    slow = slow_strength(scene, block, arrays)
-    if ti.static(arrays.features.inertial):
-        sin_phi_limit = property_of(scene, block, Property.SIN_PHI_LIMIT, arrays)
-        inertial_step = dt * property_of(scene, block, Property.INERTIAL_RATE, arrays)
-        return slow[0], slow[1], slow[2], slow[3], sin_phi_limit, inertial_step
+def law_values(scene, block, arrays: ti.template()):
+    """The values of all columns of the law of a block; zeros known to the compiler where the law reads none."""
+    return [law_value(scene, block, column, arrays) for column in ti.static(list(arrays.features.law.Column))]
+
+
+@ti.func
+def law_value(scene, block, column: ti.template(), arrays: ti.template()):
+    """One of them."""
+    columns = ti.static(arrays.features.law.columns(arrays.features))
+    if ti.static(column in columns):
+        return property_of(scene, block, column, arrays)
     else:
-        return slow
+        return 0.0 * property_of(scene, block, columns[0], arrays)
 
 
 @ti.func
-def slow_strength(scene, block, arrays: ti.template()):
-    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] of a block in this step, where it shears slowly."""
+def strengths_of(scene, block, dt, arrays: ti.template()):
+    """The strengths of a block in this step, as its law's return takes them."""
     features = arrays.features
-    peak = peak_strength(scene, block, arrays)
-    if ti.static(features.softens):
-        per_strain = property_of(scene, block, Property.SOFTENING, arrays) * arrays.settings[scene, Setting.CELL]
-        strain = arrays.state[block * features.block + features.plastic_strain]
-        return softened(strain, per_strain, peak, residual_strength(scene, block, arrays), features)
-    else:
-        return peak
-
-
-@ti.func
-def peak_strength(scene, block, arrays: ti.template()):
-    """What `slow_strength` is before any plastic strain."""
-    features = arrays.features
-    sin_phi = property_of(scene, block, Property.SIN_PHI, arrays)
-    # Zeros known to the compiler where the scene has no dilation and no cohesion.
-    sin_psi, strength, limit = 0.0 * sin_phi, 0.0 * sin_phi, 0.0 * sin_phi
-    if ti.static(features.dilates):
-        sin_psi = property_of(scene, block, Property.SIN_PSI, arrays)
-    if ti.static(features.cohesive):
-        strength = property_of(scene, block, Property.STRENGTH, arrays)
-        limit = property_of(scene, block, Property.LIMIT, arrays)
-    return sin_phi, sin_psi, strength, limit
-
-
-@ti.func
-def residual_strength(scene, block, arrays: ti.template()):
-    """sin phi [-], 2 c cos phi [Pa] and T [Pa] after much plastic strain, where the material softens."""
-    return (
-        property_of(scene, block, Property.RESIDUAL_SIN_PHI, arrays),
-        property_of(scene, block, Property.RESIDUAL_STRENGTH, arrays),
-        property_of(scene, block, Property.RESIDUAL_LIMIT, arrays),
-    )
+    values = law_values(scene, block, arrays)
+    strain = [
+        arrays.state[block * features.block + features.plastic_strain] for _ in ti.static(range(int(features.softens)))
+    ]
+    return features.law.strengths(values, strain, arrays.settings[scene, Setting.CELL], dt, features)

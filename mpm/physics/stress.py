@@ -29,7 +29,6 @@ right where stresses meet, too. In plane strain this is a scaled deviator around
 import taichi as ti
 
 from mpm.arrays.access import clamp, maximum, minimum
-from mpm.physics.mohr_coulomb import return_principal
 from mpm.physics.principal import TINY, principal_deviator
 
 
@@ -102,9 +101,11 @@ def stress_step(
     """What `plastic_return` gives after the increment `gradient` [-] of the stress `old` [Pa].
 
     `opened` is what the last step's return gave as such [Pa], read where `features.volume_correction`: volume
-    correction (Tampubolon et al. 2017), by which what has opened must close before it bears anything again.
+    correction (Tampubolon et al. 2017), by which what has opened must close before it bears anything again. The fourth
+    strength of a law that opens is the largest tension T [Pa].
     """
-    cracked = with_cracks(old, opened, strengths[3], lame, shear, features)
+    limits = [strengths[3] for _ in ti.static(range(int(features.volume_correction)))]
+    cracked = with_cracks(old, opened, limits, lame, shear, features)
     trial = trial_stress(cracked, gradient, lame, shear, features.dimension)
     new = plastic_return(trial, strengths, lame, shear, features)
     if ti.static(features.cracks):
@@ -129,17 +130,17 @@ def strain_between(bare: ti.template(), new: ti.template(), shear, count: ti.tem
 
 
 @ti.func
-def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.template()):
+def with_cracks(stress: ti.template(), opened, limits: ti.template(), lame, shear, features: ti.template()):
     """Stress [Pa]; with volume correction plus what the strain e N of the opened cracks would elastically add to it.
 
-    That is lambda e I + 2 mu e N; `opened` is their volume e, as the mean stress K e [Pa]. N = sum n n^T / m of the m
-    principal axes n whose stress stands at T: all directions in a loose fragment, as wherever cohesionless material
-    opens, one in a crack beside compression. The return takes that stress away again, unless strain closes the crack:
-    alone it changes nothing. P = T I - sigma has principal values >= 0, and 0 along such axes; with its invariants
-    P1, P2 and without axes, N = cof P / P2 for m = 1, (I - P / P1) / 2 for m = 2 and I / 3 for m = 3.
+    That is lambda e I + 2 mu e N; `opened` is their volume e, as the mean stress K e [Pa], `limits` T alone. N = sum n
+    n^T / m of the m principal axes n whose stress stands at T: all directions in a loose fragment, as wherever
+    cohesionless material opens, one in a crack beside compression. The return takes that stress away again, unless
+    strain closes the crack: alone it changes nothing. P = T I - sigma has principal values >= 0, and 0 along such axes;
+    with its invariants P1, P2 and without axes, N = cof P / P2 for m = 1, (I - P / P1) / 2 for m = 2, I / 3 for m = 3.
     """
     if ti.static(features.volume_correction and features.cohesive):
-        xx, yy, zz = limit - stress[0], limit - stress[1], limit - stress[2]
+        xx, yy, zz = limits[0] - stress[0], limits[0] - stress[1], limits[0] - stress[2]
         xy, yz, zx = 0.0 - stress[3], 0.0 * stress[3], 0.0 * stress[3]
         if ti.static(features.dimension == 3):
             yz, zx = 0.0 - stress[4], 0.0 - stress[5]
@@ -172,19 +173,21 @@ def with_cracks(stress: ti.template(), opened, limit, lame, shear, features: ti.
 
 @ti.func
 def plastic_return(stress: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()):
-    """The stress [Pa] that Mohr-Coulomb with tension cutoff admits in place of a trial stress.
+    """The stress [Pa] that the law of `features` admits in place of a trial stress.
 
     Returns its components; the increment of equivalent deviatoric plastic strain [-], sqrt(2/3 e : e) with
     e = dev(sigma_trial - sigma) / (2 mu); and the mean stress that opening cost [Pa].
     """
-    if ti.static(features.dimension == 2):
+    if ti.static(hasattr(features.law, "return_tensor")):
+        return features.law.return_tensor(stress, strengths, lame, shear, features)
+    elif ti.static(features.dimension == 2):
         xx, yy, z, xy = stress
         half = 0.5 * (xx - yy)
         centre = xx - half
         radius = ti.sqrt(half * half + xy * xy)
         a, b = centre + radius, centre - radius
         s1, s2, s3 = maximum(a, z), maximum(b, minimum(a, z)), minimum(b, z)
-        t1, t2, t3, opened = return_principal(s1, s2, s3, strengths, lame, shear, features)
+        t1, t2, t3, opened = features.law.return_principal(s1, s2, s3, strengths, lame, shear, features)
         yielded = (t1 != s1) | (t2 != s2) | (t3 != s3)
         above, below = z > a, z < b
         top = ti.select(above, t2, t1)
@@ -206,7 +209,7 @@ def plastic_return(stress: ti.template(), strengths: ti.template(), lame, shear,
         dxx, dyy, dzz = xx - p, yy - p, zz - p
         a1, a2, a3 = principal_deviator(dxx, dyy, dzz, xy, yz, zx, features.precision)
         s1, s2, s3 = p + a1, p + a2, p + a3
-        t1, t2, t3, opened = return_principal(s1, s2, s3, strengths, lame, shear, features)
+        t1, t2, t3, opened = features.law.return_principal(s1, s2, s3, strengths, lame, shear, features)
         g1, g2, g3 = t1 - s1, t2 - s2, t3 - s3
         # Of the deviator: where it is small against the mean, rounding could make s1 = s3 but not d = 0.
         g12 = clamp((g1 - g2) / maximum(a1 - a2, TINY), -1.0, 0.0)

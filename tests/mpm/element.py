@@ -8,13 +8,14 @@ import taichi as ti
 from numpy.typing import NDArray
 from scipy.optimize import root
 
-from datasets.material import Material
+from datasets.material import MOHR_COULOMB, Material
 from mpm import runtime
 from mpm.arrays.batch import aligned, put_vectors
 from mpm.arrays.features import Features
-from mpm.arrays.layout import Property
+from mpm.arrays.layout import Precision, Property
 from mpm.arrays.properties import properties_row
-from mpm.physics.mohr_coulomb import return_principal, softened
+from mpm.laws import law_of
+from mpm.laws.mohr_coulomb import Column, return_principal
 from mpm.physics.stress import stress_step
 
 Vector = NDArray[np.float64]
@@ -30,34 +31,15 @@ def tensor(components: Vector) -> Vector:
     return full
 
 
-@ti.func
-def strengths_now(m: ti.template(), strain, cell, dt, features: ti.template()):
-    """As `mpm.physics.particles.strength_of`, of the properties `m` of an element after the plastic strain `strain`."""
-    zero = 0.0 * strain
-    columns = ti.static((Property.SIN_PHI, Property.SIN_PSI, Property.STRENGTH, Property.LIMIT))
-    peak = [m[column] + zero for column in ti.static(columns)]
-    residual = m[Property.RESIDUAL_SIN_PHI], m[Property.RESIDUAL_STRENGTH], m[Property.RESIDUAL_LIMIT]
-    now = [peak[k] for k in ti.static(range(4))]
-    if ti.static(features.softens):
-        soft = softened(strain, m[Property.SOFTENING] * cell, peak, residual, features)
-        for k in ti.static(range(4)):
-            now[k] = soft[k]
-    if ti.static(features.inertial):
-        rate = dt * m[Property.INERTIAL_RATE]
-        return now[0], now[1], now[2], now[3], m[Property.SIN_PHI_LIMIT] + zero, rate + zero
-    else:
-        return now[0], now[1], now[2], now[3]
-
-
 @cache
 def path_kernel(features: Features) -> Callable[..., None]:
     """(stress, gradients, history, properties, cell, dt): one element along a path of displacement-gradient increments.
 
     `stress` ends with the plastic strain and what is remembered of opened cracks.
     """
-    real = ti.f64
+    real = ti.f64 if features.precision == "f64" else ti.f32
     blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
-    width = features.stresses + 2
+    width, law = features.stresses + 2, features.law
 
     @ti.kernel
     def follow_path(
@@ -67,7 +49,8 @@ def path_kernel(features: Features) -> Callable[..., None]:
             for step in range(gradients.shape[0]):
                 zero = 0.0 * stress[0]
                 strain, gap = stress[ti.static(features.stresses)], stress[ti.static(features.stresses + 1)]
-                strengths = strengths_now(m, strain, cell, dt, features)
+                values = [m[column] + zero for column in ti.static(list(law.Column))]
+                strengths = law.strengths(values, [strain], cell, dt, features)
                 old = [stress[k] for k in ti.static(range(features.stresses))]
                 lame, shear = m[Property.LAME], m[Property.SHEAR]
                 increment = [gradients[step, k] + zero for k in ti.static(range(features.dimension**2))]
@@ -97,7 +80,7 @@ def return_kernel(features: Features) -> Callable[..., None]:
                 s[4 * e],
                 s[4 * e + 1],
                 s[4 * e + 2],
-                (m[Property.SIN_PHI], m[Property.SIN_PSI], m[Property.STRENGTH], m[Property.LIMIT]),
+                [m[column] for column in ti.static((Column.SIN_PHI, Column.SIN_PSI, Column.STRENGTH, Column.LIMIT))],
                 m[Property.LAME],
                 m[Property.SHEAR],
                 features,
@@ -116,22 +99,24 @@ def follow_states(
     cohesive: bool = True,
     cell: float = 1.0,
     dt: float = 1.0,
+    precision: Precision = "f64",
 ) -> tuple[Vector, Vector, Vector]:
     """Stress [Pa], shape [S, 4 or 6], accumulated plastic strain [-] and opening remembered [Pa], shape [S] each, along
     increments [S, D, D] [-]; `cell` [m] is the thickness of a band where the material softens, `dt` [s] the time of an
     increment where friction grows with the rate of shear."""
-    runtime.start("f64")
+    runtime.start(precision)
+    flags = law_of([material]).features([material], [])
+    if material.law == MOHR_COULOMB:
+        flags |= {"dilates": True, "cohesive": cohesive}
     features = Features(
         dimension=gradients.shape[1],
-        precision="f64",
-        dilates=True,
-        cohesive=cohesive,
+        precision=precision,
+        law_name=material.law,
         strain_recorded=True,
         volume_correction=corrected,
-        softens=material.softening_length is not None,
-        inertial=material.friction_limit_deg is not None,
+        **flags,
     )
-    real = np.dtype(np.float64)
+    real = np.dtype(np.float64 if precision == "f64" else np.float32)
     width = features.stresses + 2
     stress = aligned((width, features.lanes), real)
     if start is not None:

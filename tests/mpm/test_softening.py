@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from datasets.material import Material
-from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_row
+from mpm.laws.mohr_coulomb import Column
 from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_states
 
 stiff = partial(Material, young=1.0e9)
@@ -129,13 +129,13 @@ def test_strength_that_grows_with_depth() -> None:
     rows, phi = properties_at(soil, depth), np.radians(20.0)
     cohesion = np.array([5.0e3, 7.0e3, 13.0e3])
     np.testing.assert_allclose(soil.cohesion_at(depth), cohesion)
-    np.testing.assert_allclose(rows[:, Property.STRENGTH], 2.0 * cohesion * np.cos(phi))
-    np.testing.assert_allclose(rows[:, Property.LIMIT], np.minimum(cohesion / np.tan(phi), 2.0e4))
-    np.testing.assert_allclose(rows[:, Property.RESIDUAL_STRENGTH], 0.2 * 2.0 * cohesion * np.cos(phi))
+    np.testing.assert_allclose(rows[:, Column.STRENGTH], 2.0 * cohesion * np.cos(phi))
+    np.testing.assert_allclose(rows[:, Column.LIMIT], np.minimum(cohesion / np.tan(phi), 2.0e4))
+    np.testing.assert_allclose(rows[:, Column.RESIDUAL_STRENGTH], 0.2 * 2.0 * cohesion * np.cos(phi))
     np.testing.assert_array_equal(rows[0], properties_row(soil, 1.0))
-    unchanged = [c for c in Property if "STRENGTH" not in c.name and "LIMIT" not in c.name]
+    unchanged = [c for c in Column if "STRENGTH" not in c.name and "LIMIT" not in c.name]
     np.testing.assert_array_equal(rows[:, unchanged], np.tile(rows[0, unchanged], (3, 1)))
     default = dataclasses.replace(soil, tension_cutoff=None)
-    np.testing.assert_allclose(properties_at(default, depth)[:, Property.LIMIT], 0.003 * cohesion)
-    np.testing.assert_allclose(properties_at(default, depth)[:, Property.RESIDUAL_LIMIT], 0.003 * cohesion)
+    np.testing.assert_allclose(properties_at(default, depth)[:, Column.LIMIT], 0.003 * cohesion)
+    np.testing.assert_allclose(properties_at(default, depth)[:, Column.RESIDUAL_LIMIT], 0.003 * cohesion)
     np.testing.assert_array_equal(properties_at(default, depth)[0], properties_row(default, 1.0))

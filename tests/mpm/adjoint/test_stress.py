@@ -24,6 +24,13 @@ STRENGTHS = 6
 """As `mpm.physics.mohr_coulomb.return_principal` takes them; the last two are 0 where friction has no growth."""
 CONSTANTS = STRENGTHS + 2
 """Then lambda, mu."""
+VON_MISES = "von-mises"
+"""Its strengths are the first two: the yield stress in shear and the hardening modulus."""
+
+
+def strength_count(features: Features) -> int:
+    """How many strengths the law takes."""
+    return 2 if features.law_name == VON_MISES else STRENGTHS if features.inertial else 4
 
 
 def trial_after(stress: Any, a: Any, lame: Any, shear: Any, dimension: int) -> Any:
@@ -40,7 +47,7 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
     real = ti.f32 if features.precision == "f32" else ti.f64
     blocks = ti.types.ndarray(dtype=ti.types.vector(features.lanes, real), ndim=1)
     stresses, gradients, dimension = features.stresses, features.dimension**2, features.dimension
-    count = STRENGTHS if features.inertial else 4
+    count = strength_count(features)
 
     @ti.kernel
     def forwards(x: blocks, y: blocks):
@@ -64,7 +71,7 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             elastic = ti.static([Pullback(trial_after, (old, a, p[6], p[7]), (dimension,))])[0]
             bar = [y[e * stresses + k] for k in ti.static(range(stresses))]
             strengths = [p[k] for k in ti.static(range(count))]
-            others = [bar[0], bar[0]]
+            others = [0.0 * bar[0], 0.0 * bar[0]]
             trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
                 bar + others, elastic.values, strengths, p[6], p[7], features
             )
@@ -122,6 +129,9 @@ KINDS = [
         (3, True, False, "3D cohesive and dilating"),
         (3, False, True, "3D sand, friction of the rate"),
     )
+] + [
+    pytest.param(Features(dimension=size, precision="f64", law_name=VON_MISES, softens=True), id=f"{size}D von Mises")
+    for size in (2, 3)
 ]
 
 
@@ -132,11 +142,14 @@ def inputs_of(stress: Array, random: np.random.Generator, features: Features, si
     psi = phi * random.uniform(0.1, 1.0, count) if features.dilates else 0.0 * phi
     cohesion = np.full(count, float(features.cohesive))
     limit = np.minimum(0.5, cohesion / np.tan(phi)) * random.uniform(0.1, 0.9, count) * cohesion
+    strengths = [np.sin(phi), np.sin(psi), 2.0 * cohesion * np.cos(phi), limit]
+    if features.law_name == VON_MISES:
+        strengths = [*random.uniform(0.5, 50.0, (2, count)), 0.0 * phi, 0.0 * phi]
     return np.concatenate(
         [
             stress,
             size * random.normal(size=(dimension**2, count)),
-            [np.sin(phi), np.sin(psi), 2.0 * cohesion * np.cos(phi), limit],
+            strengths,
             [np.sin(phi) + 0.2, 10.0 ** random.uniform(-2.0, 0.0, count)]
             if features.inertial
             else np.zeros((2, count)),
@@ -163,8 +176,8 @@ def test_the_reverse_is_that_of_central_differences(features: Features) -> None:
     ours = reversed_step(features, inputs, bar)
     assert np.isfinite(ours).all()
     first = len(inputs) - CONSTANTS
-    absent = set() if features.cohesive else {first + 1, first + 2, first + 3}
-    absent |= set() if features.inertial else {first + 4, first + 5}
+    read = strength_count(features) if features.cohesive or features.law_name == VON_MISES else 1
+    absent = set(range(first + read, first + 4)) | (set() if features.inertial else {first + 4, first + 5})
     apart = []
     for row in sorted(set(range(len(inputs))) - absent):
         values = []

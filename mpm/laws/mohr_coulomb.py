@@ -34,11 +34,194 @@ Without cohesion T = 0 is the apex: B and C are the stress 0, taken where the me
 | T | limit |
 """
 
-import taichi as ti
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import auto
+from typing import Any
 
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from datasets.material import Material
+from datasets.records import Record
+from datasets.scene import Stage
 from mpm.arrays.access import clamp, maximum, minimum
+from mpm.laws import LawColumn
 from mpm.physics.inertial import sin_phi_at_rate
 from mpm.physics.principal import TINY
+
+Floats = NDArray[np.float64]
+
+OPENS = True
+REDUCED = 1.0e-3
+"""Share by which sin(phi) is reduced for `nearest`: what converges to it lies within yield after a number of steps."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters(Record):
+    """No others than those of `datasets.material`, with their units and bounds: every folder knows this law."""
+
+
+class Column(LawColumn):
+    """What the law knows of a particle."""
+
+    SIN_PHI = auto()  # [-]
+    SIN_PSI = auto()  # [-]
+    STRENGTH = auto()  # 2 c cos(phi) [Pa]
+    LIMIT = auto()  # largest tensile stress [Pa]
+    RESIDUAL_SIN_PHI = auto()  # [-]; from here on only where the material softens
+    RESIDUAL_STRENGTH = auto()  # 2 c cos(phi) of the residual values [Pa]
+    RESIDUAL_LIMIT = auto()  # [Pa]
+    SOFTENING = auto()  # sqrt(3) / softening length [1/m], 0 where it does not soften
+    SIN_PHI_LIMIT = auto()  # [-], 0 where friction does not depend on the rate; from here on only where it does
+    INERTIAL_RATE = auto()  # I_0 / (d sqrt(rho_s)) [1/(s sqrt(Pa))]
+
+
+PEAK = Column.SIN_PHI, Column.STRENGTH, Column.LIMIT
+RESIDUAL = Column.RESIDUAL_SIN_PHI, Column.RESIDUAL_STRENGTH, Column.RESIDUAL_LIMIT
+
+
+def features(materials: Sequence[Material], stages: Sequence[Stage]) -> dict[str, bool]:
+    """Which of its parts these materials need, at the start or after a stage."""
+    return {
+        "cohesive": any(each.cohesive for each in materials)
+        or any(stage.cohesion or stage.strength_gradient for stage in stages),
+        "dilates": any(each.dilation_deg for each in materials) or any(stage.dilation_deg for stage in stages),
+        "softens": any(material.softening_length is not None for material in materials),
+        "inertial": any(material.friction_limit_deg is not None for material in materials),
+    }
+
+
+def columns(features: Any) -> list[Column]:
+    """The columns that `strengths` reads."""
+    return [
+        Column.SIN_PHI,
+        *([Column.SIN_PSI] if features.dilates else []),
+        *([Column.STRENGTH, Column.LIMIT] if features.cohesive else []),
+        *([*RESIDUAL, Column.SOFTENING] if features.softens else []),
+        *([Column.SIN_PHI_LIMIT, Column.INERTIAL_RATE] if features.inertial else []),
+    ]
+
+
+def properties(material: Material, depth: Floats, friction_deg: Floats | None) -> Floats:
+    """Columns of particles at `depth` [m] below the top of their body, shape [N]; [N, len(Column)].
+
+    friction_deg: of each of them, shape [N], in place of the material's; its residual one stays where it has one.
+    """
+    values: dict[Column, Any] = {
+        Column.SIN_PSI: math.sin(math.radians(material.dilation_deg)),
+        Column.SOFTENING: math.sqrt(3.0) / material.softening_length if material.softening_length else 0.0,
+        Column.SIN_PHI_LIMIT: material.sin_phi_limit,
+        Column.INERTIAL_RATE: material.inertial_rate,
+    }
+    remains = friction_deg if material.residual_friction_deg is None else None
+    limits = material.tension_limit_at, material.residual_tension_limit_at
+    states = (material, limits[0], friction_deg, PEAK), (material.residual, limits[1], remains, RESIDUAL)
+    for state, limit_at, own, (sine, strength, limit) in states:
+        if own is None:
+            phi = math.radians(state.phi_deg)
+            values[sine], cosine, tangent = math.sin(phi), math.cos(phi), None
+        else:
+            angle = np.radians(material.phi_deg_of(own, material.dilation_deg))
+            values[sine], cosine, tangent = np.sin(angle), np.cos(angle), np.tan(angle)
+        values[strength] = 2.0 * state.cohesion_at(depth) * cosine
+        values[limit] = limit_at(depth, tangent)
+    return np.stack([np.broadcast_to(values[column], depth.shape) for column in Column], axis=1)
+
+
+def weakened(material: Material, factor: float) -> Material:
+    """`material` with its strength divided by `factor`: tan(phi), c, tension cutoff, and what remains of them."""
+    phi = flatter(material.phi_deg, factor)
+    values: dict[str, Any] = {"angle": "triaxial", "friction_limit_deg": None, "friction_deg": phi}
+    if material.residual_friction_deg is not None:
+        values["residual_friction_deg"] = flatter(material.residual.phi_deg, factor)
+    for name in ("cohesion", "strength_gradient", "tension_cutoff", "residual_cohesion", "residual_tension_cutoff"):
+        if (value := getattr(material, name)) is not None:
+            values[name] = value / factor
+    return dataclasses.replace(material, dilation_deg=min(material.dilation_deg, phi), **values)
+
+
+def flatter(angle: float, factor: float) -> float:
+    """The angle [deg] whose tangent is that of `angle` [deg] over `factor`."""
+    return math.degrees(math.atan(math.tan(math.radians(angle)) / factor))
+
+
+def limit(rows: Floats) -> Floats:
+    """T [Pa] of particles with these rows of properties, shape [N]."""
+    return rows[:, Column.LIMIT]
+
+
+def admitted_share(mean: Floats, deviators: Floats, rows: Floats) -> Floats:
+    """By which factor a deviator is admitted beside its mean stress [Pa], shape [N]; 1 and more: as it is.
+
+    deviators: its principal values [Pa], ascending, shape [N, 3].
+    """
+    sin_phi, strength, largest = rows[:, Column.SIN_PHI], rows[:, Column.STRENGTH], deviators[:, 2]
+    shear = excess_over.__wrapped__(largest, deviators[:, 0], sin_phi, 0.0)
+    return np.minimum(quotient(strength - 2.0 * sin_phi * mean, shear), quotient(rows[:, Column.LIMIT] - mean, largest))
+
+
+def quotient(top: Floats, bottom: Floats) -> Floats:
+    """top / bottom, infinite where `bottom` is not positive."""
+    return np.asarray(np.divide(top, bottom, out=np.full_like(top, np.inf), where=bottom > 0.0))
+
+
+def nearest(principal: Floats, rows: Floats) -> Floats:
+    """The admitted principal stresses [Pa] next to given ones, ascending, shape [N, 3]: Mohr-Coulomb, then the cutoff.
+
+    a >= b >= c with F(a, c) <= 0: onto that plane, where b then lies between a and c; else with the two that would pass
+    each other as one.
+    """
+    c, b, a = principal.T
+    sin_phi, tension = (1.0 - REDUCED) * rows[:, Column.SIN_PHI], rows[:, Column.LIMIT]
+    upper, lower = 1.0 + sin_phi, 1.0 - sin_phi
+
+    def on_plane(a: Floats, c: Floats, count_a: int, count_c: int) -> tuple[Floats, Floats]:
+        excess = np.maximum(excess_over.__wrapped__(a, c, sin_phi, rows[:, Column.STRENGTH]), 0.0)
+        excess /= upper**2 / count_a + lower**2 / count_c
+        return a - excess * upper / count_a, c + excess * lower / count_c
+
+    largest, least = on_plane(a, c, 1, 1)
+    above, below = on_plane(0.5 * (a + b), c, 2, 1), on_plane(a, 0.5 * (b + c), 1, 2)
+    high, low = b > largest, b < least
+    middle = np.where(high, above[0], np.where(low, below[1], b))
+    largest = np.where(high, above[0], np.where(low, below[0], largest))
+    least = np.where(high, above[1], np.where(low, below[1], least))
+    apex = least > largest
+    changed = np.minimum(np.stack([least, middle, largest], axis=1), tension[:, None])
+    changed[apex] = tension[apex, None]
+    return changed
+
+
+@ti.func
+def excess_over(s_i, s_j, sin_phi, strength):
+    """F_ij [Pa], in lanes and of arrays."""
+    return s_i * (1.0 + sin_phi) - s_j * (1.0 - sin_phi) - strength
+
+
+@ti.func
+def strengths(values: ti.template(), strain: ti.template(), cell, dt, features: ti.template()):
+    """The strengths of a step, as `return_principal` takes them, of the values of the columns; one that the kernel does
+    not read is 0. strain: of one number where the material softens, the plastic strain at the start of the step [-].
+    """
+    slow = slow_strengths(values, strain, cell, features)
+    if ti.static(features.inertial):
+        return slow[0], slow[1], slow[2], slow[3], values[8], dt * values[9]
+    else:
+        return slow[0], slow[1], slow[2], slow[3]
+
+
+@ti.func
+def slow_strengths(values: ti.template(), strain: ti.template(), cell, features: ti.template()):
+    """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] where it shears slowly."""
+    peak = values[0], values[1], values[2], values[3]
+    if ti.static(features.softens):
+        return softened(strain[0], values[7] * cell, peak, (values[4], values[5], values[6]), features)
+    else:
+        return peak
 
 
 @ti.func
@@ -89,9 +272,9 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
         pair, single = s1 + s2, s3
     if ti.static(dilates):
         # The sum of both multipliers; a, b: change of a plane's F per own and per other one.
-        second = s1 * (1.0 + sin_phi) - s2 * (1.0 - sin_phi) - strength
+        second = excess_over(s1, s2, sin_phi, strength)
         if ti.static(upper):
-            second = s2 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength
+            second = excess_over(s2, s3, sin_phi, strength)
         a = 4.0 * (shear + (lame + shear) * sin_phi * sin_psi)
         b = 4.0 * lame * sin_phi * sin_psi + 2.0 * shear * (1.0 - sign * sin_phi) * (1.0 - sign * sin_psi)
         total = (excess + second) / (a + b)
@@ -109,7 +292,7 @@ def on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, upper: 
 @ti.func
 def on_hexagon(s1, s2, s3, sin_phi, sin_psi, strength, lame, shear, dilates: ti.template()):
     """Return to Mohr-Coulomb's pyramid alone (A), beyond its apex as if it had none; elastic states are unchanged."""
-    excess = maximum(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
+    excess = maximum(excess_over(s1, s3, sin_phi, strength), 0.0)
     t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
     low, twin_high = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, True, dilates)
     high, twin_low = on_edge(s1, s2, s3, excess, sin_phi, sin_psi, strength, lame, shear, False, dilates)
@@ -145,7 +328,7 @@ def strengths_at_rate(s1, s2, s3, strengths: ti.template(), lame, shear, feature
     if ti.static(features.inertial):
         sin_phi, sin_psi, strength, limit = strengths[0], strengths[1], strengths[2], strengths[3]
         dilates = ti.static(features.dilates)
-        excess = maximum(s1 * (1.0 + sin_phi) - s3 * (1.0 - sin_phi) - strength, 0.0)
+        excess = maximum(excess_over(s1, s3, sin_phi, strength), 0.0)
         t1, t2, t3 = on_plane(s1, s2, s3, excess, sin_phi, sin_psi, lame, shear, dilates)
         now = sin_phi_at_rate(s1, s2, s3, t2 > t1, t3 > t2, strengths, lame, shear, dilates)
         if ti.static(features.cohesive):
@@ -189,3 +372,24 @@ def return_principal(s1, s2, s3, strengths: ti.template(), lame, shear, features
         shorter = maximum(share - d1, 0.0) + maximum(share - d2, 0.0) + maximum(share - d3, 0.0)
         opened = opened - bulk3 * sin_psi / (3.0 * shear * (1.0 - sin_psi)) * shorter
     return t1, t2, t3, ti.select(open_, maximum(opened, 0.0), 0.0)
+
+
+@ti.func
+def elastic_at(s: ti.template(), strengths: ti.template(), features: ti.template()):
+    """Whether nothing yields at the principal stresses `s`; without cohesion stress 0 is the apex, where all does."""
+    below = excess_over(s[0], s[2], strengths[0], strengths[2]) <= 0.0
+    if ti.static(features.cohesive):
+        return below & (s[0] <= strengths[3])
+    else:
+        return below & (s[0] + s[1] + s[2] < 0.0)
+
+
+@ti.func
+def fell_alike(s: ti.template(), t: ti.template(), strengths: ti.template(), lame, shear, features: ti.template()):
+    """Whether s1 opened and s2 and s3 alone relaxed beside it, both alike (B)."""
+    if ti.static(features.cohesive):
+        sin_phi, limit = strengths_at_rate(s[0], s[1], s[2], strengths, lame, shear, features)
+        lowest = (limit * (1.0 + sin_phi) - strengths[2]) / (1.0 - sin_phi)
+        return (t[0] >= limit) & (t[1] < limit) & (t[2] > lowest)
+    else:
+        return t[0] != t[0]

@@ -1,0 +1,64 @@
+"""Laws of strength: a module here for each, found by its name; a kernel contains the law of its scenes alone.
+
+`[material] law = "NAME"` is the module of that name, with _ for -. What it has:
+
+    Parameters                        a record of its keys in `[material]`, with units and bounds
+    Column                            its columns of `properties`, behind those of `mpm.arrays.layout.Property`
+    OPENS                             whether tension opens it: the fourth of its strengths is then the largest [Pa]
+    features(materials, stages)       flags of `mpm.arrays.features.Features` that it sets
+    columns(features)                 the columns that a kernel with these features reads
+    properties(material, depth, friction_deg)       their values [N, len(Column)]; in NumPy
+    strengths(values, strain, cell, dt, features)   what the return takes, from the values of all columns; in lanes
+    return_principal or return_tensor               the stress that it admits in place of a trial stress; in lanes
+    admitted_share, nearest, limit                  the stress that it admits at the start; in NumPy
+    weakened(material, factor)        the material with its strength divided by a factor
+
+The functions in lanes are straight-line code, from which `mpm.adjoint` makes their reverse. That of a law in principal
+stresses also asks where nothing yields and where two stresses fell alike: `elastic_at`, `fell_alike`.
+"""
+
+import pkgutil
+from collections.abc import Iterable
+from enum import IntEnum
+from importlib import import_module
+from typing import Any
+
+from datasets.errors import InputError, require
+from datasets.material import Material
+from datasets.records import from_mapping
+from mpm.arrays.layout import Property
+
+LAWS = {each.name.replace("_", "-"): f"{__name__}.{each.name}" for each in pkgutil.iter_modules(__path__)}
+"""The modules by the names of their laws."""
+
+
+class LawColumn(IntEnum):
+    """Columns of a law, behind those of `Property`."""
+
+    @staticmethod
+    def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
+        return len(Property) + count
+
+
+def law_named(name: str) -> Any:
+    """The module of a law; imported here, because it needs Taichi. Raises InputError for a name that none has."""
+    require(name in LAWS, "material.law", f"one of {', '.join(LAWS)}", repr(name))
+    return import_module(LAWS[name])
+
+
+def parameters_of(material: Material) -> Any:
+    """The keys of a material's law, its `Parameters`. Raises InputError."""
+    try:
+        return from_mapping(law_named(material.law).Parameters, material.constants)
+    except InputError as error:
+        raise InputError(error.message, key=f"material.{error.key.removeprefix('material.')}") from None
+
+
+def law_of(materials: Iterable[Material]) -> Any:
+    """The module of the law that all materials have. Raises InputError where they differ, and for wrong keys of it."""
+    given = [*materials]
+    for each in given:
+        parameters_of(each)
+    names = sorted({each.law for each in given})
+    require(len(names) == 1, "material.law", "masses of one law", " and ".join(names))
+    return law_named(names[0])
