@@ -13,12 +13,12 @@ def add_bars(first, values: ti.template(), arrays: ti.template()):
 @ti.func
 def add_property_bar(block, column: ti.template(), value, arrays: ti.template()):
     """Add to the bars of a property of the particles of a block."""
-    at = block * arrays.layout.width + arrays.features.properties + ti.static(int(column))
-    present = arrays.state[block * arrays.features.block + arrays.features.present]
+    at = block * arrays.layout.width + arrays.features.state.properties + ti.static(int(column))
+    present = arrays.state[block * arrays.features.state.size + arrays.features.state.present]
     arrays.adjoints[at] = arrays.adjoints[at] + present * value
 
 
 @ti.func
 def contact_bar(block, column: ti.template(), arrays: ti.template()):
     """Index of the bar of the vector `column` of those that describe the contact of a block."""
-    return block * arrays.layout.width + arrays.features.contacts + column
+    return block * arrays.layout.width + arrays.features.state.contacts + column

@@ -15,6 +15,7 @@ gravity, are closed forms of a few numbers, whose derivatives are central differ
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,9 @@ from datasets.scene import Scene
 from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_of, settings_row
+from mpm.initial.slope import begins_as_slope
 from mpm.initial.stress import initial_tractions
-from mpm.solids.obstacles import obstacles_in
+from mpm.solids.obstacles import faces_and_holds, obstacles_in, solids_with
 
 Floats = NDArray[np.float64]
 
@@ -118,44 +120,111 @@ class Gradient:
 
         Raises InputError where a scene has other particles than this one.
         """
-
-        def inputs(value: float) -> Floats:
-            scene = scene_at(value)
-            particles = initial_particles(scene)
-            if len(particles.positions) != len(self.positions):
-                raise InputError("expected scenes with as many particles, a change of their number has no derivative")
-            motion = particles.positions, particles.velocities, particles.velocity_gradients
-            stress, properties = initial_tractions(scene, particles)[0], properties_of(particles)
-            own = stress, properties[:, : self.properties.shape[1]], np.array(settings_row(scene, particles))
-            solids = solids_of(scene, self.scene) if len(self.faces) else ()
-            return np.concatenate([part.ravel() for part in (*motion, *own, *solids)])
-
-        bars = self.positions, self.velocities, self.velocity_gradients, self.stress, self.properties, self.settings
-        solids = (self.faces, self.holds) if len(self.faces) else ()
-        slopes = differences(inputs, at, "the path", step)
-        flat = np.concatenate([bar.ravel() for bar in (*bars, *solids)])
+        slopes = differences(lambda value: started(scene_at(value), self.start).numbers, at, "the path", step)
+        used = np.flatnonzero(slopes)
         # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
-        return float(flat[flat != 0.0] @ slopes[flat != 0.0])
+        used = used[self.bars[used] != 0.0]
+        return float(self.bars[used] @ slopes[used])
+
+    @cached_property
+    def start(self) -> "Start":
+        """What runs along paths of scenes through this one share."""
+        return start_of(self.scene, self.properties.shape[1])
+
+    @cached_property
+    def bars(self) -> Floats:
+        """Of `Start.numbers`."""
+        motion = self.positions, self.velocities, self.velocity_gradients
+        others = self.stress, self.properties, self.settings, self.faces, self.holds
+        return np.concatenate([bar.ravel() for bar in (*motion, *others)])
 
 
-def solids_of(scene: Scene, base: Scene) -> tuple[Floats, Floats]:
-    """Faces of the solids of a scene, and its holds where `base` has some, of no share where it has none itself.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Start:
+    """What a run of a scene begins with; shapes as of `Gradient`."""
 
-    Raises InputError where the scenes have different faces.
-    """
-    ours, here = obstacles_in(scene), obstacles_in(base)
-    if ours.faces.shape != here.faces.shape:
-        raise InputError("expected solids with as many faces, a change of their number has no derivative")
-    keys, our_keys = (
-        np.repeat(np.arange(len(each.node_holds) - 1), np.diff(each.node_holds)) * (len(each.faces) + 1)
-        + each.holds[:, 0].astype(np.int64)
-        for each in (here, ours)
+    scene: Scene
+    particles: Particles
+    stress: Floats
+    properties: Floats
+    settings: Floats
+    faces: Floats
+    held: NDArray[np.int64]
+    """The node of each of the `holds`."""
+    holds: Floats
+
+    @property
+    def numbers(self) -> Floats:
+        """All of it in a row."""
+        motion = self.particles.positions, self.particles.velocities, self.particles.velocity_gradients
+        others = self.stress, self.properties, self.settings, self.faces, self.holds
+        return np.concatenate([part.ravel() for part in (*motion, *others)])
+
+
+def start_of(scene: Scene, columns: int) -> Start:
+    """What a run of `scene` begins with; columns: of `Property`."""
+    particles, solids = initial_particles(scene), obstacles_in(scene)
+    return Start(
+        scene=scene,
+        particles=particles,
+        stress=initial_tractions(scene, particles)[0],
+        properties=properties_of(particles)[:, :columns],
+        settings=np.array(settings_row(scene, particles)),
+        faces=solids.faces,
+        held=np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds)),
+        holds=solids.holds,
     )
-    rows = here.holds.copy()
-    rows[:, 2] = 0.0
-    _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
-    rows[at] = ours.holds[our_at]
-    return ours.faces, rows
+
+
+def started(scene: Scene, base: Start) -> Start:
+    """As `start_of`, but what `scene` has in common with `base` is not made again.
+
+    Particles follow from the masses, what they consist of from the materials; faces and holds from the solids. Raises
+    InputError where the scenes have different numbers of particles or faces.
+    """
+    particles, properties = base.particles, base.properties
+    soils, known = ([each.material_of(mass) for mass in each.masses] for each in (scene, base.scene))
+    if placement(scene) != placement(base.scene) or (scene.fields and soils != known):
+        particles = initial_particles(scene)
+        if len(particles.positions) != len(base.particles.positions):
+            raise InputError("expected scenes with as many particles, a change of their number has no derivative")
+        properties = properties_of(particles)[:, : properties.shape[1]]
+    elif soils != known:
+        materials = {material: number for number, material in enumerate(dict.fromkeys(soils))}
+        numbers = np.array([materials[material] for material in soils], np.int32)
+        particles = dataclasses.replace(particles, materials=tuple(materials), material=numbers[particles.mass])
+        properties = properties.copy()
+        for mass, (ours, theirs) in enumerate(zip(soils, known, strict=True)):
+            if ours != theirs:
+                here = particles.mass == mass
+                rows = properties_at(ours, particles.depth[here])
+                rows[:, Property.VOLUME] = particles.volume[here]
+                properties[here] = rows[:, : properties.shape[1]]
+    stress, faces, holds = base.stress, base.faces, base.holds
+    if stress.any() or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
+        stress = initial_tractions(scene, particles)[0]
+    if len(faces) and solids_with(scene) != solids_with(base.scene):
+        faces, holds = faces_and_holds(scene, base.held, base.holds)
+        if faces.shape != base.faces.shape:
+            raise InputError("expected solids with as many faces, a change of their number has no derivative")
+    return dataclasses.replace(
+        base,
+        scene=scene,
+        particles=particles,
+        stress=stress,
+        properties=properties,
+        settings=np.array(settings_row(scene, particles)),
+        faces=faces,
+        holds=holds,
+    )
+
+
+def placement(scene: Scene) -> tuple[Any, ...]:
+    """All that the places, velocities and volumes of the particles of a scene follow from."""
+    others = dict.fromkeys(("material", "k0", "release", "gate"))
+    masses = [vars(mass) | others for mass in scene.masses]
+    ground = scene.solids if any(mass.kind == "layer" for mass in scene.masses) else ()
+    return scene.domain, scene.seed, scene.jitter, scene.particles_per_axis, scene.fields, masses, ground
 
 
 def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:
@@ -204,10 +273,10 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
                     scene=scene,
                     particles=tape.batch.particles[index],
                     positions=numbers(0, size),
-                    velocities=numbers(features.velocity, size),
-                    velocity_gradients=numbers(features.affine, size * size).reshape(-1, size, size),
-                    stress=numbers(features.stress, features.stresses),
-                    properties=numbers(features.properties, features.columns),
+                    velocities=numbers(features.state.velocity, size),
+                    velocity_gradients=numbers(features.state.affine, size * size).reshape(-1, size, size),
+                    stress=numbers(features.state.stress, features.stresses),
+                    properties=numbers(features.state.properties, features.columns),
                     settings=ours["settings"][index].copy(),
                     faces=ours["face_adjoints"][faces],
                     cut=float(ours["cut"][index]),

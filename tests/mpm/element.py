@@ -11,7 +11,7 @@ from scipy.optimize import root
 from datasets.material import Material
 from mpm import runtime
 from mpm.arrays.batch import aligned, put_vectors
-from mpm.arrays.features import Features
+from mpm.arrays.features import Features, Recorded
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_row
 from mpm.physics.mohr_coulomb import return_principal, softened
@@ -126,7 +126,7 @@ def follow_states(
         precision="f64",
         dilates=True,
         cohesive=cohesive,
-        strain_recorded=True,
+        recorded=Recorded(strain=True),
         volume_correction=corrected,
         softens=material.softening_length is not None,
         inertial=material.friction_limit_deg is not None,
