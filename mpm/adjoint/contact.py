@@ -13,9 +13,9 @@ is that of all later frames together. It joins the bars of the force on the node
 
 import taichi as ti
 
-from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import add_face, depends, found_reverse
+from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import vectors
 from mpm.arrays.layout import Contact, Property, Worker
@@ -114,9 +114,7 @@ def impulse_bar(solid, worker, arrays: ti.template()):
 @ti.func
 def grid_motion(scratch, arrays: ti.template()):
     """The grid's velocity at each particle of a block, from the first sums of `scratch`; D of them."""
-    return [
-        arrays.scratch[scratch + arrays.layout.scratch.sums + i] for i in ti.static(range(arrays.features.dimension))
-    ]
+    return vectors(arrays.scratch, scratch + arrays.layout.scratch.sums, arrays.features.dimension)
 
 
 @ti.func
@@ -136,10 +134,8 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     before = scratch + layout.scratch.before
     for k in ti.static(range(size)):
         arrays.scratch[before + size + k] = sheared.values[k]
-        kept = (
-            relaxation_factor(scene, dt, arrays)
-            * arrays.state[block * features.state.size + features.state.velocity + k]
-        )
+        velocity = arrays.state[block * features.state.size + features.state.velocity + k]
+        kept = relaxation_factor(scene, dt, arrays) * velocity
         arrays.scratch[before + k] = kept + arrays.scratch[scratch + layout.scratch.sums + features.node.change + k]
     mass = ti.static(int(Contact.FREE))
     volume = property_of(scene, block, Property.VOLUME, arrays)

@@ -120,7 +120,8 @@ class Gradient:
 
         Raises InputError where a scene has other particles than this one.
         """
-        slopes = differences(lambda value: started(scene_at(value), self.start).numbers, at, "the path", step)
+        columns = self.properties.shape[1]
+        slopes = differences(lambda value: started(scene_at(value), self.start).numbers(columns), at, "the path", step)
         used = np.flatnonzero(slopes)
         # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
         used = used[self.bars[used] != 0.0]
@@ -129,19 +130,18 @@ class Gradient:
     @cached_property
     def start(self) -> "Start":
         """What runs along paths of scenes through this one share."""
-        return start_of(self.scene, self.properties.shape[1])
+        return started(self.scene)
 
     @cached_property
     def bars(self) -> Floats:
         """Of `Start.numbers`."""
         motion = self.positions, self.velocities, self.velocity_gradients
-        others = self.stress, self.properties, self.settings, self.faces, self.holds
-        return np.concatenate([bar.ravel() for bar in (*motion, *others)])
+        return in_a_row(*motion, self.stress, self.properties, self.settings, self.faces, self.holds)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Start:
-    """What a run of a scene begins with; shapes as of `Gradient`."""
+    """What a run of a scene begins with; shapes as of `Gradient`, whose properties may be the first ones alone."""
 
     scene: Scene
     particles: Particles
@@ -149,82 +149,76 @@ class Start:
     properties: Floats
     settings: Floats
     faces: Floats
+    holds: Floats
     held: NDArray[np.int64]
     """The node of each of the `holds`."""
-    holds: Floats
 
-    @property
-    def numbers(self) -> Floats:
-        """All of it in a row."""
+    def numbers(self, columns: int) -> Floats:
+        """All of it in a row, with so many columns of the properties."""
         motion = self.particles.positions, self.particles.velocities, self.particles.velocity_gradients
-        others = self.stress, self.properties, self.settings, self.faces, self.holds
-        return np.concatenate([part.ravel() for part in (*motion, *others)])
+        return in_a_row(*motion, self.stress, self.properties[:, :columns], self.settings, self.faces, self.holds)
 
 
-def start_of(scene: Scene, columns: int) -> Start:
-    """What a run of `scene` begins with; columns: of `Property`."""
-    particles, solids = initial_particles(scene), obstacles_in(scene)
-    return Start(
-        scene=scene,
-        particles=particles,
-        stress=initial_tractions(scene, particles)[0],
-        properties=properties_of(particles)[:, :columns],
-        settings=np.array(settings_row(scene, particles)),
-        faces=solids.faces,
-        held=np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds)),
-        holds=solids.holds,
-    )
+def in_a_row(*parts: Floats) -> Floats:
+    """All numbers of arrays."""
+    return np.concatenate([part.ravel() for part in parts])
 
 
-def started(scene: Scene, base: Start) -> Start:
-    """As `start_of`, but what `scene` has in common with `base` is not made again.
+def started(scene: Scene, base: Start | None = None) -> Start:
+    """What a run of `scene` begins with; what it has in common with `base` is not made again.
 
-    Particles follow from the masses, what they consist of from the materials; faces and holds from the solids. Raises
-    InputError where the scenes have different numbers of particles or faces.
+    Raises InputError where the scenes have different numbers of particles or faces.
     """
-    particles, properties = base.particles, base.properties
-    soils, known = ([each.material_of(mass) for mass in each.masses] for each in (scene, base.scene))
-    if placement(scene) != placement(base.scene) or (scene.fields and soils != known):
-        particles = initial_particles(scene)
-        if len(particles.positions) != len(base.particles.positions):
-            raise InputError("expected scenes with as many particles, a change of their number has no derivative")
-        properties = properties_of(particles)[:, : properties.shape[1]]
-    elif soils != known:
-        materials = {material: number for number, material in enumerate(dict.fromkeys(soils))}
-        numbers = np.array([materials[material] for material in soils], np.int32)
-        particles = dataclasses.replace(particles, materials=tuple(materials), material=numbers[particles.mass])
-        properties = properties.copy()
-        for mass, (ours, theirs) in enumerate(zip(soils, known, strict=True)):
-            if ours != theirs:
-                here = particles.mass == mass
-                rows = properties_at(ours, particles.depth[here])
-                rows[:, Property.VOLUME] = particles.volume[here]
-                properties[here] = rows[:, : properties.shape[1]]
+    if base is None:
+        particles, solids = initial_particles(scene), obstacles_in(scene)
+        return Start(
+            scene=scene,
+            particles=particles,
+            stress=initial_tractions(scene, particles)[0],
+            properties=properties_of(particles),
+            settings=np.array(settings_row(scene, particles)),
+            faces=solids.faces,
+            holds=solids.holds,
+            held=np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds)),
+        )
+    particles, properties = particles_with(scene, base)
     stress, faces, holds = base.stress, base.faces, base.holds
     if stress.any() or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
         stress = initial_tractions(scene, particles)[0]
     if len(faces) and solids_with(scene) != solids_with(base.scene):
-        faces, holds = faces_and_holds(scene, base.held, base.holds)
-        if faces.shape != base.faces.shape:
-            raise InputError("expected solids with as many faces, a change of their number has no derivative")
-    return dataclasses.replace(
-        base,
-        scene=scene,
-        particles=particles,
-        stress=stress,
-        properties=properties,
-        settings=np.array(settings_row(scene, particles)),
-        faces=faces,
-        holds=holds,
-    )
+        faces, holds = faces_and_holds(scene, base.held, holds)
+    if len(particles.positions) != len(base.particles.positions):
+        raise InputError("expected scenes with as many particles, a change of their number has no derivative")
+    if faces.shape != base.faces.shape:
+        raise InputError("expected solids with as many faces, a change of their number has no derivative")
+    made = {"particles": particles, "properties": properties, "stress": stress, "faces": faces, "holds": holds}
+    return dataclasses.replace(base, scene=scene, settings=np.array(settings_row(scene, particles)), **made)
+
+
+def particles_with(scene: Scene, base: Start) -> tuple[Particles, Floats]:
+    """The particles of a scene and their properties, in the places of `base` where these are the same."""
+    if placement(scene) != placement(base.scene):
+        particles = initial_particles(scene)
+        return particles, properties_of(particles)
+    soils, known = ([each.material_of(mass) for mass in each.masses] for each in (scene, base.scene))
+    materials = {material: number for number, material in enumerate(dict.fromkeys(soils))}
+    own = np.array([materials[material] for material in soils], np.int32)[base.particles.mass]
+    particles = dataclasses.replace(base.particles, materials=tuple(materials), material=own)
+    properties = base.properties.copy()
+    for mass in np.flatnonzero([ours != theirs for ours, theirs in zip(soils, known, strict=True)]):
+        here = particles.mass == mass
+        properties[here] = properties_at(soils[mass], particles.depth[here])
+        properties[here, Property.VOLUME] = particles.volume[here]
+    return particles, properties
 
 
 def placement(scene: Scene) -> tuple[Any, ...]:
-    """All that the places, velocities and volumes of the particles of a scene follow from."""
+    """All that the places, velocities and volumes of the particles of a scene follow from, and what fields vary."""
     others = dict.fromkeys(("material", "k0", "release", "gate"))
     masses = [vars(mass) | others for mass in scene.masses]
     ground = scene.solids if any(mass.kind == "layer" for mass in scene.masses) else ()
-    return scene.domain, scene.seed, scene.jitter, scene.particles_per_axis, scene.fields, masses, ground
+    varied = (scene.fields, scene.material, scene.masses) if scene.fields else ()
+    return scene.domain, scene.seed, scene.jitter, scene.particles_per_axis, masses, ground, varied
 
 
 def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:

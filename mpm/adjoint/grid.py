@@ -103,11 +103,10 @@ def node_reverse(node, bar, n, index: ti.template(), worker, scene, dt, kappa, a
             braked = stopped
             if ti.static(features.contact):
                 braked = apply_solids(stopped, node[dimension], n, worker, False, arrays)
-            new_bar, limit_bar = with_friction_reverse(
-                new_bar, braked, dt * node[features.node.side_friction] * per_mass
-            )
+            grip = node[features.node.side_friction] * per_mass
+            new_bar, limit_bar = with_friction_reverse(new_bar, braked, dt * grip)
             side_bar = dt * per_mass * limit_bar
-            mass_bar = 0.0 - node[features.node.side_friction] * per_mass * side_bar
+            mass_bar = 0.0 - grip * side_bar
         if ti.static(features.contact):
             new_bar, solid_bar = solids_reverse(new_bar, stopped, node[dimension], n, worker, arrays)
             mass_bar = mass_bar + solid_bar

@@ -9,9 +9,9 @@ go to the nodes, through the grid, and come back to x, v, C, sigma and the prope
 
 import taichi as ti
 
-from mpm.adjoint.access import add_bars, add_property_bar
 from mpm.adjoint.contact import push_reverse
 from mpm.adjoint.grid import add_kappa_bar
+from mpm.adjoint.layout import add_bars, add_property_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
 from mpm.adjoint.transfer import affine_reverse, gather_moments, prepare_weights, transfer_reverse
@@ -144,9 +144,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     velocity = vectors(arrays.state, first + features.state.velocity, size)
     affine = vectors(arrays.state, first + features.state.affine, size * size)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
-    pushed = [
-        arrays.scratch[scratch + features.scratch.push + k] for k in ti.static(range(2 * size * int(features.contact)))
-    ]
+    pushed = vectors(arrays.scratch, scratch + features.scratch.push, 2 * size * int(features.contact))
     grip = arrays.settings[scene, Setting.GRIP]
     numbers = ti.static(((velocity, affine, stress), volume, density, pushed, grip))
     given = ti.static([Pullback(given_of, numbers, (dx, features))])[0]

@@ -18,8 +18,8 @@ orthonormal: Jacobi's rotations give such axes to rounding whatever the stress (
 
 import taichi as ti
 
-from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.contact import grid_motion, jump_reverse, slip_reverse, touched
+from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.transfer import gather_moments
 from mpm.arrays.access import lane_sum, magnitude, maximum, minimum, no_overflow, vectors

@@ -11,7 +11,7 @@ from datasets.errors import InputError
 from datasets.field import Field
 from datasets.material import Material
 from datasets.scene import Baffle, Channel, Mass, Scene, Solid
-from mpm.adjoint.gradient import Gradient, gradient, start_of, started
+from mpm.adjoint.gradient import Gradient, gradient, started
 from tests.mpm.adjoint.flows import SOIL, Weighted, central, exact_gradient, moved, plane, room, shaken, value_of
 
 pytestmark = pytest.mark.double
@@ -236,7 +236,7 @@ def test_what_a_run_begins_with_is_made_anew_where_a_path_changes_it(change: dic
     """From each scene to the other, whatever they have in common."""
     scenes = plane(**BAFFLED), plane(**BAFFLED | change)
     for base, scene in (scenes, scenes[::-1]):
-        found, whole = started(scene, start_of(base, 10)), start_of(scene, 10)
+        found, whole = started(scene, started(base)), started(scene)
         for name in ("stress", "properties", "settings", "faces"):
             np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
         for name in ("positions", "velocities", "velocity_gradients", "friction", "volume"):
