@@ -39,7 +39,7 @@ from inverse.forward.gns import require_predicted
 from inverse.parameters import Vector
 from inverse.posterior.emulator import fewest_runs, fitted
 from inverse.problem import Problem, read_problem
-from mpm.expected import INVERSION
+from mpm.footprint import INVERSION
 from mpm.generate import generate, missing_entries
 
 COMMAND = "python -m inverse.adapt"

@@ -232,7 +232,7 @@ class WhiteFlow:
             found[part] = unknown.prior.white(unknown.at_nodes(gradient, latent))
         if self.problem.numbers:
             density = np.exp(-0.5 * white[self.own] ** 2) / np.sqrt(2.0 * np.pi)
-            slopes = derivatives(gradient, self.problem.kinds, self.values(white))
+            slopes = derivatives(gradient, self.problem.kinds, self.values(white), self.problem.scene)
             found[self.own] = slopes * self.problem.box.range * density
         return found
 

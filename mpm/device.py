@@ -11,7 +11,7 @@ import taichi as ti
 from tqdm import tqdm
 
 from mpm.arrays.batch import Array, Batch
-from mpm.arrays.features import Features
+from mpm.arrays.features import NODE, Features
 from mpm.arrays.layout import Offset, Setting, StepControl, Worker
 from mpm.arrays.table import VIEWS
 from mpm.initial.stages import begin_stages, call_end, next_stage
@@ -35,7 +35,7 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
             break
         call_kernel(Phase.SPEED)
         step_control = device["step_control"].to_numpy()
-        if batch.features.until_rest:
+        if batch.features.recorded.until_rest:
             batch.offsets[:] = device["offsets"].to_numpy()
         blown = (step_control[:, StepControl.STEPS] == 0) & ~ended
         batch.offsets[blown, Offset.FRAMES] = frame
@@ -77,6 +77,6 @@ def upload(arguments: dict[str, Array], features: Features) -> dict[str, ti.Ndar
             continue
         kind = {"f": ti.f32, "d": ti.f64, "i": ti.i32}[array.dtype.char]
         nodes = name == "grid"
-        device[name] = ti.Vector.ndarray(features.node, kind, len(array)) if nodes else ti.ndarray(kind, array.shape)
+        device[name] = ti.Vector.ndarray(NODE, kind, len(array)) if nodes else ti.ndarray(kind, array.shape)
         device[name].from_numpy(np.ascontiguousarray(array))
     return device

@@ -1,23 +1,32 @@
-"""What a run will take, before any of it is allocated: particles, nodes, frames, steps and memory.
+"""What a run will take, before any of it is allocated: particles, nodes, frames, steps, memory and time.
 
     >>> print(footprint(read_scene("column-tall-42")))
     3200 particles, 107 x 107 nodes, 401 frames, 4400 steps or more
 
 The arrays of a run are those of `mpm.arrays.batch`, counted here from the scene alone; what else a process holds is
 measured: Taichi with a compiled kernel (`PROCESS`), and what stands beside the state while it is filled (`BESIDE`).
+
+    >>> print(expected(read_scene("column-tall-42"), 1.4e9, memory=3e8))
+    expected: 25 to 110 s, 286 MiB of memory
+
+Work takes a start (Taichi, the kernel's compilation) and its particle-steps, as planned, over a speed for each kind of
+scene. The range holds slow and fast machines, from cores that share their memory with many others to a core on its own.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datasets import memory
 from datasets.errors import InputError
 from datasets.particles import mass_counts
 from datasets.scene import Scene
-from mpm.arrays.features import features_of
+from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import Energy, Precision, node_shape
 from mpm.arrays.properties import substeps_per_frame
 from mpm.output.request import ALL, Recording
+from mpm.resolution import particle_steps
+from mpm.runtime import Arch
 
 PROCESS = 240 * 2**20
 """Bytes of a process with Taichi and a kernel."""
@@ -27,6 +36,22 @@ STRESS = 4096
 """Bytes that an equilibrium of a mass at the start takes per particle: a factorisation."""
 MOST_STEPS = 2**31 - 1
 """A counter's limit; at a million particle-steps a second one particle would take half an hour."""
+
+SPEED = {2: 35e6, 3: 15e6}
+"""Particle-steps a second on one processor, in 2D and in 3D (`python -m validation.bench speed`)."""
+GPU_SPEED = {2: 350e6, 3: 120e6}
+"""On a GPU (`python -m validation.bench gpu`)."""
+SOLIDS, DOUBLE = 0.8, 0.75
+"""Shares of the speed that are left beside solids and in f64."""
+SLOW, FAST = 0.4, 1.7
+"""Speeds of machines over these: from 16 threads that wait for one memory to a thread alone."""
+START = {2: (1.0, 8.0), 3: (2.0, 15.0)}
+"""Seconds of a start, from kernels that are on disk to those that are compiled."""
+EARLIEST = 0.5
+"""Share of the steps after which flows are taken to rest, where runs end then."""
+
+INVERSION = 250 * 2**20
+"""Bytes of PyTorch and of an inversion in a process that also runs the MPM."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +106,8 @@ def footprint(
     particle = 8 * (2 * dimension + dimension**2 + 2) + 8
     sizes = (
         PROCESS,
-        count * BESIDE * (particle + real * features.block),
-        math.prod(nodes) * workers * (real * features.node + (16 if features.contact else 0)),
+        count * BESIDE * (particle + real * features.state.size),
+        math.prod(nodes) * workers * (real * NODE + (16 if features.contact else 0)),
         STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
     )
     kept = len(record.kept(scene.frames))
@@ -103,3 +128,60 @@ def require_memory(footprints: list[Footprint]) -> None:
         f"{'a run' if len(footprints) == 1 else f'{len(footprints)} runs'}",
         f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame, --hdf5)",
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expected:
+    """What work will take."""
+
+    shortest: float
+    longest: float
+    """Of the range [s]."""
+    memory: float
+    """At the peak, of all processes [bytes]."""
+    least: bool = False
+    """Whether it may take longer than the range: how many runs there will be is open."""
+
+    def __str__(self) -> str:
+        seconds = f"{'at least ' * self.least}{spoken(self.shortest, self.longest)}"
+        return f"expected: {seconds}, {memory.spoken(self.memory)} of memory"
+
+
+def spoken(shortest: float, longest: float) -> str:
+    """A range of durations, to two digits each in the unit in which the longer one is short: `2 to 12 s`."""
+    unit, size = next((pair for pair in (("h", 3600.0), ("min", 60.0)) if longest >= 2.0 * pair[1]), ("s", 1.0))
+    low, high = (f"{float(f'{seconds / size:.2g}'):g}" for seconds in (shortest, longest))
+    return f"{high} {unit}" if low == high else f"{low} to {high} {unit}"
+
+
+def expected(
+    scene: Scene,
+    work: float,
+    *,
+    memory: float,
+    processors: int = 1,
+    precision: Precision = "f32",
+    arch: Arch = "cpu",
+    until_rest: bool = False,
+    least: bool = False,
+    after: float = 0.0,
+) -> Expected:
+    """What `work` [particle-steps] of scenes like this will take on so many processors, and `after` seconds after it.
+
+    until_rest: whether runs end where the flow rests; least: whether more work may follow; so it does `after`.
+    """
+    speed = processors * SPEED[scene.dimension] if arch == "cpu" else GPU_SPEED[scene.dimension]
+    speed *= (SOLIDS if scene.baffles or scene.solids else 1.0) * (DOUBLE if precision == "f64" else 1.0)
+    first, last = START[scene.dimension]
+    return Expected(
+        shortest=first + (EARLIEST if until_rest else 1.0) * work / (FAST * speed) + after,
+        longest=last + work / (SLOW * speed) + after,
+        memory=memory,
+        least=least or after > 0.0,
+    )
+
+
+def planned(scenes: Sequence[Scene]) -> tuple[float, float]:
+    """Particle-steps of runs, and the memory [bytes] that the longest of them takes in a process of its own."""
+    steps = [particle_steps(scene) for scene in scenes]
+    return float(sum(steps)), float(footprint(scenes[steps.index(max(steps))]).bytes)

@@ -22,8 +22,7 @@ from datasets.scene import Scene
 from datasets.training import MotionStatistics, metadata, motion_statistics, thin
 from datasets.trajectory import Trajectory, stored_scene, trajectory_files
 from mpm.cluster import QUEUED, Workers, connected, pool
-from mpm.expected import expected, planned
-from mpm.footprint import PROCESS
+from mpm.footprint import PROCESS, expected, planned
 
 MOST_JOBS = 1000
 """Processes of one machine."""

@@ -16,7 +16,7 @@ from functools import cache
 import taichi as ti
 
 from mpm.arrays.access import node_strides
-from mpm.arrays.features import Features
+from mpm.arrays.features import NODE, Features
 from mpm.arrays.layout import Energy, Offset, Setting, StepControl, Worker
 from mpm.arrays.table import DEVICE, RECORD, STEP, kernel_of
 from mpm.output.recorder import (
@@ -61,7 +61,7 @@ def synchronise(arrays: ti.template()):
     a microsecond. Each worker has a thread of its own, because Taichi has as many threads as there are workers. Reading
     by adding zero keeps the compiler from reading once.
     """
-    if ti.static(arrays.features.shared):
+    if ti.static(arrays.features.processor.shared):
         count = arrays.workers.shape[0]
         goal = (ti.atomic_add(arrays.arrivals[0], 1) // count + 1) * count
         while ti.atomic_add(arrays.arrivals[0], 0) < goal:
@@ -97,7 +97,7 @@ def advance_worker(worker, first, last, arrays: ti.template()):
         for _ in range(substeps):
             step(worker, scene, dt, kappa, strides, arrays)
         synchronise(arrays)
-        if worker == 0 or not ti.static(arrays.features.shared):
+        if worker == 0 or not ti.static(arrays.features.processor.shared):
             arrays.offsets[scene, Offset.STEPS] = arrays.offsets[scene, Offset.STEPS] + substeps
             record_frame(scene, frame, arrays)
         synchronise(arrays)
@@ -138,11 +138,11 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
         for block in range(arrays.owner.shape[0]):
             scene = arrays.owner[block]
             if arrays.step_control[scene, StepControl.DT] > 0.0:
-                prepare_contributions(scene, block, block * arrays.features.scratch, arrays)
-        for number in range(arrays.owner.shape[0] * arrays.features.node):
-            block, k = number // arrays.features.node, number % arrays.features.node
+                prepare_contributions(scene, block, block * arrays.features.scratch.size, arrays)
+        for number in range(arrays.owner.shape[0] * NODE):
+            block, k = number // NODE, number % NODE
             scene = arrays.owner[block]
-            if k < arrays.features.used and arrays.step_control[scene, StepControl.DT] > 0.0:
+            if k < arrays.features.node.size and arrays.step_control[scene, StepControl.DT] > 0.0:
                 number_to_grid(arrays.workers[scene, Worker.NODE], block, k, node_strides(scene, arrays), arrays)
         for q in range(last * arrays.offsets.shape[0]):
             update_node(q % last, q // last, arrays)
@@ -152,7 +152,7 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
             if dt > 0.0:
                 at = arrays.workers[scene, Worker.NODE]
                 kappa, strides = relaxation_factor(scene, dt, arrays), node_strides(scene, arrays)
-                update_block(scene, at, scene, block, block * arrays.features.scratch, dt, kappa, strides, arrays)
+                update_block(scene, at, scene, block, block * arrays.features.scratch.size, dt, kappa, strides, arrays)
     if ti.static(phase == Phase.RECORD):
         for portion in range((arrays.owner.shape[0] + SUMMED - 1) // SUMMED):
             sums = ti.Vector.zero(ti.f64, ti.static(len(Energy)))

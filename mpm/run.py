@@ -17,8 +17,7 @@ from datasets.processes import stopping
 from datasets.scene import Scene
 from datasets.trajectory import open_trajectory
 from mpm.arrays.layout import Precision
-from mpm.expected import expected
-from mpm.footprint import footprint
+from mpm.footprint import expected, footprint
 from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.request import Recording
 from mpm.resolution import read_tolerance, resolved

@@ -67,24 +67,31 @@ class Run:
         scene = steady(with_kinds(self.scene, self.kinds, values))
 
         def slopes(gradient: Gradient) -> Tensor:
-            return torch.from_numpy(derivatives(gradient, self.kinds, values))
+            return torch.from_numpy(derivatives(gradient, self.kinds, values, self.scene))
 
         tape = Tape([dataclasses.replace(scene, seed=seed) for seed in seeds], self.frames, **self.options)
         found = _Flow.apply(tape, slopes, parameters)  # type: ignore[no-untyped-call]
         return [Flow(*found[first : first + 3]) for first in range(0, len(found), 3)]
 
 
-def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector) -> Vector:
-    """dJ/d(parameters) at `values` [U], shape [U], from the gradient with respect to what the run begins with."""
+def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector, scene: Scene) -> Vector:
+    """dJ/d(parameters) at `values` [U], shape [U], from the gradient with respect to what the run begins with.
+
+    scene: the one that they were put into.
+    """
     found = np.zeros(len(values))
-    by_mass = gradient.of_mass(gradient.velocities)
+    by_mass, run = gradient.of_mass(gradient.velocities), gradient.scene
+    given = dataclasses.replace(scene, seed=run.seed, step_fraction=run.step_fraction, fields=run.fields)
     for index, each in enumerate(kinds):
         if isinstance(each, Velocity):
             found[index] = by_mass[each.index, each.axis]
             continue
+        # What one body or solid has changes nothing else; a constant that bodies share enters those with others, too.
+        own = [n for n, other in enumerate(kinds) if (other.group, other.index) == (each.group, each.index)]
+        base, moved = (run, own) if each.group else (given, list(range(len(kinds))))
 
-        def scene_at(value: float, index: int = index) -> Scene:
-            return with_kinds(gradient.scene, kinds, np.where(np.arange(len(values)) == index, value, values))
+        def scene_at(value: float, index: int = index, base: Scene = base, moved: list[int] = moved) -> Scene:
+            return with_kinds(base, [kinds[n] for n in moved], [value if n == index else values[n] for n in moved])
 
         found[index] = gradient.along(scene_at, float(values[index]))
     return found

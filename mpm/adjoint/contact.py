@@ -13,10 +13,11 @@ is that of all later frames together. It joins the bars of the force on the node
 
 import taichi as ti
 
-from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import add_face, depends, found_reverse
+from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.pullback import Pullback
+from mpm.arrays.access import vectors
 from mpm.arrays.layout import Contact, Property, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
@@ -56,7 +57,7 @@ def solids_reverse(bar, v, mass, n, worker, arrays: ti.template()):
     v_bar, mass_bar = bar, 0.0 * mass
     for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
         face, removed = removed_by(hold, v, arrays)
-        normal = face_vector(face, features.face_normal, arrays)
+        normal = face_vector(face, features.face.normal, arrays)
         if v.dot(normal) < 0.0:
             friction, share = arrays.holds[hold, 1], arrays.holds[hold, 2]
             removed_bar = 0.0 - bar
@@ -68,7 +69,7 @@ def solids_reverse(bar, v, mass, n, worker, arrays: ti.template()):
             through_bar, normal_bar, friction_bar = after_contact_reverse(left_bar, v, normal, friction)
             v_bar = v_bar + through_bar - left_bar
             for k in ti.static(range(features.dimension)):
-                add_face(face, features.face_normal + k, normal_bar[k], arrays)
+                add_face(face, features.face.normal + k, normal_bar[k], arrays)
             arrays.hold_adjoints[hold, 1] += ti.cast(friction_bar, ti.f64)
             whole = removed_bar.dot(v - after_contact(v, normal, friction))
             arrays.hold_adjoints[hold, 2] += ti.cast(whole, ti.f64)
@@ -92,13 +93,13 @@ def push_reverse(
                 solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
                 momentum_bar = impulse_bar(solid, worker, arrays)
                 for k in ti.static(range(size)):
-                    arrays.scratch_lanes[(scratch + layout.before + k) * lanes + lane] = momentum_bar[k]
+                    arrays.scratch_lanes[(scratch + layout.scratch.before + k) * lanes + lane] = momentum_bar[k]
             for i in ti.static(range(size)):
-                given = dt * present(block, arrays) * arrays.scratch[scratch + layout.before + i]
+                given = dt * present(block, arrays) * arrays.scratch[scratch + layout.scratch.before + i]
                 bar[i] = bar[i] - volume * given
                 add_property_bar(block, Property.VOLUME, 0.0 - given * pushed.values[i], arrays)
         stress_bar, contacts_bar = ti.static(pushed(bar))
-        add_bars(block * layout.width + features.stress, stress_bar, arrays)
+        add_bars(block * layout.width + features.state.stress, stress_bar, arrays)
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
 
 
@@ -113,28 +114,29 @@ def impulse_bar(solid, worker, arrays: ti.template()):
 @ti.func
 def grid_motion(scratch, arrays: ti.template()):
     """The grid's velocity at each particle of a block, from the first sums of `scratch`; D of them."""
-    return [arrays.scratch[scratch + arrays.layout.sums + i] for i in ti.static(range(arrays.features.dimension))]
+    return vectors(arrays.scratch, scratch + arrays.layout.scratch.sums, arrays.features.dimension)
 
 
 @ti.func
 def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.template()):
     """From the bars of what a step leaves of contact to those of its stress, of C and of the contact before it.
 
-    Those of the grid's velocity come in `scratch` from `layout.foot`. Returns that of the shear modulus.
+    Those of the grid's velocity come in `scratch` from `layout.scratch.foot`. Returns that of the shear modulus.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     own = block * layout.width
-    stress = [arrays.history[after + features.stress + k] for k in ti.static(range(features.stresses))]
-    affine = [arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
+    stress = vectors(arrays.history, after + features.state.stress, features.stresses)
+    affine = vectors(arrays.history, after + features.state.affine, size * size)
     contact = contact_of(block, arrays)
     numbers = ti.static(((grid_motion(scratch, arrays), affine), stress, contact, shear))
     sheared = ti.static([Pullback(sheared_traction, numbers, (dt, size))])[0]
-    before = scratch + layout.before
+    before = scratch + layout.scratch.before
     for k in ti.static(range(size)):
         arrays.scratch[before + size + k] = sheared.values[k]
-        kept = relaxation_factor(scene, dt, arrays) * arrays.state[block * features.block + features.velocity + k]
-        arrays.scratch[before + k] = kept + arrays.scratch[scratch + layout.sums + features.change + k]
+        velocity = arrays.state[block * features.state.size + features.state.velocity + k]
+        kept = relaxation_factor(scene, dt, arrays) * velocity
+        arrays.scratch[before + k] = kept + arrays.scratch[scratch + layout.scratch.sums + features.node.change + k]
     mass = ti.static(int(Contact.FREE))
     volume = property_of(scene, block, Property.VOLUME, arrays)
     density = property_of(scene, block, Property.DENSITY, arrays)
@@ -147,14 +149,14 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
         add_property_bar(block, Property.DENSITY, volume * mass_bar, arrays)
         arrays.adjoints[contact_bar(block, mass, arrays)] = 0.0 * mass_bar
     shear_at = contact_bar(block, Contact.NORMAL + size, arrays)
-    q_bar = [arrays.adjoints[shear_at + k] for k in ti.static(range(size))]
+    q_bar = vectors(arrays.adjoints, shear_at, size)
     for k in ti.static(range(size)):
         arrays.adjoints[shear_at + k] = 0.0 * q_bar[k]
     motion_bar, stress_bar, contacts_bar, shear_bar = ti.static(sheared(q_bar))
     for k in ti.static(range(size)):
-        arrays.scratch[scratch + layout.foot + k] = motion_bar[0][k]
-    add_bars(own + features.affine, motion_bar[1], arrays)
-    add_bars(own + features.stress, stress_bar, arrays)
+        arrays.scratch[scratch + layout.scratch.foot + k] = motion_bar[0][k]
+    add_bars(own + features.state.affine, motion_bar[1], arrays)
+    add_bars(own + features.state.stress, stress_bar, arrays)
     add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
     return shear_bar
 
@@ -172,9 +174,9 @@ def jump_reverse(block, scratch, strained: ti.template(), modulus, dt, bar, arra
     jump = ti.static([Pullback(jump_at_contact, numbers, (dt, size))])[0]
     motion_bar, contacts_bar, stress_bar, modulus_bar = ti.static(jump([bar]))
     for k in ti.static(range(size)):
-        at = scratch + layout.foot + k
+        at = scratch + layout.scratch.foot + k
         arrays.scratch[at] = arrays.scratch[at] + motion_bar[0][k]
-    add_bars(block * layout.width + features.affine, motion_bar[1], arrays)
-    add_bars(block * layout.width + features.stress, stress_bar, arrays)
+    add_bars(block * layout.width + features.state.affine, motion_bar[1], arrays)
+    add_bars(block * layout.width + features.state.stress, stress_bar, arrays)
     add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
     return modulus_bar

@@ -29,7 +29,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
     """Bars of position, velocity and shear traction of a block before its contact is found, and those of the faces.
 
     After: those in the history. put_back: whether a particle may have been kept out of a solid; then the velocity
-    before that is in the scratch from `layout.before`, and the shear traction behind it. Where the objective depends on
+    before that is in the scratch from `before`, and the shear traction behind it. Where the objective depends on
     impulses, the mass [kg] of each particle is in place of `Contact.FREE`, which has no bar, and its bar is left there.
     """
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
@@ -37,13 +37,13 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
     dx, width = arrays.settings[scene, Setting.CELL], arrays.settings[scene, Setting.CONTACT_WIDTH]
     own = block * layout.width
     for lane in range(lanes):
-        present = arrays.lanes[(block * features.block + features.present) * lanes + lane]
-        at = (own + features.contacts) * lanes + lane
+        present = arrays.lanes[(block * features.state.size + features.state.present) * lanes + lane]
+        at = (own + features.state.contacts) * lanes + lane
         then = after * lanes + lane
-        contact = then + features.contacts * lanes
+        contact = then + features.state.contacts * lanes
         delta = arrays.history_lanes[contact + Contact.DELTA * lanes]
         x_bar = lane_numbers(arrays.adjoint_lanes, own * lanes + lane, arrays)
-        v_bar = lane_numbers(arrays.adjoint_lanes, (own + features.velocity) * lanes + lane, arrays)
+        v_bar = lane_numbers(arrays.adjoint_lanes, (own + features.state.velocity) * lanes + lane, arrays)
         shear_to = (Contact.NORMAL + size) * lanes
         q_bar = lane_numbers(arrays.adjoint_lanes, at + shear_to, arrays)
         mass_bar = 0.0 * present
@@ -61,8 +61,8 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
             d_bar += delta_bar * (12.0 / (width * width)) * share * (share - 1.0)
             back = False
             if ti.static(put_back):
-                before = lane_numbers(arrays.scratch_lanes, (scratch + layout.before) * lanes + lane, arrays)
-                q = lane_numbers(arrays.scratch_lanes, (scratch + layout.before + size) * lanes + lane, arrays)
+                before = lane_numbers(arrays.scratch_lanes, (scratch + layout.scratch.before) * lanes + lane, arrays)
+                q = lane_numbers(arrays.scratch_lanes, (scratch + layout.scratch.before + size) * lanes + lane, arrays)
                 if delta == 0.0:
                     q_bar = 0.0 * q_bar
                 n_bar = n_bar - q.dot(n) * q_bar - n.dot(q_bar) * q
@@ -74,7 +74,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
                         if ti.static(layout.impulses):
                             mass = arrays.lanes[contact_at(block, Contact.FREE, arrays) * lanes + lane]
                             first = arrays.workers[worker, Worker.IMPULSE] + solid_of(face, arrays) * size
-                            stopped = lane_numbers(arrays.history_lanes, then + features.velocity * lanes, arrays)
+                            stopped = lane_numbers(arrays.history_lanes, then + features.state.velocity * lanes, arrays)
                             for k in ti.static(range(size)):
                                 momentum_bar[k] = mass * arrays.impulse_adjoints[first + k]
                                 mass_bar += arrays.impulse_adjoints[first + k] * (before[k] - stopped[k])
@@ -88,7 +88,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
         elif ti.static(put_back):
             q_bar = 0.0 * q_bar
         put_lane_numbers(arrays.adjoint_lanes, own * lanes + lane, x_bar, arrays)
-        put_lane_numbers(arrays.adjoint_lanes, (own + features.velocity) * lanes + lane, v_bar, arrays)
+        put_lane_numbers(arrays.adjoint_lanes, (own + features.state.velocity) * lanes + lane, v_bar, arrays)
         put_lane_numbers(arrays.adjoint_lanes, at + shear_to, q_bar, arrays)
         for column in ti.static(range(len(Contact) - 1 + size)):
             arrays.adjoint_lanes[at + column * lanes] = 0.0 * present
@@ -102,7 +102,7 @@ def depends(then, scene, arrays: ti.template()):
     with volume correction out to where a solid hides mass.
     """
     lanes = arrays.features.lanes
-    contact = then + arrays.features.contacts * lanes
+    contact = then + arrays.features.state.contacts * lanes
     if ti.static(arrays.features.volume_correction):
         distance = arrays.history_lanes[contact + Contact.DISTANCE * lanes]
         return distance < GAP_CUTOFF * arrays.settings[scene, Setting.CELL]
@@ -125,8 +125,8 @@ def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays: ti.templa
         else:
             _, part = foot_on_triangle(x, face, arrays)
     corners = [arrays.faces[face, k] for k in ti.static(range(size * size))]
-    normal = [arrays.faces[face, features.face_normal + k] for k in ti.static(range(size))]
-    frictions = [arrays.faces[face, features.face_friction + k] for k in ti.static(range(size))]
+    normal = [arrays.faces[face, features.face.normal + k] for k in ti.static(range(size))]
+    frictions = [arrays.faces[face, features.face.friction + k] for k in ti.static(range(size))]
     numbers = ti.static(([x[k] for k in range(size)], corners, normal, frictions))
     found = ti.static([Pullback(at_face, numbers, (part, [n[k] for k in range(size)], size))])[0]
     bars = [friction_bar, d_bar] + [n_bar[k] for k in ti.static(range(size))]
@@ -134,8 +134,8 @@ def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays: ti.templa
     for k in ti.static(range(size * size)):
         add_face(face, k, corners_bar[k], arrays)
     for k in ti.static(range(size)):
-        add_face(face, features.face_normal + k, normal_bar[k], arrays)
-        add_face(face, features.face_friction + k, frictions_bar[k], arrays)
+        add_face(face, features.face.normal + k, normal_bar[k], arrays)
+        add_face(face, features.face.friction + k, frictions_bar[k], arrays)
     return ti.Vector([x_bar[k] for k in ti.static(range(size))])
 
 

@@ -15,6 +15,7 @@ gravity, are closed forms of a few numbers, whose derivatives are central differ
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,9 @@ from datasets.scene import Scene
 from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_of, settings_row
+from mpm.initial.slope import begins_as_slope
 from mpm.initial.stress import initial_tractions
-from mpm.solids.obstacles import obstacles_in
+from mpm.solids.obstacles import faces_and_holds, obstacles_in, solids_with
 
 Floats = NDArray[np.float64]
 
@@ -118,44 +120,105 @@ class Gradient:
 
         Raises InputError where a scene has other particles than this one.
         """
-
-        def inputs(value: float) -> Floats:
-            scene = scene_at(value)
-            particles = initial_particles(scene)
-            if len(particles.positions) != len(self.positions):
-                raise InputError("expected scenes with as many particles, a change of their number has no derivative")
-            motion = particles.positions, particles.velocities, particles.velocity_gradients
-            stress, properties = initial_tractions(scene, particles)[0], properties_of(particles)
-            own = stress, properties[:, : self.properties.shape[1]], np.array(settings_row(scene, particles))
-            solids = solids_of(scene, self.scene) if len(self.faces) else ()
-            return np.concatenate([part.ravel() for part in (*motion, *own, *solids)])
-
-        bars = self.positions, self.velocities, self.velocity_gradients, self.stress, self.properties, self.settings
-        solids = (self.faces, self.holds) if len(self.faces) else ()
-        slopes = differences(inputs, at, "the path", step)
-        flat = np.concatenate([bar.ravel() for bar in (*bars, *solids)])
+        columns = self.properties.shape[1]
+        slopes = differences(lambda value: started(scene_at(value), self.start).numbers(columns), at, "the path", step)
+        used = np.flatnonzero(slopes)
         # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
-        return float(flat[flat != 0.0] @ slopes[flat != 0.0])
+        used = used[self.bars[used] != 0.0]
+        return float(self.bars[used] @ slopes[used])
+
+    @cached_property
+    def start(self) -> "Start":
+        """What runs along paths of scenes through this one share."""
+        return started(self.scene)
+
+    @cached_property
+    def bars(self) -> Floats:
+        """Of `Start.numbers`."""
+        motion = self.positions, self.velocities, self.velocity_gradients
+        return in_a_row(*motion, self.stress, self.properties, self.settings, self.faces, self.holds)
 
 
-def solids_of(scene: Scene, base: Scene) -> tuple[Floats, Floats]:
-    """Faces of the solids of a scene, and its holds where `base` has some, of no share where it has none itself.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Start:
+    """What a run of a scene begins with; shapes as of `Gradient`, whose properties may be the first ones alone."""
 
-    Raises InputError where the scenes have different faces.
+    scene: Scene
+    particles: Particles
+    stress: Floats
+    properties: Floats
+    settings: Floats
+    faces: Floats
+    holds: Floats
+    held: NDArray[np.int64]
+    """The node of each of the `holds`."""
+
+    def numbers(self, columns: int) -> Floats:
+        """All of it in a row, with so many columns of the properties."""
+        motion = self.particles.positions, self.particles.velocities, self.particles.velocity_gradients
+        return in_a_row(*motion, self.stress, self.properties[:, :columns], self.settings, self.faces, self.holds)
+
+
+def in_a_row(*parts: Floats) -> Floats:
+    """All numbers of arrays."""
+    return np.concatenate([part.ravel() for part in parts])
+
+
+def started(scene: Scene, base: Start | None = None) -> Start:
+    """What a run of `scene` begins with; what it has in common with `base` is not made again.
+
+    Raises InputError where the scenes have different numbers of particles or faces.
     """
-    ours, here = obstacles_in(scene), obstacles_in(base)
-    if ours.faces.shape != here.faces.shape:
+    if base is None:
+        particles, solids = initial_particles(scene), obstacles_in(scene)
+        return Start(
+            scene=scene,
+            particles=particles,
+            stress=initial_tractions(scene, particles)[0],
+            properties=properties_of(particles),
+            settings=np.array(settings_row(scene, particles)),
+            faces=solids.faces,
+            holds=solids.holds,
+            held=np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds)),
+        )
+    particles, properties = particles_with(scene, base)
+    stress, faces, holds = base.stress, base.faces, base.holds
+    if stress.any() or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
+        stress = initial_tractions(scene, particles)[0]
+    if len(faces) and solids_with(scene) != solids_with(base.scene):
+        faces, holds = faces_and_holds(scene, base.held, holds)
+    if len(particles.positions) != len(base.particles.positions):
+        raise InputError("expected scenes with as many particles, a change of their number has no derivative")
+    if faces.shape != base.faces.shape:
         raise InputError("expected solids with as many faces, a change of their number has no derivative")
-    keys, our_keys = (
-        np.repeat(np.arange(len(each.node_holds) - 1), np.diff(each.node_holds)) * (len(each.faces) + 1)
-        + each.holds[:, 0].astype(np.int64)
-        for each in (here, ours)
-    )
-    rows = here.holds.copy()
-    rows[:, 2] = 0.0
-    _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
-    rows[at] = ours.holds[our_at]
-    return ours.faces, rows
+    made = {"particles": particles, "properties": properties, "stress": stress, "faces": faces, "holds": holds}
+    return dataclasses.replace(base, scene=scene, settings=np.array(settings_row(scene, particles)), **made)
+
+
+def particles_with(scene: Scene, base: Start) -> tuple[Particles, Floats]:
+    """The particles of a scene and their properties, in the places of `base` where these are the same."""
+    if placement(scene) != placement(base.scene):
+        particles = initial_particles(scene)
+        return particles, properties_of(particles)
+    soils, known = ([each.material_of(mass) for mass in each.masses] for each in (scene, base.scene))
+    materials = {material: number for number, material in enumerate(dict.fromkeys(soils))}
+    own = np.array([materials[material] for material in soils], np.int32)[base.particles.mass]
+    particles = dataclasses.replace(base.particles, materials=tuple(materials), material=own)
+    properties = base.properties.copy()
+    for mass in np.flatnonzero([ours != theirs for ours, theirs in zip(soils, known, strict=True)]):
+        here = particles.mass == mass
+        properties[here] = properties_at(soils[mass], particles.depth[here])
+        properties[here, Property.VOLUME] = particles.volume[here]
+    return particles, properties
+
+
+def placement(scene: Scene) -> tuple[Any, ...]:
+    """All that the places, velocities and volumes of the particles of a scene follow from, and what fields vary."""
+    others = dict.fromkeys(("material", "k0", "release", "gate"))
+    masses = [vars(mass) | others for mass in scene.masses]
+    ground = scene.solids if any(mass.kind == "layer" for mass in scene.masses) else ()
+    varied = (scene.fields, scene.material, scene.masses) if scene.fields else ()
+    return scene.domain, scene.seed, scene.jitter, scene.particles_per_axis, masses, ground, varied
 
 
 def differences(function: Callable[[float], Any], at: float, name: str, step: float | None = None) -> Any:
@@ -204,10 +267,10 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
                     scene=scene,
                     particles=tape.batch.particles[index],
                     positions=numbers(0, size),
-                    velocities=numbers(features.velocity, size),
-                    velocity_gradients=numbers(features.affine, size * size).reshape(-1, size, size),
-                    stress=numbers(features.stress, features.stresses),
-                    properties=numbers(features.properties, features.columns),
+                    velocities=numbers(features.state.velocity, size),
+                    velocity_gradients=numbers(features.state.affine, size * size).reshape(-1, size, size),
+                    stress=numbers(features.state.stress, features.stresses),
+                    properties=numbers(features.state.properties, features.columns),
                     settings=ours["settings"][index].copy(),
                     faces=ours["face_adjoints"][faces],
                     cut=float(ours["cut"][index]),

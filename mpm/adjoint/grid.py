@@ -25,7 +25,7 @@ import taichi as ti
 
 from mpm.adjoint.boundary import before_wall, wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
-from mpm.arrays.access import box_cells
+from mpm.arrays.access import box_cells, zero_node
 from mpm.arrays.layout import Offset, Setting, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.contact import apply_solids
@@ -48,31 +48,31 @@ SUMS = 6
 @ti.func
 def keep_nodes(worker, strides, arrays: ti.template()):
     """Keep momentum, mass and force of the nodes of a worker, or of its share of all; their bars become 0."""
-    zero = ti.Vector([0.0 for _ in ti.static(range(arrays.features.node))])
+    zero = zero_node()
     low, high = own_box(worker, arrays)
     for i in range(low[0], high[0]):
         if shares_row(i, worker, arrays):
             for j in range(low[1], high[1]):
                 for k in range(low[2], high[2]):
                     n = i * strides[0] + j * strides[1] + k
-                    arrays.kept[first_kept(worker, arrays) + n] = node_of(arrays.grid, n, i, j, k, worker, arrays)
-                    put_node(arrays.grid_adjoints, zero, n, i, j, k, worker, arrays)
+                    arrays.kept[first_kept(worker, arrays) + n] = node_of(arrays.grid, n, [i, j, k], worker, arrays)
+                    put_node(arrays.grid_adjoints, zero, n, [i, j, k], worker, arrays)
 
 
 @ti.func
 def first_kept(worker, arrays: ti.template()):
     """The first of a worker's nodes in `kept`; workers of a shared scene keep theirs where the first one does."""
-    if ti.static(arrays.features.shared):
+    if ti.static(arrays.features.processor.shared):
         return arrays.workers[0, Worker.NODE]
     else:
         return arrays.workers[worker, Worker.NODE]
 
 
 @ti.func
-def node_reverse(node, bar, n, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
+def node_reverse(node, bar, n, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
     """Bar of a node (momentum, mass, force) from that of what it became; then the SUMS that it shares.
 
-    node: the n-th of its scene, before its velocity was computed; (i, j, k): its indices.
+    node: the n-th of its scene, before its velocity was computed; index: i, j, k.
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
@@ -86,30 +86,31 @@ def node_reverse(node, bar, n, i, j, k, worker, scene, dt, kappa, arrays: ti.tem
         alpha = arrays.settings[scene, Setting.DAMPING]
         size, sign, slow = damping_terms(v, a, scene, arrays)
         damped = a - alpha * size * sign
-    change_bar = ti.Vector([bar[features.change + axis] for axis in ti.static(range(dimension))])
+    change_bar = ti.Vector([bar[features.node.change + axis] for axis in ti.static(range(dimension))])
     new_bar = ti.Vector([bar[axis] for axis in ti.static(range(dimension))]) + change_bar
     v_bar = (0.0 - kappa) * change_bar
     kappa_bar = 0.0 - v.dot(change_bar)
-    index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(dimension))])
+    indices = ti.Vector([index[axis] for axis in ti.static(range(dimension))])
     v_star = v + dt * damped
     if ti.static(features.barriers):
         # Barriers take components away and damp: what they do to a velocity they do to its bar.
-        new_bar = apply_barriers(new_bar, index, scene, dt, arrays)
+        new_bar = apply_barriers(new_bar, indices, scene, dt, arrays)
     mass_bar, side_bar = zero, zero
     if ti.static(features.contact or features.channel):
         n += arrays.offsets[scene, Offset.GEOMETRY]
-        stopped = before_wall(v_star, index, box_cells(scene, arrays), dimension, scene, arrays)
+        stopped = before_wall(v_star, indices, box_cells(scene, arrays), dimension, scene, arrays)
         if ti.static(features.channel):
             braked = stopped
             if ti.static(features.contact):
                 braked = apply_solids(stopped, node[dimension], n, worker, False, arrays)
-            new_bar, limit_bar = with_friction_reverse(new_bar, braked, dt * node[features.side_friction] * per_mass)
+            grip = node[features.node.side_friction] * per_mass
+            new_bar, limit_bar = with_friction_reverse(new_bar, braked, dt * grip)
             side_bar = dt * per_mass * limit_bar
-            mass_bar = 0.0 - node[features.side_friction] * per_mass * side_bar
+            mass_bar = 0.0 - grip * side_bar
         if ti.static(features.contact):
             new_bar, solid_bar = solids_reverse(new_bar, stopped, node[dimension], n, worker, arrays)
             mass_bar = mass_bar + solid_bar
-    star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, index, box_cells(scene, arrays), scene, arrays)
+    star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, indices, box_cells(scene, arrays), scene, arrays)
     v_bar = v_bar + star_bar
     a_bar = dt * star_bar
     damping_bar, slow_bar = zero, zero
@@ -135,11 +136,11 @@ def node_reverse(node, bar, n, i, j, k, worker, scene, dt, kappa, arrays: ti.tem
     # With volume correction particles see the mass of nodes itself.
     result[dimension] = mass_bar + bar[dimension]
     if ti.static(features.channel):
-        result[features.side_friction] = side_bar
+        result[features.node.side_friction] = side_bar
     for axis in ti.static(range(dimension)):
         result[axis] = v_bar[axis] * per_mass
         result[dimension] -= v[axis] * v_bar[axis] * per_mass
-        result[features.force + axis] = a_bar[axis] * per_mass
+        result[features.node.force + axis] = a_bar[axis] * per_mass
         result[dimension] -= force[axis] * a_bar[axis] * per_mass
     return result, ti.Vector([a_bar[0], gravity_y_bar, floor_bar, wall_bar, damping_bar, kappa_bar])
 
@@ -156,11 +157,11 @@ def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()
                     n = i * strides[0] + j * strides[1] + k
                     node = arrays.kept[first_kept(worker, arrays) + n]
                     if node[arrays.features.dimension] > 0.0:
-                        bar = node_of(arrays.grid_adjoints, n, i, j, k, worker, arrays)
-                        bar, shared = node_reverse(node, bar, n, i, j, k, worker, scene, dt, kappa, arrays)
+                        bar = node_of(arrays.grid_adjoints, n, [i, j, k], worker, arrays)
+                        bar, shared = node_reverse(node, bar, n, [i, j, k], worker, scene, dt, kappa, arrays)
                         for number in ti.static(range(SUMS)):
                             total[number] += ti.cast(shared[number], ti.f64)
-                        put_node(arrays.grid_adjoints, bar, n, i, j, k, worker, arrays)
+                        put_node(arrays.grid_adjoints, bar, n, [i, j, k], worker, arrays)
     columns = ti.static(
         (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
     )

@@ -44,7 +44,7 @@ class Pass(Enum):
 def keep_state(worker, step, arrays: ti.template()):
     """Keep the states of a worker's blocks as those before `step`."""
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        at, own = state_before(step, block, arrays), block * arrays.features.block
+        at, own = state_before(step, block, arrays), block * arrays.features.state.size
         for k in range(arrays.layout.history):
             arrays.history[at + k] = arrays.state[own + k]
 
@@ -52,7 +52,7 @@ def keep_state(worker, step, arrays: ti.template()):
 @ti.func
 def state_before(step, block, arrays: ti.template()):
     """The first vector in the history of a block before `step`."""
-    blocks = arrays.state.shape[0] // ti.static(arrays.features.block)
+    blocks = arrays.state.shape[0] // ti.static(arrays.features.state.size)
     return (step * blocks + block) * ti.static(arrays.layout.history)
 
 
@@ -61,10 +61,10 @@ def restore_state(worker, scene, step, arrays: ti.template()):
     """The states of a worker's blocks before `step`, and the box of nodes in their support."""
     features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
-    low = [arrays.state[first * features.block + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
+    low = [arrays.state[first * features.state.size + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
     high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
     for block in range(first, arrays.workers[worker, Worker.LAST]):
-        at, own = state_before(step, block, arrays), block * features.block
+        at, own = state_before(step, block, arrays), block * features.state.size
         for k in range(arrays.layout.history):
             arrays.state[own + k] = arrays.history[at + k]
         for k in ti.static(range(features.dimension)):

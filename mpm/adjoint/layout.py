@@ -5,9 +5,12 @@ from vector 0 on, then contact; bars of its material properties follow.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
-from mpm.arrays.features import Features, offset
+import taichi as ti
+
+from mpm.arrays.features import NODE, Addresses, Features
 
 
 @dataclass(frozen=True)
@@ -23,27 +26,47 @@ class Layout:
     _data_oriented: ClassVar[bool] = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""
 
-    def __getattr__(self, name: str) -> int:
-        """Where the part `name` begins of bars, history or scratch; see `parts`."""
-        return offset(parts, self.features, name)
+    @property
+    def width(self) -> int:
+        """Vectors of bars of a block: those of its state, then of `Property`."""
+        return self.features.state.properties + self.features.columns
+
+    @property
+    def history(self) -> int:
+        """Vectors of a block that are kept of every step, the first of its state: a reverse step reads no others."""
+        return self.features.state.present + int(self.features.outflow)
+
+    @cached_property
+    def scratch(self) -> Addresses:
+        """Vectors of a worker's scratch: those of the step, whose weights times distances become slopes, then more."""
+        size, contact = self.features.dimension, int(self.features.contact)
+        return Addresses(
+            weights=3 * size,
+            slopes=self.features.scratch.size - 3 * size,  # dw/dx_p of the three nodes along each axis [1/m]
+            levers=3 * size,  # w (x_i - x_p) along each axis [m]
+            sums=(1 + size) * NODE,  # sum w n of a block's nodes n, then sum w n x_ip of each axis
+            forces=size,  # the sums that move a particle's weights
+            foot=size * contact,  # bars of v_f (`mpm.physics.contact`)
+            before=2 * size * contact,  # velocity and shear traction before contact is found
+        )
 
 
-def parts(features: Features) -> list[dict[str, int]]:
-    """How long the parts are of what the reverse keeps, in their order."""
-    size, contact = features.dimension, int(features.contact)
-    return [
-        # Vectors of bars of a block: those of its state, then of `Property`.
-        {"state": features.properties + features.columns, "width": 0},
-        # Vectors of a block that are kept of every step, the first of its state: a reverse step reads no others.
-        {"changing": features.present + int(features.outflow), "history": 0},
-        {  # Scratch vectors of a worker: those of the step, whose weights times distances become slopes, and
-            "weights": 3 * size,
-            "slopes": features.scratch - 3 * size,  # dw/dx_p of the three nodes along each axis [1/m],
-            "levers": 3 * size,  # w (x_i - x_p) along each axis [m],
-            "sums": (1 + size) * features.node,  # sum w n of a block's nodes n, then sum w n x_ip of each axis,
-            "forces": size,  # the sums that move a particle's weights,
-            "foot": size * contact,  # bars of v_f (`mpm.physics.contact`),
-            "before": 2 * size * contact,  # velocity and shear traction before contact is found
-            "scratch": 0,
-        },
-    ]
+@ti.func
+def add_bars(first, values: ti.template(), arrays: ti.template()):
+    """Add to the bars from vector `first` on."""
+    for k in ti.static(range(len(values))):
+        arrays.adjoints[first + k] = arrays.adjoints[first + k] + values[k]
+
+
+@ti.func
+def add_property_bar(block, column: ti.template(), value, arrays: ti.template()):
+    """Add to the bars of a property of the particles of a block."""
+    at = block * arrays.layout.width + arrays.features.state.properties + ti.static(int(column))
+    present = arrays.state[block * arrays.features.state.size + arrays.features.state.present]
+    arrays.adjoints[at] = arrays.adjoints[at] + present * value
+
+
+@ti.func
+def contact_bar(block, column: ti.template(), arrays: ti.template()):
+    """Index of the bar of the vector `column` of those that describe the contact of a block."""
+    return block * arrays.layout.width + arrays.features.state.contacts + column

@@ -9,13 +9,14 @@ go to the nodes, through the grid, and come back to x, v, C, sigma and the prope
 
 import taichi as ti
 
-from mpm.adjoint.access import add_bars, add_property_bar
 from mpm.adjoint.contact import push_reverse
 from mpm.adjoint.grid import add_kappa_bar
+from mpm.adjoint.layout import add_bars, add_property_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
 from mpm.adjoint.transfer import affine_reverse, gather_moments, prepare_weights, transfer_reverse
-from mpm.arrays.access import lane_sum, no_overflow
+from mpm.arrays.access import lane_sum, no_overflow, vectors
+from mpm.arrays.features import NODE
 from mpm.arrays.layout import Offset, Property, Setting
 from mpm.physics.boundary import is_wall
 from mpm.physics.channel import side_friction
@@ -33,32 +34,32 @@ def update_block_reverse(
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    first, own = no_overflow(block * features.block), block * layout.width
+    first, own = no_overflow(block * features.state.size), block * layout.width
     if ti.static(features.outflow):
         # What has left keeps its position alone.
-        here = arrays.history[after + features.present]
-        for k in range(ti.static(features.velocity), ti.static(features.stress + features.stresses)):
+        here = arrays.history[after + features.state.present]
+        for k in range(ti.static(features.state.velocity), ti.static(features.state.stress + features.stresses)):
             arrays.adjoints[own + k] = here * arrays.adjoints[own + k]
     dx = arrays.settings[scene, Setting.CELL]
     per_dx = 1.0 / dx
-    values = scratch + features.values
+    values = scratch + features.scratch.values
     arrays.scratch[values + size] = 0.0 * arrays.state[first]
     if ti.static(features.channel):
         for k in ti.static(range(1 + size)):
-            arrays.scratch[values + k * features.node + features.side_friction] = 0.0 * arrays.state[first]
+            arrays.scratch[values + k * NODE + features.node.side_friction] = 0.0 * arrays.state[first]
     f = weights_of(block, scratch, per_dx, arrays)
     prepare_weights(scene, block, scratch, arrays)
     if ti.static(features.volume_correction):
         gather_moments(grid, block, scratch, strides, arrays)
-        arrays.scratch[scratch + features.density] = arrays.scratch[scratch + layout.sums + size]
+        arrays.scratch[scratch + features.scratch.density] = arrays.scratch[scratch + layout.scratch.sums + size]
         for k in ti.static(range(size)):
-            moment = arrays.scratch[scratch + layout.sums + (1 + k) * features.node + size]
-            arrays.scratch[scratch + features.density + 1 + k] = (4.0 * per_dx * per_dx) * moment
+            moment = arrays.scratch[scratch + layout.scratch.sums + (1 + k) * NODE + size]
+            arrays.scratch[scratch + features.scratch.density + 1 + k] = (4.0 * per_dx * per_dx) * moment
     stress_reverse(worker, grid, scene, block, scratch, after, dt, strides, arrays)
     slope_bar, change_bar, affine_bar, kappa_bar, slow_bar = affine_reverse(
         scene, block, scratch, per_dx, kappa, arrays
     )
-    slow_total = lane_sum(arrays.state[first + features.present] * slow_bar, arrays)
+    slow_total = lane_sum(arrays.state[first + features.state.present] * slow_bar, arrays)
     arrays.sums[worker, ti.static(int(Setting.SLOW_AFFINE))] += ti.cast(slow_total, ti.f64)
     for i in ti.static(range(size)):
         x_bar = arrays.adjoints[own + i]
@@ -70,44 +71,44 @@ def update_block_reverse(
         x_bar = ti.select(inside, x_bar, 0.0)
         arrays.adjoints[own + i] = x_bar
         if ti.static(features.outflow):
-            x_bar = arrays.state[first + features.present] * x_bar
-        v_bar = arrays.adjoints[own + features.velocity + i]
+            x_bar = arrays.state[first + features.state.present] * x_bar
+        v_bar = arrays.adjoints[own + features.state.velocity + i]
         value = dt * x_bar
         if ti.static(features.contact):
-            value = value + arrays.scratch[scratch + layout.foot + i]
-        arrays.scratch[values + features.change + i] = v_bar
-        kappa_bar = kappa_bar + v_bar * arrays.state[first + features.velocity + i]
-        arrays.adjoints[own + features.velocity + i] = kappa * v_bar
+            value = value + arrays.scratch[scratch + layout.scratch.foot + i]
+        arrays.scratch[values + features.node.change + i] = v_bar
+        kappa_bar = kappa_bar + v_bar * arrays.state[first + features.state.velocity + i]
+        arrays.adjoints[own + features.state.velocity + i] = kappa * v_bar
         for j in ti.static(range(size)):
             slope = 4.0 * per_dx * slope_bar[i * size + j]
             value = value - slope * f[j]
-            arrays.scratch[values + (1 + j) * features.node + i] = slope
+            arrays.scratch[values + (1 + j) * NODE + i] = slope
             slope = 4.0 * per_dx * change_bar[i * size + j]
-            arrays.scratch[values + (1 + j) * features.node + features.force + i] = slope
+            arrays.scratch[values + (1 + j) * NODE + features.node.force + i] = slope
             if ti.static(features.volume_correction):
-                at = values + features.force + i
+                at = values + features.node.force + i
                 arrays.scratch[at] = arrays.scratch[at] - slope * f[j]
         arrays.scratch[values + i] = value
     if ti.static(features.volume_correction):
-        value = arrays.scratch[scratch + features.density]
+        value = arrays.scratch[scratch + features.scratch.density]
         for j in ti.static(range(size)):
-            slope = 4.0 * per_dx * arrays.scratch[scratch + features.density + 1 + j]
+            slope = 4.0 * per_dx * arrays.scratch[scratch + features.scratch.density + 1 + j]
             value = value - slope * f[j]
-            arrays.scratch[values + (1 + j) * features.node + size] = slope
+            arrays.scratch[values + (1 + j) * NODE + size] = slope
         arrays.scratch[values + size] = value
     transfer_reverse(grid, block, scratch, True, strides, arrays)
     square = 4.0 * per_dx * per_dx
     for j in ti.static(range(size)):
-        moved = arrays.adjoints[own + j] + arrays.scratch[scratch + layout.forces + j]
+        moved = arrays.adjoints[own + j] + arrays.scratch[scratch + layout.scratch.forces + j]
         if ti.static(features.volume_correction):
-            mass_bar = arrays.scratch[scratch + features.density + 1 + j]
-            moved = moved - square * mass_bar * arrays.scratch[scratch + layout.sums + size]
+            mass_bar = arrays.scratch[scratch + features.scratch.density + 1 + j]
+            moved = moved - square * mass_bar * arrays.scratch[scratch + layout.scratch.sums + size]
         for i in ti.static(range(size)):
-            moved = moved - square * slope_bar[i * size + j] * arrays.scratch[scratch + layout.sums + i]
+            moved = moved - square * slope_bar[i * size + j] * arrays.scratch[scratch + layout.scratch.sums + i]
             if ti.static(features.volume_correction):
-                change = arrays.scratch[scratch + layout.sums + features.change + i]
+                change = arrays.scratch[scratch + layout.scratch.sums + features.node.change + i]
                 moved = moved - square * change_bar[i * size + j] * change
-                arrays.adjoints[own + features.affine + i * size + j] = affine_bar[i * size + j]
+                arrays.adjoints[own + features.state.affine + i * size + j] = affine_bar[i * size + j]
         arrays.adjoints[own + j] = moved
     add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
 
@@ -128,50 +129,46 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    first, own = no_overflow(block * features.block), block * layout.width
+    first, own = no_overflow(block * features.state.size), block * layout.width
     prepare_contributions(scene, block, scratch, arrays)
     if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
         if not touches(block, arrays):
             for k in ti.static(range(2 * size)):
-                arrays.scratch[scratch + features.push + k] = 0.0 * arrays.state[first]
+                arrays.scratch[scratch + features.scratch.push + k] = 0.0 * arrays.state[first]
     prepare_weights(scene, block, scratch, arrays)
     transfer_reverse(grid, block, scratch, False, strides, arrays)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx = 1.0 / dx
     volume, density = volume_of(scene, block, arrays), property_of(scene, block, Property.DENSITY, arrays)
-    present, sums = arrays.state[first + features.present], scratch + layout.sums
-    velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(size))]
-    affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
-    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    pushed = [arrays.scratch[scratch + features.push + k] for k in ti.static(range(2 * size * int(features.contact)))]
+    present, sums = arrays.state[first + features.state.present], scratch + layout.scratch.sums
+    velocity = vectors(arrays.state, first + features.state.velocity, size)
+    affine = vectors(arrays.state, first + features.state.affine, size * size)
+    stress = vectors(arrays.state, first + features.state.stress, features.stresses)
+    pushed = vectors(arrays.scratch, scratch + features.scratch.push, 2 * size * int(features.contact))
     grip = arrays.settings[scene, Setting.GRIP]
     numbers = ti.static(((velocity, affine, stress), volume, density, pushed, grip))
     given = ti.static([Pullback(given_of, numbers, (dx, features))])[0]
     # Of what is given at the particle itself, then of its slopes per cell.
     places = ti.static(
-        [
-            (1 + k % size) * features.node + k // size + number
-            for number in (0, features.force)
-            for k in range(size * size)
-        ]
+        [(1 + k % size) * NODE + k // size + number for number in (0, features.node.force) for k in range(size * size)]
     )
-    bars = [arrays.scratch[sums + k] for k in ti.static(range(features.used))] + [
+    bars = vectors(arrays.scratch, sums, features.node.size) + [
         per_dx * arrays.scratch[sums + n] for n in ti.static(places)
     ]
     carried_bar, volume_bar, density_bar, pushed_bar, grip_bar = ti.static(given(bars))
     for k in ti.static(range(size)):
-        moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.forces + k]
+        moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.scratch.forces + k]
         for i in ti.static(range(size)):
-            number = ti.static(features.used + i * size + k)
+            number = ti.static(features.node.size + i * size + k)
             moved = moved - per_dx * given.values[number] * bars[i]
-            moved = moved - per_dx * given.values[number + size * size] * bars[features.force + i]
+            moved = moved - per_dx * given.values[number + size * size] * bars[features.node.force + i]
         arrays.adjoints[own + k] = moved
     if ti.static(not features.volume_correction):
         for k in ti.static(range(size * size)):
-            arrays.adjoints[own + features.affine + k] = 0.0 * affine[k]
-    add_bars(own + features.velocity, carried_bar[0], arrays)
-    add_bars(own + features.affine, carried_bar[1], arrays)
-    add_bars(own + features.stress, carried_bar[2], arrays)
+            arrays.adjoints[own + features.state.affine + k] = 0.0 * affine[k]
+    add_bars(own + features.state.velocity, carried_bar[0], arrays)
+    add_bars(own + features.state.affine, carried_bar[1], arrays)
+    add_bars(own + features.state.stress, carried_bar[2], arrays)
     if ti.static(features.channel):
         arrays.sums[worker, ti.static(int(Setting.GRIP))] += lane_sum(present * grip_bar, arrays)
     add_property_bar(block, Property.VOLUME, volume_bar, arrays)
@@ -180,11 +177,11 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
         push_reverse(worker, block, scratch, stress, pushed_bar, volume, dt, arrays)
     bounded = 0.0 * present
     for k in ti.static(range(size)):
-        v_bar = arrays.adjoints[own + features.velocity + k]
+        v_bar = arrays.adjoints[own + features.state.velocity + k]
         bounded = bounded + v_bar * v_bar
     within = bounded <= arrays.cuts[scene, 0]
     cut = lane_sum(ti.select(within, 0.0 * present, present), arrays)
     if cut > 0.0:
         arrays.cuts[scene, 1] += ti.cast(cut, float)
-    for k in range(ti.static(features.velocity if features.outflow else 0), ti.static(features.properties)):
+    for k in range(ti.static(features.state.velocity if features.outflow else 0), ti.static(features.state.properties)):
         arrays.adjoints[own + k] = ti.select(within, present * arrays.adjoints[own + k], 0.0 * present)

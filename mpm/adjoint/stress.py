@@ -18,11 +18,11 @@ orthonormal: Jacobi's rotations give such axes to rounding whatever the stress (
 
 import taichi as ti
 
-from mpm.adjoint.access import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.contact import grid_motion, jump_reverse, slip_reverse, touched
+from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.pullback import Pullback, traceable
 from mpm.adjoint.transfer import gather_moments
-from mpm.arrays.access import lane_sum, magnitude, maximum, minimum, no_overflow
+from mpm.arrays.access import lane_sum, magnitude, maximum, minimum, no_overflow, vectors
 from mpm.arrays.layout import Offset, Property, Setting, component
 from mpm.physics.contact import contact_of, jump_at_contact, with_jump
 from mpm.physics.particles import law_values, strengths_of
@@ -73,26 +73,26 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     corrected = ti.static(int(features.volume_correction))
-    first, own = no_overflow(block * features.block), block * layout.width
+    first, own = no_overflow(block * features.state.size), block * layout.width
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     strengths = strengths_of(scene, block, dt, arrays)
     limits = [strengths[3] for _ in ti.static(range(corrected))]
-    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
-    affine = [arrays.history[after + features.affine + k] for k in ti.static(range(size * size))]
+    stress = vectors(arrays.state, first + features.state.stress, features.stresses)
+    affine = vectors(arrays.history, after + features.state.affine, size * size)
     contact = contact_of(block, arrays)
     touching, zero = 0, 0.0 * stress[0]
     jump, slip_shear_bar, modulus, modulus_bar = zero, zero, lame + 2.0 * shear, zero
     if ti.static(features.contact):
         touching = touched(block, after, scene, arrays)
         for k in ti.static(range(size)):
-            arrays.scratch[scratch + layout.foot + k] = zero
+            arrays.scratch[scratch + layout.scratch.foot + k] = zero
         if touching == 1:
             gather_moments(grid, block, scratch, strides, arrays)
             jump = jump_at_contact((grid_motion(scratch, arrays), affine), contact, stress, modulus, dt, size)
             slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays)
-    gap = [arrays.state[first + features.gap] for _ in ti.static(range(corrected))]
-    around = [arrays.scratch[scratch + features.density + k] for k in ti.static(range(corrected * (1 + size)))]
-    x = [arrays.history[after + k] for k in ti.static(range(size))]
+    gap = [arrays.state[first + features.state.gap] for _ in ti.static(range(corrected))]
+    around = vectors(arrays.scratch, scratch + features.scratch.density, corrected * (1 + size))
+    x = vectors(arrays.history, after, size)
     cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(size))]
     rate, dx = dt * arrays.settings[scene, Setting.GAP_RATE], arrays.settings[scene, Setting.CELL]
     density = property_of(scene, block, Property.DENSITY, arrays)
@@ -100,19 +100,19 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     elastic = ti.static([Pullback(trial_of, numbers, (dx, cells, dt, features))])[0]
     strain_bar, opened_bar = zero, zero
     if ti.static(features.softens):
-        strain_bar = arrays.adjoints[own + features.plastic_strain]
+        strain_bar = arrays.adjoints[own + features.state.plastic_strain]
     if ti.static(features.volume_correction):
-        remembered = arrays.history[after + features.gap] > LEAST * (lame + shear * (2.0 / 3.0))
-        opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.gap]
+        remembered = arrays.history[after + features.state.gap] > LEAST * (lame + shear * (2.0 / 3.0))
+        opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.state.gap]
         opened_bar = ti.select(remembered, opened_bar, zero)
-    new = [arrays.history[after + features.stress + k] for k in ti.static(range(features.stresses))]
+    new = vectors(arrays.history, after + features.state.stress, features.stresses)
     arguments = ti.static((stress, affine, jump, contact, new, lame, shear))
     old_bar, strained_bar, jumped_bar, touched_bar, new_bar, spread_bar, sheared_bar = crack_reverse(
         arguments, strain_bar, dt, features
     )
     if ti.static(features.cracks):
         strain_bar = zero
-    bar = [arrays.adjoints[own + features.stress + k] + new_bar[k] for k in ti.static(range(features.stresses))]
+    bar = [arrays.adjoints[own + features.state.stress + k] + new_bar[k] for k in ti.static(range(features.stresses))]
     others = [strain_bar, opened_bar]
     trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
         bar + others, elastic.values, strengths, lame, shear, features
@@ -121,9 +121,9 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     stress_bar, affine_bar, jump_bar, contacts_bar, limits_bar, lame_bar, shear_bar = ti.static(bars[:7])
     gap_bar, rate_bar, around_bar, x_bar, density_bar = ti.static(bars[7:])
     for k in ti.static(range(features.stresses)):
-        arrays.adjoints[own + features.stress + k] = stress_bar[k] + old_bar[k]
-    add_bars(own + features.affine, affine_bar, arrays)
-    add_bars(own + features.affine, strained_bar, arrays)
+        arrays.adjoints[own + features.state.stress + k] = stress_bar[k] + old_bar[k]
+    add_bars(own + features.state.affine, affine_bar, arrays)
+    add_bars(own + features.state.affine, strained_bar, arrays)
     if ti.static(features.contact):
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
         add_bars(contact_bar(block, 0, arrays), touched_bar, arrays)
@@ -131,11 +131,11 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
             strained = affine, contact, stress
             modulus_bar = jump_reverse(block, scratch, strained, modulus, dt, jump_bar + jumped_bar, arrays)
     if ti.static(features.volume_correction):
-        arrays.adjoints[own + features.gap] = gap_bar[0]
+        arrays.adjoints[own + features.state.gap] = gap_bar[0]
         add_bars(own, x_bar, arrays)
         for k in ti.static(range(1 + size)):
-            arrays.scratch[scratch + features.density + k] = around_bar[k]
-        rate_total = lane_sum(arrays.state[first + features.present] * rate_bar, arrays)
+            arrays.scratch[scratch + features.scratch.density + k] = around_bar[k]
+        rate_total = lane_sum(arrays.state[first + features.state.present] * rate_bar, arrays)
         arrays.sums[worker, ti.static(int(Setting.GAP_RATE))] += ti.cast(dt, ti.f64) * rate_total
         add_property_bar(block, Property.DENSITY, density_bar, arrays)
     add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar + spread_bar + modulus_bar, arrays)
@@ -167,11 +167,13 @@ def strengths_reverse(scene, block, bar: ti.template(), dt, arrays: ti.template(
     features = arrays.features
     values, cell = law_values(scene, block, arrays), arrays.settings[scene, Setting.CELL]
     softened = ti.static(int(features.softens))
-    strain = [arrays.state[block * features.block + features.plastic_strain] for _ in ti.static(range(softened))]
+    strain = [
+        arrays.state[block * features.state.size + features.state.plastic_strain] for _ in ti.static(range(softened))
+    ]
     found = ti.static([Pullback(features.law.strengths, (values, strain), (cell, dt, features))])[0]
     bars = ti.static(found(bar))
     if ti.static(features.softens):
-        add_bars(block * arrays.layout.width + features.plastic_strain, bars[1], arrays)
+        add_bars(block * arrays.layout.width + features.state.plastic_strain, bars[1], arrays)
     for column in ti.static(features.law.columns(features)):
         add_property_bar(block, column, bars[0][ti.static(column - len(Property))], arrays)
 

@@ -29,7 +29,6 @@ from mpm.kernel import Phase
 from mpm.kernel import kernel as step_kernel
 from mpm.output.outcome import failure
 from mpm.output.request import LAST
-from mpm.solids.obstacles import obstacles_in
 
 Array = NDArray[Any]
 
@@ -127,9 +126,9 @@ class Tape:
         self.layout = Layout(self.features, exact)
         # The reverse has more scratch vectors than a step.
         count = len(self.batch.workers)
-        self.batch.scratch = aligned((count * self.layout.scratch, features.lanes), self.batch.state.dtype)
-        self.batch.workers[:, Worker.SCRATCH] = np.arange(count) * self.layout.scratch
-        self.changing = [*range(features.properties), *range(features.remainder, features.block)]
+        self.batch.scratch = aligned((count * self.layout.scratch.size, features.lanes), self.batch.state.dtype)
+        self.batch.workers[:, Worker.SCRATCH] = np.arange(count) * self.layout.scratch.size
+        self.changing = [*range(features.state.properties), *range(features.state.remainder, features.state.size)]
         """The vectors of a block that change from step to step."""
         self.start = self.checkpoint()
         self.barriers = self.batch.retained.copy(), self.batch.settling.copy()
@@ -208,7 +207,7 @@ class Tape:
 
     def motion(self) -> tuple[Array, Array]:
         """Positions [m] and velocities [m/s] of the particles of all scenes, shape [blocks * lanes, D] each."""
-        return self.vectors(self.batch.state, 0), self.vectors(self.batch.state, self.features.velocity)
+        return self.vectors(self.batch.state, 0), self.vectors(self.batch.state, self.features.state.velocity)
 
     def vectors(self, blocks: Array, first: int, count: int | None = None) -> Array:
         """`count` numbers of every particle, D unless given, from vector `first` of its block on, shape [., count]."""
@@ -222,9 +221,11 @@ class Tape:
 
     def solids(self, index: int) -> tuple[slice, slice]:
         """Where the faces of scene `index`, and its holds of nodes, lie among those of all scenes."""
-        counts = np.array([(len(each.faces), len(each.holds)) for each in map(obstacles_in, self.batch.scenes)])
-        first, last = counts[:index].sum(axis=0), counts[: index + 1].sum(axis=0)
-        return slice(int(first[0]), int(last[0])), slice(int(first[1]), int(last[1]))
+        firsts = self.batch.first_obstacles[:, 1:].tolist()
+        if not self.features.contact:
+            return slice(0), slice(0)
+        (face, hold), (last_face, last_hold) = firsts[index : index + 2]
+        return slice(face, last_face), slice(hold, last_hold)
 
     def positions(self, index: int = 0) -> NDArray[np.float64]:
         """Of the particles of a scene at the observed frames [m], shape [T, N, D]."""
@@ -323,7 +324,7 @@ class Tape:
         """Add to the bars of blocks and impulses those of what is observed at frame number `slot`."""
         for index, observed in enumerate(per_scene):
             here = self.particles(index)
-            for first, values in ((0, observed.positions), (self.features.velocity, observed.velocities)):
+            for first, values in ((0, observed.positions), (self.features.state.velocity, observed.velocities)):
                 if values is not None:
                     flat = self.vectors(own["adjoints"], first)
                     flat[here] += values[slot]

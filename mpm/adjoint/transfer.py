@@ -18,9 +18,10 @@ dw_ip/dx_p times the product of what lies at the node and what the particle give
 import taichi as ti
 
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import add, no_overflow
+from mpm.arrays.access import add, no_overflow, vectors, zero_node
+from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Setting
-from mpm.physics.transfer import lowest_node, node_sums, node_vector, three_vectors, zero_node
+from mpm.physics.transfer import lowest_node, node_sums, node_vector, three_vectors
 from mpm.physics.volume_correction import held_affine, looseness
 
 
@@ -28,7 +29,7 @@ from mpm.physics.volume_correction import held_affine, looseness
 def prepare_weights(scene, block, scratch, arrays: ti.template()):
     """Leave in `scratch` the slopes of the weights of a block [1/m] and the weights times distances [m]."""
     features, layout = arrays.features, arrays.layout
-    first = no_overflow(block * features.block)
+    first = no_overflow(block * features.state.size)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx = 1.0 / dx
     for k in ti.static(range(features.dimension)):
@@ -37,8 +38,8 @@ def prepare_weights(scene, block, scratch, arrays: ti.template()):
         slopes = (f - 1.5) * per_dx, (2.0 - 2.0 * f) * per_dx, (f - 0.5) * per_dx
         for a in ti.static(range(3)):
             w = arrays.scratch[scratch + 3 * k + a]
-            arrays.scratch[scratch + layout.slopes + 3 * k + a] = slopes[a]
-            arrays.scratch[scratch + layout.levers + 3 * k + a] = w * (ti.static(float(a)) - f) * dx
+            arrays.scratch[scratch + layout.scratch.slopes + 3 * k + a] = slopes[a]
+            arrays.scratch[scratch + layout.scratch.levers + 3 * k + a] = w * (ti.static(float(a)) - f) * dx
 
 
 @ti.func
@@ -56,24 +57,24 @@ def transfer_reverse(grid, block, scratch, scatters: ti.template(), strides: ti.
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
-        slope, lever = weight + layout.slopes * lanes, weight + layout.levers * lanes
+        slope, lever = weight + layout.scratch.slopes * lanes, weight + layout.scratch.levers * lanes
         w = [three_vectors(arrays, weight + 3 * k * lanes) for k in ti.static(range(size))]
         d = [three_vectors(arrays, slope + 3 * k * lanes) for k in ti.static(range(size))]
         levers = [three_vectors(arrays, lever + 3 * k * lanes) for k in ti.static(range(size))]
         value = node_vector(arrays, scratch, 0, lane, varies)
         steps = [node_vector(arrays, scratch, 1 + k, lane, varies) for k in ti.static(range(size))]
-        sums = [zero_node(arrays) for _ in ti.static(range(1 + size))]
-        forces = [zero_node(arrays) for _ in ti.static(range(size))]
+        sums = [zero_node() for _ in ti.static(range(1 + size))]
+        forces = [zero_node() for _ in ti.static(range(size))]
         for a in ti.static(range(3)):
             along = value
             for b in ti.static(range(3 if size == 3 else 1)):
                 first = no_overflow(n + a * strides[0] + b * strides[1] * ti.static(size - 2))
                 outer, arm = outer_weights(w, d, a, b, size), outer_weights(w, levers, a, b, size)
-                row, lever_row, product = zero_node(arrays), zero_node(arrays), zero_node(arrays)
-                slope_product = zero_node(arrays)
+                row, lever_row, product = zero_node(), zero_node(), zero_node()
+                slope_product = zero_node()
                 here = along
                 for c in ti.static(range(3)):
-                    node = zero_node(arrays)
+                    node = zero_node()
                     if ti.static(scatters):
                         node = arrays.grid[first + c]
                         add(arrays.grid_adjoints, first + c, (outer[0] * w[last][c]) * here, arrays)
@@ -114,7 +115,7 @@ def gather_moments(grid, block, scratch, strides: ti.template(), arrays: ti.temp
     for lane in range(lanes):
         n = lowest_node(arrays, scratch, lane, grid, strides)
         weight = no_overflow(scratch * lanes + lane)
-        sums = node_sums(n, weight, weight + arrays.layout.levers * lanes, strides, arrays)
+        sums = node_sums(n, weight, weight + arrays.layout.scratch.levers * lanes, strides, arrays)
         for k in ti.static(range(1 + arrays.features.dimension)):
             store_sum(sums[k], k, scratch, lane, arrays)
 
@@ -123,8 +124,8 @@ def gather_moments(grid, block, scratch, strides: ti.template(), arrays: ti.temp
 def store_sum(value, group: ti.template(), scratch, lane, arrays: ti.template()):
     """Leave a gathered node in the lane's `group` of sums."""
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
-    at = no_overflow(scratch * lanes + lane) + (layout.sums + group * features.node) * lanes
-    for k in ti.static(range(features.used)):
+    at = no_overflow(scratch * lanes + lane) + (layout.scratch.sums + group * NODE) * lanes
+    for k in ti.static(range(features.node.size)):
         arrays.scratch_lanes[at + k * lanes] = value[k]
 
 
@@ -132,10 +133,10 @@ def store_sum(value, group: ti.template(), scratch, lane, arrays: ti.template())
 def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
     """Leave the sum over the numbers of a node of each of the D `products`."""
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
-    at = no_overflow(scratch * lanes + lane) + layout.forces * lanes
+    at = no_overflow(scratch * lanes + lane) + layout.scratch.forces * lanes
     for k in ti.static(range(features.dimension)):
         total = products[k][0]
-        for number in ti.static(range(1, features.used)):
+        for number in ti.static(range(1, features.node.size)):
             total = total + products[k][number]
         arrays.scratch_lanes[at + k * lanes] = total
 
@@ -148,13 +149,13 @@ def affine_reverse(scene, block, scratch, per_dx, kappa, arrays: ti.template()):
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
-    own, first = block * layout.width, no_overflow(block * features.block)
-    bar = [arrays.adjoints[own + features.affine + k] for k in ti.static(range(size * size))]
+    own, first = block * layout.width, no_overflow(block * features.state.size)
+    bar = vectors(arrays.adjoints, own + features.state.affine, size * size)
     if ti.static(features.volume_correction):
-        at = [scratch + layout.sums + (1 + k % size) * features.node + k // size for k in ti.static(range(size * size))]
+        at = [scratch + layout.scratch.sums + (1 + k % size) * NODE + k // size for k in ti.static(range(size * size))]
         slopes = [(4.0 * per_dx * per_dx) * arrays.scratch[n] for n in ti.static(at)]
-        changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.change] for n in ti.static(at)]
-        affine = [arrays.state[first + features.affine + k] for k in ti.static(range(size * size))]
+        changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.node.change] for n in ti.static(at)]
+        affine = vectors(arrays.state, first + features.state.affine, size * size)
         slow = arrays.settings[scene, Setting.SLOW_AFFINE]
         constants = ti.static((looseness(block, arrays), size))
         held = ti.static([Pullback(held_affine, ((slopes, changes), affine, kappa, slow), constants)])[0]

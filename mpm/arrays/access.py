@@ -12,6 +12,7 @@ On a GPU a block is one particle and a vector of lanes is a number: the same cod
 
 import taichi as ti
 
+from mpm.arrays.features import NODE
 from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset
 
 
@@ -72,6 +73,18 @@ def lane_sum(a, arrays: ti.template()):
 
 
 @ti.func
+def vectors(array: ti.template(), first, count: ti.template()):
+    """`count` vectors of a block from `first` on, as a list."""
+    return [array[first + k] for k in ti.static(range(count))]
+
+
+@ti.func
+def zero_node():
+    """A node's vector of zeros."""
+    return ti.Vector([0.0 for _ in ti.static(range(NODE))])
+
+
+@ti.func
 def lane_numbers(numbers: ti.template(), first, arrays: ti.template()):
     """D numbers of a lane from `first` on, one per vector of its block."""
     features = arrays.features
@@ -97,7 +110,7 @@ def no_overflow(index):
 @ti.func
 def add(array: ti.template(), at, value, arrays: ti.template()):
     """array[at] += value. Atomic on a GPU alone: on a CPU Taichi makes that a compare-and-swap loop."""
-    if ti.static(arrays.features.gpu):
+    if ti.static(arrays.features.processor.gpu):
         ti.atomic_add(array[at], value)
     else:
         array[at] = array[at] + value

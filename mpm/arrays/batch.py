@@ -11,7 +11,7 @@ from datasets.arrays import FrameWriter
 from datasets.errors import InputError
 from datasets.particles import Particles, initial_particles
 from datasets.scene import DOMAIN_SIDES, Scene
-from mpm.arrays.features import features_of
+from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import (
     ALIGNMENT,
     INDEX_LIMIT,
@@ -108,7 +108,7 @@ class Batch:
                 worker = self.workers[index * workers + number]
                 worker[Worker.SCENE], worker[Worker.NODE], worker[Worker.IMPULSE] = index, node, impulse
                 worker[Worker.FIRST], worker[Worker.LAST] = block + ends[number], block + ends[number + 1]
-                worker[Worker.SCRATCH] = (index * workers + number) * features.scratch
+                worker[Worker.SCRATCH] = (index * workers + number) * features.scratch.size
                 # The first clearing covers everything, then the box closes around the material.
                 worker[Worker.HIGH_X : Worker.HIGH_X + 3] = nodes
                 node += math.prod(nodes)
@@ -117,17 +117,17 @@ class Batch:
             recorded += count * scene.frames * self.in_kernel
             line += scene.frames
             recorded_impulse += scene.frames * solids
-        scratch = (block if features.gpu else len(self.workers)) * features.scratch
-        longest = max(node * features.node, recorded * features.dimension)
-        indexed = max(block * features.block, scratch) * lanes
+        scratch = (block if features.processor.gpu else len(self.workers)) * features.scratch.size
+        longest = max(node * NODE, recorded * features.dimension)
+        indexed = max(block * features.state.size, scratch) * lanes
         if longest >= 2**31 or indexed >= INDEX_LIMIT:
             raise InputError(
                 f"expected a smaller run: {longest} numbers in a row, of at most 2^31, and {indexed} of particles, "
                 "of at most 2^30"
             )
-        self.state = aligned((block, features.block, lanes), real)
+        self.state = aligned((block, features.state.size, lanes), real)
         self.order = np.zeros(block * lanes, np.int32)
-        self.grid = aligned((node, features.node), real)
+        self.grid = aligned((node, NODE), real)
         counts = [len(particles.positions) for particles in self.particles]
         self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
@@ -148,8 +148,8 @@ class Batch:
     def add_contacts(self, real: np.dtype[Any]) -> None:
         """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
         scenes = self.scenes if self.features.contact else self.scenes[:1]
-        obstacles, first_cells, self.first_faces = obstacles_of(scenes)
-        self.offsets[: len(scenes), Offset.GEOMETRY] = first_cells
+        obstacles, self.first_obstacles = obstacles_of(scenes)
+        self.offsets[: len(scenes), Offset.GEOMETRY] = self.first_obstacles[:-1, 0]
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""
@@ -186,29 +186,30 @@ class Batch:
 
         put(0, particles.positions)
         if features.compensated:
-            put(features.remainder, particles.positions - particles.positions.astype(np.float32))
-        put(features.velocity, particles.velocities)
+            put(features.state.remainder, particles.positions - particles.positions.astype(np.float32))
+        put(features.state.velocity, particles.velocities)
         for first in range(0, len(source) if features.contact else 0, PORTION):
             contacts = initial_contacts(scene, particles.positions[source[first : first + PORTION]])
-            contacts[:, Contact.FACE] += self.first_faces[index]
-            put_vectors(state[first // features.lanes :][: PORTION // features.lanes], features.contacts, contacts)
+            contacts[:, Contact.FACE] += self.first_obstacles[index, 1]
+            portion = state[first // features.lanes :][: PORTION // features.lanes]
+            put_vectors(portion, features.state.contacts, contacts)
         if particles.velocity_gradients.any():
-            put(features.affine, particles.velocity_gradients.reshape(count, -1))
+            put(features.state.affine, particles.velocity_gradients.reshape(count, -1))
         if any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.
             from mpm.initial.stress import initial_tractions
 
             stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype))
-            put(features.stress, stress)
+            put(features.state.stress, stress)
             if features.contact:
-                put(features.contacts + Contact.NORMAL + features.dimension, shear)
+                put(features.state.contacts + Contact.NORMAL + features.dimension, shear)
             self.energies(index)[0, Energy.ELASTIC] = elastic_energy(particles, stress)
         if features.heterogeneous:
             properties = properties_of(particles)
-            put(features.properties, properties[:, : features.columns])
-        if features.until_rest:
-            put(features.before, particles.velocities)
-        state[:, features.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
+            put(features.state.properties, properties[:, : features.columns])
+        if features.recorded.until_rest:
+            put(features.state.before, particles.velocities)
+        state[:, features.state.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(source)] = source
         if self.recording.every > 0:
@@ -234,8 +235,8 @@ class Batch:
     def store(self, index: int, slot: int) -> None:
         """Record the present state of one scene as kept frame `slot`, or as the next one of the file."""
         features, order = self.features, self.order_of(index)
-        first = {"positions": 0, "velocities": features.velocity, "stress": features.stress}
-        first["plastic_strain"] = features.plastic_strain
+        first = {"positions": 0, "velocities": features.state.velocity, "stress": features.state.stress}
+        first["plastic_strain"] = features.state.plastic_strain
         for name, array in self.record[index].items():
             numbers = self.numbers(index, first[name], math.prod(array.shape[2:]))
             array[0 if self.file is not None else slot, order] = numbers.T.reshape(array.shape[1:])
@@ -260,7 +261,7 @@ class Batch:
         count = len(self.particles[index].positions)
         key[count:] = np.iinfo(np.int64).max
         order = np.argsort(key, kind="stable")
-        for vector in range(features.block):
+        for vector in range(features.state.size):
             state[:, vector] = state[:, vector].ravel()[order].reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(order)] = self.order[first : first + len(order)][order]
@@ -272,7 +273,7 @@ class Batch:
     def put_contacts_first(self, index: int) -> None:
         """Put particles of one scene that touch a solid first in each worker's part: few blocks compute contact."""
         state, order, lanes = self.state_of(index), self.order_of(index), self.features.lanes
-        touch = state[:, self.features.contacts + Contact.DELTA].ravel()[: len(order)] > 0.0
+        touch = state[:, self.features.state.contacts + Contact.DELTA].ravel()[: len(order)] > 0.0
         for worker in self.workers[self.workers[:, Worker.SCENE] == index]:
             first, last = (worker[Worker.FIRST : Worker.LAST + 1] - self.offsets[index, Offset.BLOCK]) * lanes
             behind = first + int(np.count_nonzero(touch[first:last]))

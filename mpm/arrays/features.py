@@ -1,8 +1,8 @@
-"""What the scenes of a batch need: the kernels are compiled for exactly this."""
+"""What the scenes of a batch need: the kernels are compiled for exactly this, and find their numbers by it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cached_property
 from itertools import accumulate
 from typing import Any, ClassVar
 
@@ -11,7 +11,6 @@ from datasets.field import FRICTION
 from datasets.geometry.placement import remembers_gaps
 from datasets.material import MOHR_COULOMB
 from datasets.particles import mass_particle_volumes, particle_count
-from datasets.records import Record
 from datasets.scene import Scene
 from mpm.arrays.layout import Contact, Precision
 from mpm.laws import law_named, law_of
@@ -23,16 +22,61 @@ REGISTER = 128
 PREFETCHED = 50_000
 """Particles of a scene in 3D from which they are read ahead: its state is beyond the cache. In 2D that does not pay."""
 
+NODE = 8
+"""Numbers in a node, momentum, mass and force: a short vector, a power of two long."""
+
+
+class Addresses:
+    """Where parts of given lengths begin that lie one after the other, by their names; `size`: where the last ends.
+
+    A part that the kernels do without has length 0.
+    """
+
+    _data_oriented = True
+    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
+
+    def __init__(self, **lengths: int) -> None:
+        vars(self).update(zip((*lengths, "size"), accumulate(lengths.values(), initial=0), strict=True))
+
+    def __getattr__(self, name: str) -> int:
+        raise AttributeError(name)
+
 
 @dataclass(frozen=True, kw_only=True)
-class Features(Record):
-    """What the scenes of a batch need; nothing else is in their kernels."""
+class Recorded:
+    """What is recorded besides positions and energies."""
+
+    strain: bool = False
+    """Plastic strain is summed up."""
+    walls: bool = False
+    """The momentum that floor and walls take."""
+    until_rest: bool = False
+    """A scene ends when its deposit has come to rest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Processor:
+    """What computes."""
+
+    gpu: bool = False
+    """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
+    shared: bool = False
+    """One scene, on several threads."""
+    prefetch: bool = False
+    """The next block of particles is read ahead of its turn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """What the scenes of a batch need; nothing else is in their kernels.
+
+    `state`, `face`, `node` and `scratch` are addresses of numbers, in the order of memory.
+    """
 
     dimension: int
     precision: Precision
     law_name: str = MOHR_COULOMB
     """Of strength: the name of one in `mpm.laws`."""
-    damped: bool = False
     cohesive: bool = False
     """Strength without pressure: cohesion, and with it a tension cutoff."""
     dilates: bool = False
@@ -40,37 +84,26 @@ class Features(Record):
     """Strength depends on the plastic strain, which is then part of the state."""
     inertial: bool = False
     """Friction grows with the inertial number (`mpm.physics.inertial`)."""
-    volume_correction: bool = False
-    """A particle carries the gap to its neighbours."""
     heterogeneous: bool = False
     """A scene has several materials, or particles of several volumes or frictions."""
+    volume_correction: bool = False
+    """A particle carries the gap to its neighbours."""
+    damped: bool = False
     contact: bool = False
     """Solids stand in the box: baffles, ground, obstacles."""
     channel: bool = False
     """Side walls of a scene in 2D brake it (`mpm.physics.channel`)."""
     outflow: bool = False
     """A side of the box lets particles out."""
-    strain_recorded: bool = False
-    """Plastic strain is summed up, to be recorded."""
-    walls_recorded: bool = False
-    """The momentum that floor and walls take is recorded."""
-    shared: bool = False
-    """One scene, on several threads."""
-    prefetch: bool = False
-    """The next block of particles is read ahead of its turn."""
-    gpu: bool = False
-    """A thread per particle and atomic sums, for many threads; else a thread per scene or per part of it."""
     barriers: bool = False
     """Masses stand behind barriers until their release."""
     gates: bool = False
     """Barriers rise when they open."""
-    until_rest: bool = False
-    """A scene ends when its deposit has come to rest."""
+    recorded: Recorded = Recorded()
+    processor: Processor = Processor()
 
-    node: ClassVar[int] = 8
-    """Numbers in a node, momentum, mass and force: a short vector, a power of two long."""
     _data_oriented: ClassVar[bool] = True
-    """Tells Taichi that a kernel may hold it as a Python object of compile time."""
+    """As of `Addresses`."""
 
     @property
     def law(self) -> Any:
@@ -80,7 +113,7 @@ class Features(Record):
     @property
     def lanes(self) -> int:
         """Particles in a block: what REGISTER bytes hold; one on a GPU."""
-        return 1 if self.gpu else REGISTER // (4 if self.precision == "f32" else 8)
+        return 1 if self.processor.gpu else REGISTER // (4 if self.precision == "f32" else 8)
 
     @property
     def stresses(self) -> int:
@@ -95,7 +128,7 @@ class Features(Record):
     @property
     def strained(self) -> bool:
         """Plastic strain is accumulated."""
-        return self.strain_recorded or self.softens
+        return self.recorded.strain or self.softens
 
     @property
     def contact_vectors(self) -> int:
@@ -115,78 +148,63 @@ class Features(Record):
     @property
     def impulses(self) -> bool:
         """The momentum that solids take is recorded."""
-        return self.contact or self.walls_recorded
+        return self.contact or self.recorded.walls
 
-    def __getattr__(self, name: str) -> int:
-        """Where the part `name` begins of a block, a face, a node or the scratch; see `parts`."""
-        return offset(parts, self, name)
+    @cached_property
+    def state(self) -> Addresses:
+        """Vectors of a block of particles."""
+        size = self.dimension
+        return Addresses(
+            position=size,
+            velocity=size,
+            affine=size**2,  # APIC's C, row by row
+            stress=self.stresses,
+            plastic_strain=int(self.strained),
+            gap=int(self.volume_correction),  # mean stress that what opened would have made [Pa]
+            contacts=self.contact_vectors,
+            present=1,  # 0 in lanes that only mirror a scene's last particle
+            properties=self.columns if self.heterogeneous else 0,
+            remainder=size if self.compensated else 0,  # what rounding has kept from the position [m]
+            before=size if self.recorded.until_rest else 0,  # the velocity at the end of the frame before
+        )
 
+    @cached_property
+    def face(self) -> Addresses:
+        """Columns of a face."""
+        size = self.dimension
+        return Addresses(
+            corners=size**2,
+            normal=size * (1 + size + (3 if size == 3 else 0)),  # its own, those of its corners and, in 3D, edges
+            friction=size,  # at each corner [-]
+            solid=1,  # its number
+        )
 
-def parts(features: Features) -> list[dict[str, int]]:
-    """How long the parts are of what the kernels read, in their order; one that a kernel does without has length 0."""
-    size, contact = features.dimension, int(features.contact)
-    return [
-        {  # Vectors of a block of particles; `present` is 1, and 0 in lanes that only mirror a scene's last particle.
-            "position": size,
-            "velocity": size,
-            "affine": size**2,  # APIC's C, row by row
-            "stress": features.stresses,
-            "plastic_strain": int(features.strained),
-            "gap": int(features.volume_correction),  # mean stress that what opened would have made [Pa]
-            "contacts": features.contact_vectors,
-            "present": 1,
-            "properties": features.columns if features.heterogeneous else 0,
-            "remainder": size if features.compensated else 0,  # what rounding has kept from the position [m]
-            "before": size if features.until_rest else 0,  # the velocity at the end of the frame before
-            "block": 0,
-        },
-        {  # Columns of a face: its corners, its normal and those of its corners and, in 3D, edges, ...
-            "face_corners": size**2,
-            "face_normal": size * (1 + size + (3 if size == 3 else 0)),
-            "face_friction": size,  # at each corner [-]
-            "face_solid": 1,  # its number
-            "face_columns": 0,
-        },
-        {  # Numbers of a node; the others stay zero.
-            "momentum": size,
-            "mass": 1,
-            "force": size,
-            "side_friction": int(features.channel),
-            "used": 0,
-        },
+    @cached_property
+    def node(self) -> Addresses:
+        """Numbers of a node, of which there are NODE; the others stay zero."""
+        size = self.dimension
+        found = Addresses(momentum=size, mass=1, force=size, side_friction=int(self.channel))
         # The change of a node's velocity stands in place of its force, which is done with.
-        {"momentum_and_mass": size + 1, "change": 0},
-        {  # Scratch vectors of a worker.
-            "weights": 3 * size,  # of the three nodes along each axis,
-            "levers": 3 * size,  # and these times their distances
-            "values": features.node * (1 + size),  # what a block gives: a node's value at the lowest one, and D slopes
-            "ahead": int(features.prefetch),  # what was read of the next block
-            "lowest": 3 * size,  # each particle's lowest node, the grid's velocity at it and its change
-            "density": 1 + size if features.volume_correction else 0,  # the grid's mass at each particle, its slopes
-            "gradient": size**2 if features.volume_correction else 0,  # of the grid's velocity at each particle
-            "changes": size**2 if features.volume_correction else 0,  # of its change
-            "origin": size * contact,  # the positions before a step
-            "push": 2 * size * contact,  # the contact's force per volume and its arm
-            "scratch": 0,
-        },
-    ]
+        vars(found).update(change=found.force)
+        return found
 
-
-def offset(parts: Callable[[Features], list[dict[str, int]]], features: Features, name: str) -> int:
-    """Where one of the `parts` begins. Raises AttributeError for another name."""
-    found = None if name.startswith("_") else begins(parts, features).get(name)
-    if found is None:
-        raise AttributeError(name)
-    return found
-
-
-@cache
-def begins(parts: Callable[[Features], list[dict[str, int]]], features: Features) -> dict[str, int]:
-    """Where parts of given lengths begin in their group; the last of one has none and says how long the group is."""
-    found: dict[str, int] = {}
-    for group in parts(features):
-        found |= dict(zip(group, accumulate(group.values(), initial=0), strict=False))
-    return found
+    @cached_property
+    def scratch(self) -> Addresses:
+        """Vectors of a worker's scratch."""
+        size = self.dimension
+        corrected, contact = int(self.volume_correction), int(self.contact)
+        return Addresses(
+            weights=3 * size,  # of the three nodes along each axis,
+            levers=3 * size,  # and these times their distances
+            values=NODE * (1 + size),  # what a block gives: a node's value at the lowest one, and D slopes
+            ahead=int(self.processor.prefetch),  # what was read of the next block
+            lowest=3 * size,  # each particle's lowest node, the grid's velocity at it and its change
+            density=(1 + size) * corrected,  # the grid's mass at each particle, its slopes
+            gradient=size**2 * corrected,  # of the grid's velocity at each particle
+            changes=size**2 * corrected,  # of its change
+            origin=size * contact,  # the positions before a step
+            push=2 * size * contact,  # the contact's force per volume and its arm
+        )
 
 
 def features_of(
@@ -209,14 +227,14 @@ def features_of(
         contact=any(scene.baffles or scene.solids for scene in scenes),
         channel=any(scene.channel is not None for scene in scenes),
         outflow=any(scene.open_sides for scene in scenes),
-        strain_recorded=record.fields,
-        walls_recorded=record.wall_forces,
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
-        until_rest=record.until_rest,
-        shared=shared,
-        prefetch=not gpu and any(s.dimension == 3 and particle_count(s) >= PREFETCHED for s in scenes),
-        gpu=gpu,
+        recorded=Recorded(strain=record.fields, walls=record.wall_forces, until_rest=record.until_rest),
+        processor=Processor(
+            gpu=gpu,
+            shared=shared,
+            prefetch=not gpu and any(s.dimension == 3 and particle_count(s) >= PREFETCHED for s in scenes),
+        ),
     )
 
 

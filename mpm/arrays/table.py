@@ -7,7 +7,7 @@ from typing import Any
 
 import taichi as ti
 
-from mpm.arrays.features import Features
+from mpm.arrays.features import NODE, Features
 
 
 class Kind(Enum):
@@ -92,13 +92,14 @@ def kernel_of(
 ) -> Callable[..., None]:
     """A kernel with the parameters `arrays`, `first`, `last` and `phase`, which it hands to the Taichi function `body`.
 
-    body: of an `Arrays` that holds `features` and `constants` too, `first`, `last` and `phase`. Taichi reads the
-    parameters of a kernel in its source, which is written here.
+    body: of an `Arrays` that holds `features` and `constants` too, `first`, `last` and `phase`.
     """
     real = ti.f32 if features.precision == "f32" else ti.f64
-    block = real if features.gpu else ti.types.vector(features.lanes, real)
-    node = ti.types.vector(features.node, real)
+    block = real if features.processor.gpu else ti.types.vector(features.lanes, real)
+    node = ti.types.vector(NODE, real)
     elements = {"block": block, "lane": real, "node": node, "real": real, "i32": ti.i32, "f32": ti.f32, "f64": ti.f64}
+    # Taichi 1.7.4 reads a kernel's parameters in its source, refuses *args, and takes no NumPy array inside another:
+    # a plain signature would name each of these 31 and 38 parameters three times.
     # `ti.static` makes the object while the kernel is compiled.
     source = (
         f"def run({', '.join(arrays)}, first, last, phase):\n"

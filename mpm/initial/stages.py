@@ -91,7 +91,7 @@ def begin_stages(batch: Batch) -> None:
             state, features = batch.state_of(index), batch.features
             first = batch.offsets[index, Offset.BLOCK] * features.lanes
             columns = rows[batch.order[first : first + len(state) * features.lanes], : features.columns]
-            put_vectors(state, features.properties, columns)
+            put_vectors(state, features.state.properties, columns)
 
 
 def settled(batch: Batch, index: int) -> bool:

@@ -23,16 +23,16 @@ from mpm.runtime import Arch
 def failure(batch: Batch, index: int) -> WorkFailed | None:
     """Why scene `index` of a batch blew up; None where it did not."""
     scene, features, frames = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
-    motion = batch.numbers(index, 0, features.velocity + features.dimension)
+    motion = batch.numbers(index, 0, features.state.velocity + features.dimension)
     if frames == scene.frames and np.isfinite(motion).all():
         return None
-    return WorkFailed(explain(scene, batch.particles[index], motion[features.velocity :].T, frames - 1))
+    return WorkFailed(explain(scene, batch.particles[index], motion[features.state.velocity :].T, frames - 1))
 
 
 def outflow(batch: Batch, index: int) -> dict[str, float]:
     """Mass that has left through each open side [kg, in 2D per metre of width]."""
     scene, features, particles = batch.scenes[index], batch.features, batch.particles[index]
-    order, (present,) = batch.order_of(index), batch.numbers(index, features.present, 1)
+    order, (present,) = batch.order_of(index), batch.numbers(index, features.state.present, 1)
     mass = (particles.density * particles.volume)[order]
     removed = present == 0.0
     # Through the side that it lies farthest beyond.

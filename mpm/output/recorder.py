@@ -27,7 +27,7 @@ def steps_of_frame(scene, arrays: ti.template()):
 
     0 where a particle outruns the elastic wave many times over: that is no longer physics, and the scene ends.
     """
-    fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.block]
+    fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.state.size]
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
         fastest = maximum(fastest, squared_speed(block, arrays))
     return steps_at_speed(scene, ti.sqrt(over_lanes(maximum, fastest, arrays)), arrays)
@@ -36,7 +36,7 @@ def steps_of_frame(scene, arrays: ti.template()):
 @ti.func
 def squared_speed(block, arrays: ti.template()):
     """|v|^2 [m^2/s^2] of each lane, huge where it is not a number: a comparison with NaN is false."""
-    v = block * arrays.features.block + arrays.features.velocity
+    v = block * arrays.features.state.size + arrays.features.state.velocity
     square = arrays.state[v] * arrays.state[v]
     for k in ti.static(range(1, arrays.features.dimension)):
         square = square + arrays.state[v + k] * arrays.state[v + k]
@@ -80,7 +80,7 @@ def record_scene(scene, frame, arrays: ti.template()):
         record_impulses(scene, frame, arrays)
     if ti.static(arrays.features.barriers):
         open_barriers(scene, frame, arrays)
-    if ti.static(arrays.features.until_rest):
+    if ti.static(arrays.features.recorded.until_rest):
         detect_rest(scene, frame, arrays)
 
 
@@ -94,18 +94,18 @@ def record_block(scene, frame, block, arrays: ti.template()):
     """
     features = arrays.features
     volume, dx = property_of(scene, block, Property.VOLUME, arrays), arrays.settings[scene, Setting.CELL]
-    first = block * features.block
-    present = arrays.state[first + features.present]
+    first = block * features.state.size
+    present = arrays.state[first + features.state.present]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present
     if ti.static(features.barriers):
         measure_retained(scene, block, arrays)
     vv, cc, ss, trace = 0.0 * mass, 0.0 * mass, 0.0 * mass, 0.0 * mass
     for k in ti.static(range(features.dimension)):
-        vv = vv + arrays.state[first + features.velocity + k] * arrays.state[first + features.velocity + k]
+        vv = vv + arrays.state[first + features.state.velocity + k] * arrays.state[first + features.state.velocity + k]
     for k in ti.static(range(features.dimension * features.dimension)):
-        cc = cc + arrays.state[first + features.affine + k] * arrays.state[first + features.affine + k]
+        cc = cc + arrays.state[first + features.state.affine + k] * arrays.state[first + features.state.affine + k]
     for k in ti.static(range(features.stresses)):
-        s = arrays.state[first + features.stress + k]
+        s = arrays.state[first + features.state.stress + k]
         ss = ss + ti.static(1.0 if k < 3 else 2.0) * s * s
         trace = trace + ti.static(1.0 if k < 3 else 0.0) * s
     along, down = arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y]
@@ -117,13 +117,13 @@ def record_block(scene, frame, block, arrays: ti.template()):
     sums[Energy.POTENTIAL] = lane_sum(0.0 - mass * height, arrays)
     elastic = volume * present * (deviator * ss - spherical * trace * trace)
     sums[Energy.ELASTIC] = lane_sum(elastic, arrays)
-    if ti.static(features.until_rest):
+    if ti.static(features.recorded.until_rest):
         change = 0.0 * mass
         for k in ti.static(range(features.dimension)):
-            new = arrays.state[first + features.velocity + k]
-            apart = new - arrays.state[first + features.before + k]
+            new = arrays.state[first + features.state.velocity + k]
+            apart = new - arrays.state[first + features.state.before + k]
             change = change + apart * apart
-            arrays.state[first + features.before + k] = new
+            arrays.state[first + features.state.before + k] = new
         impulse = ti.max(arrays.settings[scene, Setting.WEIGHT], 1.0e-30) * arrays.settings[scene, Setting.FRAME_DT]
         sums[Energy.UNBALANCED] = lane_sum(mass * ti.sqrt(change), arrays) / impulse
     at = arrays.offsets[scene, Offset.RECORD]

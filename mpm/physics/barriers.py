@@ -66,7 +66,7 @@ def measure_retained(scene, block, arrays: ti.template()):
     """Add the kinetic energy and the momentum of a block to those of the retained masses."""
     features = arrays.features
     lanes = ti.static(features.lanes)
-    velocity = (block * features.block + features.velocity) * lanes
+    velocity = (block * features.state.size + features.state.velocity) * lanes
     first = arrays.offsets[scene, Offset.RETAINED]
     for line in range(first, first + arrays.offsets[scene, Offset.RETAINED_COUNT]):
         if arrays.retained[line, Retained.OPENED] == 0:

@@ -46,7 +46,7 @@ def apply_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
             friction = friction_of(side, scene, arrays)
             before = v
             v = after_wall(v, axis, friction)
-            if ti.static(features.walls_recorded):
+            if ti.static(features.recorded.walls):
                 add_wall_impulse(side, mass * (before - v), worker, scene, arrays)
     return v
 

@@ -24,4 +24,4 @@ def side_friction(stress: ti.template(), volume, grip):
 @ti.func
 def after_side_walls(v, node, dt, features: ti.template()):
     """Velocity `v` [m/s] of a node (momentum, mass, force, side friction) after the side walls, shape [D]."""
-    return with_friction(v, dt * node[features.side_friction] / node[features.dimension])
+    return with_friction(v, dt * node[features.node.side_friction] / node[features.dimension])

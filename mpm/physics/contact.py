@@ -35,7 +35,7 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers
+from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
 from mpm.arrays.layout import Contact, Setting, Worker, component
 from mpm.physics.boundary import after_contact
 from mpm.solids.face_lookup import TINY, cell_of, face_vector, first_crossed, free_path, nearest_face, solid_of
@@ -47,7 +47,7 @@ MAX_CROSSINGS = 3
 @ti.func
 def contact_at(block, column: ti.template(), arrays: ti.template()):
     """Index of the vector `column` of those that describe the contact of a block."""
-    return block * arrays.features.block + arrays.features.contacts + column
+    return block * arrays.features.state.size + arrays.features.state.contacts + column
 
 
 @ti.func
@@ -143,10 +143,10 @@ def sheared_traction(
 def motion_and_stress(block, scratch, arrays: ti.template()):
     """The motion of a block, the grid's velocity at its particles and their C, and their stress; lists of vectors."""
     features = arrays.features
-    first, moved = block * features.block, scratch + features.lowest + features.dimension
-    velocity = [arrays.scratch[moved + i] for i in ti.static(range(features.dimension))]
-    affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
-    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    first, moved = block * features.state.size, scratch + features.scratch.lowest + features.dimension
+    velocity = vectors(arrays.scratch, moved, features.dimension)
+    affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
+    stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     return (velocity, affine), stress
 
 
@@ -154,11 +154,11 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
 def push(block, scratch, arrays: ti.template()):
     """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
     features = arrays.features
-    first = block * features.block + features.stress
-    stress = [arrays.state[first + k] for k in ti.static(range(features.stresses))]
+    first = block * features.state.size + features.state.stress
+    stress = vectors(arrays.state, first, features.stresses)
     pushed = surface_force(stress, contact_of(block, arrays), features.dimension)
     for k in ti.static(range(2 * features.dimension)):
-        arrays.scratch[scratch + features.push + k] = pushed[k]
+        arrays.scratch[scratch + features.scratch.push + k] = pushed[k]
 
 
 @ti.func
@@ -176,7 +176,7 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
     """Add what contact takes of the momentum of a block that touches, -dt V0 delta t in a step, to its solids."""
     features = arrays.features
     push(block, scratch, arrays)
-    pushed = scratch + features.push
+    pushed = scratch + features.scratch.push
     for k in ti.static(range(features.dimension)):
         arrays.scratch[pushed + k] = (0.0 - dt) * volume * present(block, arrays) * arrays.scratch[pushed + k]
     first = contact_at(block, 0, arrays)
@@ -194,7 +194,7 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
 @ti.func
 def present(block, arrays: ti.template()):
     """1 for each particle of a block, 0 for the lanes that only mirror one."""
-    return arrays.state[block * arrays.features.block + arrays.features.present]
+    return arrays.state[block * arrays.features.state.size + arrays.features.state.present]
 
 
 @ti.func
@@ -224,7 +224,7 @@ def apply_solids(v, mass, n, worker, recorded: ti.template(), arrays: ti.templat
 def removed_by(hold, v, arrays: ti.template()):
     """The face of a hold and what it takes of a velocity `v` [m/s], share_k (v - A_k v)."""
     face, removed = ti.cast(arrays.holds[hold, 0], ti.i32), 0.0 * v
-    normal = face_vector(face, arrays.features.face_normal, arrays)
+    normal = face_vector(face, arrays.features.face.normal, arrays)
     if v.dot(normal) < 0.0:
         removed = arrays.holds[hold, 2] * (v - after_contact(v, normal, arrays.holds[hold, 1]))
     return face, removed
@@ -238,8 +238,9 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     """
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
-    x, distance = block * features.block, contact_at(block, Contact.DISTANCE, arrays)
-    moved = [arrays.state[x + k] - arrays.scratch[scratch + features.origin + k] for k in ti.static(range(size))]
+    x, distance = block * features.state.size, contact_at(block, Contact.DISTANCE, arrays)
+    origin = scratch + features.scratch.origin
+    moved = [arrays.state[x + k] - arrays.scratch[origin + k] for k in ti.static(range(size))]
     square = 0.0 * moved[0]
     for k in ti.static(range(size)):
         square = square + moved[k] * moved[k]
@@ -249,10 +250,10 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     if over_lanes(minimum, lower_bound, arrays) >= nearby:
         arrays.state[distance] = lower_bound
     else:
-        arrays.scratch[scratch + features.push + 1] = mass * present(block, arrays)
+        arrays.scratch[scratch + features.scratch.push + 1] = mass * present(block, arrays)
         if follow_faces(block, scratch, moved, path, nearby, scene, arrays):
             for lane in range(lanes):
-                bound = arrays.scratch_lanes[(scratch + features.push) * lanes + lane]
+                bound = arrays.scratch_lanes[(scratch + features.scratch.push) * lanes + lane]
                 if bound < nearby:
                     find_contact(block, scratch, lane, bound, worker, scene, arrays)
 
@@ -283,7 +284,7 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
     for k in ti.static(range(size)):
         at = contact + Contact.NORMAL + size + k
         arrays.state[at] = ti.select(follows & (delta == 0.0), 0.0, arrays.state[at])
-    arrays.scratch[scratch + features.push] = bound
+    arrays.scratch[scratch + features.scratch.push] = bound
     return over_lanes(minimum, bound, arrays) < nearby
 
 
@@ -302,26 +303,26 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     """
     features, lanes = arrays.features, arrays.features.lanes
     dimension = ti.static(features.dimension)
-    first = block * features.block * lanes + lane
+    first = block * features.state.size * lanes + lane
     contact = contact_at(block, 0, arrays) * lanes + lane
     x = lane_numbers(arrays.lanes, first, arrays)
-    v = lane_numbers(arrays.lanes, first + features.velocity * lanes, arrays)
+    v = lane_numbers(arrays.lanes, first + features.state.velocity * lanes, arrays)
     velocity, solid, moved = v, -1, False
     cell = arrays.settings[scene, Setting.CELL]
     if bound <= 0.0:
-        start = lane_numbers(arrays.scratch_lanes, (scratch + features.origin) * lanes + lane, arrays)
+        start = lane_numbers(arrays.scratch_lanes, (scratch + features.scratch.origin) * lanes + lane, arrays)
         start_cell = cell_of(start, scene, arrays)
         for rotation in range(MAX_CROSSINGS):
             face = first_crossed(start, x, start_cell, cell, arrays)
             if face < 0:
                 break
-            normal = face_vector(face, features.face_normal, arrays)
+            normal = face_vector(face, features.face.normal, arrays)
             x = x - (x - face_vector(face, 0, arrays)).dot(normal) * normal
             if rotation == MAX_CROSSINGS - 1:
                 x = start
             moved = True
             if v.dot(normal) < 0.0:
-                v = after_contact(v, normal, arrays.faces[face, features.face_friction])
+                v = after_contact(v, normal, arrays.faces[face, features.face.friction])
                 solid = solid_of(face, arrays)
     cell_index = cell_of(x, scene, arrays)
     delta, distance, free = 0.0 * cell, arrays.cell_distance[cell_index], 0.0 * cell
@@ -332,7 +333,7 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
             free = free_path(x, face, weights, normal, d, cell_index, cell, arrays)
         friction = 0.0 * d
         for k in ti.static(range(dimension)):
-            friction += weights[k] * arrays.faces[face, features.face_friction + k]
+            friction += weights[k] * arrays.faces[face, features.face.friction + k]
         if d < 0.0:
             x = x - d * normal
             d, moved = 0.0 * d, True
@@ -352,9 +353,9 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
         put_lane_numbers(arrays.lanes, contact + (Contact.NORMAL + dimension) * lanes, shear, arrays)
     if moved:
         put_lane_numbers(arrays.lanes, first, x, arrays)
-        put_lane_numbers(arrays.lanes, first + features.velocity * lanes, v, arrays)
+        put_lane_numbers(arrays.lanes, first + features.state.velocity * lanes, v, arrays)
         if solid >= 0:
-            mass = arrays.scratch_lanes[(scratch + features.push + 1) * lanes + lane]
+            mass = arrays.scratch_lanes[(scratch + features.scratch.push + 1) * lanes + lane]
             for k in ti.static(range(dimension)):
                 add_impulse(solid, k, mass * (velocity[k] - v[k]), lane, worker, arrays)
     arrays.lanes[contact + Contact.DELTA * lanes] = delta

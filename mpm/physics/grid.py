@@ -13,7 +13,7 @@ Only the bounding box of the material is cleared and updated.
 
 import taichi as ti
 
-from mpm.arrays.access import box_cells, node_strides
+from mpm.arrays.access import box_cells, node_strides, zero_node
 from mpm.arrays.layout import PADDING, Offset, Setting, StepControl, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import add_wall_impulse, apply_walls
@@ -29,8 +29,7 @@ SLOW = 1.0e-3
 @ti.func
 def clear(worker, strides, arrays: ti.template()):
     """Set the nodes around the material of `worker` to zero."""
-    features = arrays.features
-    zero = ti.Vector([0.0 for _ in ti.static(range(features.node))])
+    zero = zero_node()
     for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
         for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
             first = arrays.workers[worker, Worker.NODE] + i * strides[0] + j * strides[1]
@@ -48,21 +47,21 @@ def update_grid(worker, scene, dt, kappa, strides, arrays: ti.template()):
             for j in range(low[1], high[1]):
                 for k in range(low[2], high[2]):
                     n = i * strides[0] + j * strides[1] + k
-                    node = node_of(arrays.grid, n, i, j, k, worker, arrays)
+                    node = node_of(arrays.grid, n, [i, j, k], worker, arrays)
                     if node[features.dimension] > 0.0:
-                        node = moved_node(node, n, i, j, k, worker, scene, dt, kappa, arrays)
-                        put_node(arrays.grid, node, n, i, j, k, worker, arrays)
+                        node = moved_node(node, n, [i, j, k], worker, scene, dt, kappa, arrays)
+                        put_node(arrays.grid, node, n, [i, j, k], worker, arrays)
 
 
 @ti.func
 def own_box(worker, arrays: ti.template()):
     """The nodes in the support of a worker's particles, of those of all workers of a shared scene; [low, high), [3]."""
     first = worker
-    if ti.static(arrays.features.shared):
+    if ti.static(arrays.features.processor.shared):
         first = 0
     low = ti.Vector([arrays.workers[first, Worker.LOW_X + k] for k in ti.static(range(3))])
     high = ti.Vector([arrays.workers[first, Worker.HIGH_X + k] for k in ti.static(range(3))])
-    if ti.static(arrays.features.shared):
+    if ti.static(arrays.features.processor.shared):
         for other in range(1, arrays.workers.shape[0]):
             for k in ti.static(range(3)):
                 low[k] = ti.min(low[k], arrays.workers[other, Worker.LOW_X + k])
@@ -74,18 +73,18 @@ def own_box(worker, arrays: ti.template()):
 def shares_row(i, worker, arrays: ti.template()):
     """Whether the nodes of row i are a worker's to compute, who is one of several in a shared scene."""
     result = 1
-    if ti.static(arrays.features.shared):
+    if ti.static(arrays.features.processor.shared):
         result = ti.cast(i % arrays.workers.shape[0] == worker, ti.i32)
     return result
 
 
 @ti.func
-def node_of(array: ti.template(), n, i, j, k, worker, arrays: ti.template()):
-    """Node (i, j, k), the n-th of a worker; of a shared scene the sum over the workers in whose support it is."""
-    if ti.static(arrays.features.shared):
-        node = ti.Vector([0.0 for _ in ti.static(range(arrays.features.node))])
+def node_of(array: ti.template(), n, index: ti.template(), worker, arrays: ti.template()):
+    """Node `index`, the n-th of a worker; of a shared scene the sum over the workers in whose support it is."""
+    if ti.static(arrays.features.processor.shared):
+        node = zero_node()
         for other in range(arrays.workers.shape[0]):
-            if covers(other, i, j, k, arrays):
+            if covers(other, index, arrays):
                 node += array[arrays.workers[other, Worker.NODE] + n]
         return node
     else:
@@ -93,11 +92,11 @@ def node_of(array: ti.template(), n, i, j, k, worker, arrays: ti.template()):
 
 
 @ti.func
-def put_node(array: ti.template(), value, n, i, j, k, worker, arrays: ti.template()):
+def put_node(array: ti.template(), value, n, index: ti.template(), worker, arrays: ti.template()):
     """Put what `node_of` reads; in a shared scene all workers in whose support it is have the sum."""
-    if ti.static(arrays.features.shared):
+    if ti.static(arrays.features.processor.shared):
         for other in range(arrays.workers.shape[0]):
-            if covers(other, i, j, k, arrays):
+            if covers(other, index, arrays):
                 array[arrays.workers[other, Worker.NODE] + n] = value
     else:
         array[arrays.workers[worker, Worker.NODE] + n] = value
@@ -119,16 +118,16 @@ def update_node(n, scene, arrays: ti.template()):
         node = arrays.grid[at]
         if node[arrays.features.dimension] > 0.0:
             kappa = relaxation_factor(scene, dt, arrays)
-            arrays.grid[at] = moved_node(node, n, i, j, k, scene, scene, dt, kappa, arrays)
+            arrays.grid[at] = moved_node(node, n, [i, j, k], scene, scene, dt, kappa, arrays)
 
 
 @ti.func
-def covers(worker, i, j, k, arrays: ti.template()):
-    """Whether node (i, j, k) is in the support of a worker's particles."""
+def covers(worker, index: ti.template(), arrays: ti.template()):
+    """Whether node `index` is in the support of a worker's particles."""
     return (
-        arrays.workers[worker, Worker.LOW_X] <= i < arrays.workers[worker, Worker.HIGH_X]
-        and arrays.workers[worker, Worker.LOW_Y] <= j < arrays.workers[worker, Worker.HIGH_Y]
-        and arrays.workers[worker, Worker.LOW_Z] <= k < arrays.workers[worker, Worker.HIGH_Z]
+        arrays.workers[worker, Worker.LOW_X] <= index[0] < arrays.workers[worker, Worker.HIGH_X]
+        and arrays.workers[worker, Worker.LOW_Y] <= index[1] < arrays.workers[worker, Worker.HIGH_Y]
+        and arrays.workers[worker, Worker.LOW_Z] <= index[2] < arrays.workers[worker, Worker.HIGH_Z]
     )
 
 
@@ -141,14 +140,14 @@ def velocity_before(node, arrays: ti.template()):
 
 
 @ti.func
-def moved_node(node, n, i, j, k, worker, scene, dt, kappa, arrays: ti.template()):
-    """Node (i, j, k), the n-th of its scene, with its new velocity for its momentum, and its change new - kept old."""
+def moved_node(node, n, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
+    """Node `index`, the n-th of its scene, with its new velocity for its momentum, and its change new - kept old."""
     features = arrays.features
     old = velocity_before(node, arrays)
-    new = velocity_after(node, old, n, i, j, k, worker, scene, dt, arrays)
+    new = velocity_after(node, old, n, index, worker, scene, dt, arrays)
     for axis in ti.static(range(features.dimension)):
         node[axis] = new[axis]
-        node[features.change + axis] = new[axis] - kappa * old[axis]
+        node[features.node.change + axis] = new[axis] - kappa * old[axis]
     return node
 
 
@@ -164,7 +163,7 @@ def acceleration(node, scene, arrays: ti.template()):
     features = arrays.features
     per_mass = 1.0 / node[features.dimension]
     gravity = [arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0 * per_mass]
-    force = ti.Vector([node[features.force + axis] * per_mass for axis in ti.static(range(features.dimension))])
+    force = ti.Vector([node[features.node.force + axis] * per_mass for axis in ti.static(range(features.dimension))])
     return ti.Vector([gravity[axis] for axis in ti.static(range(features.dimension))]) + force, force
 
 
@@ -177,8 +176,8 @@ def damping_terms(v, a, scene, arrays: ti.template()):
 
 
 @ti.func
-def velocity_after(node, v, n, i, j, k, worker, scene, dt, arrays: ti.template()):
-    """The new velocity [m/s] of the n-th node (momentum, mass, force), at (i, j, k), shape [D], from its old one."""
+def velocity_after(node, v, n, index: ti.template(), worker, scene, dt, arrays: ti.template()):
+    """The new velocity [m/s] of the n-th node (momentum, mass, force), shape [D], from its old one."""
     features = arrays.features
     mass = node[features.dimension]
     a, _ = acceleration(node, scene, arrays)
@@ -186,15 +185,15 @@ def velocity_after(node, v, n, i, j, k, worker, scene, dt, arrays: ti.template()
         size, sign, _ = damping_terms(v, a, scene, arrays)
         a = a - arrays.settings[scene, Setting.DAMPING] * size * sign
     v_star = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
-    index = ti.Vector([[i, j, k][axis] for axis in ti.static(range(features.dimension))])
-    v_star = apply_walls(v_star, index, box_cells(scene, arrays), mass, worker, scene, arrays)
+    indices = ti.Vector([index[axis] for axis in ti.static(range(features.dimension))])
+    v_star = apply_walls(v_star, indices, box_cells(scene, arrays), mass, worker, scene, arrays)
     if ti.static(features.contact):
         v_star = apply_solids(v_star, mass, arrays.offsets[scene, Offset.GEOMETRY] + n, worker, True, arrays)
     if ti.static(features.channel):
         v_star = after_side_walls(v_star, node, dt, features)
     if ti.static(features.barriers):
-        v_behind = apply_barriers(v_star, index, scene, dt, arrays)
-        if ti.static(features.walls_recorded):
+        v_behind = apply_barriers(v_star, indices, scene, dt, arrays)
+        if ti.static(features.recorded.walls):
             add_wall_impulse(2 * features.dimension, mass * (v_star - v_behind), worker, scene, arrays)
         v_star = v_behind
     return v_star

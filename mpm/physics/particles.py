@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from mpm.arrays.access import clamp, maximum, minimum, no_overflow, over_lanes
+from mpm.arrays.access import clamp, maximum, minimum, no_overflow, over_lanes, vectors
 from mpm.arrays.layout import PADDING, Contact, Offset, Property, Setting, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.contact import (
@@ -27,14 +27,14 @@ def update_particles(worker, scene, dt, kappa, strides: ti.template(), arrays: t
     features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
     # The lowest and highest place of each lane, then of all: the box of nodes that the next step touches.
-    low = [arrays.state[first * features.block + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
+    low = [arrays.state[first * features.state.size + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
     high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
     grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
     for block in range(first, arrays.workers[worker, Worker.LAST]):
         update_block(worker, grid, scene, block, scratch, dt, kappa, strides, arrays)
         for k in ti.static(range(features.dimension)):
-            low[k] = minimum(low[k], arrays.state[block * features.block + k])
-            high[k] = maximum(high[k], arrays.state[block * features.block + k])
+            low[k] = minimum(low[k], arrays.state[block * features.state.size + k])
+            high[k] = maximum(high[k], arrays.state[block * features.state.size + k])
     set_box(worker, scene, low, high, arrays)
 
 
@@ -60,7 +60,7 @@ def update_block(worker, grid, scene, block, scratch, dt, kappa, strides: ti.tem
         if near:
             record_traction(block, scratch, volume, dt, worker, arrays)
         for k in ti.static(range(features.dimension)):
-            arrays.scratch[scratch + features.origin + k] = arrays.state[block * features.block + k]
+            arrays.scratch[scratch + features.scratch.origin + k] = arrays.state[block * features.state.size + k]
     grid_to_block(grid, scene, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kappa, strides, arrays)
     step_particles(scene, block, scratch, dt, kappa, arrays)
     update_stress(scene, block, scratch, near, dt, arrays)
@@ -75,14 +75,14 @@ def update_block(worker, grid, scene, block, scratch, dt, kappa, strides: ti.tem
 def step_particles(scene, block, scratch, dt, kappa, arrays: ti.template()):
     """Move a block by its velocity; no particle leaves the box."""
     features = arrays.features
-    x = no_overflow(block * features.block)
-    v, remainder = x + features.velocity, x + features.remainder
+    x = no_overflow(block * features.state.size)
+    v, remainder = x + features.state.velocity, x + features.state.remainder
     for k in ti.static(range(features.dimension)):
-        at = scratch + features.lowest + features.dimension + k
+        at = scratch + features.scratch.lowest + features.dimension + k
         speed = arrays.scratch[at]
         arrays.state[v + k] = kappa * arrays.state[v + k] + arrays.scratch[at + features.dimension]
         if ti.static(features.outflow):
-            speed = arrays.state[x + features.present] * speed
+            speed = arrays.state[x + features.state.present] * speed
         if ti.static(features.compensated):
             old, part = arrays.state[x + k], dt * speed + arrays.state[remainder + k]
             new = old + part
@@ -112,14 +112,14 @@ def step_particles(scene, block, scratch, dt, kappa, arrays: ti.template()):
 def remove_outflow(block, scene, arrays: ti.template()):
     """Particles of a block beyond an open side are no part of the flow any more: without mass, stress and velocity."""
     features = arrays.features
-    x = block * features.block
-    here = arrays.state[x + features.present]
+    x = block * features.state.size
+    here = arrays.state[x + features.state.present]
     for k in ti.static(range(features.dimension)):
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
         inside = (arrays.state[x + k] >= 0.0) & (arrays.state[x + k] <= length)
         here = ti.select(inside, here, 0.0)
-    arrays.state[x + features.present] = here
-    for k in ti.static(range(features.velocity, features.stress + features.stresses)):
+    arrays.state[x + features.state.present] = here
+    for k in ti.static(range(features.state.velocity, features.state.stress + features.stresses)):
         arrays.state[x + k] = here * arrays.state[x + k]
 
 
@@ -131,10 +131,10 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     at its start: explicit.
     """
     features = arrays.features
-    first = no_overflow(block * features.block)
+    first = no_overflow(block * features.state.size)
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     strengths = strengths_of(scene, block, dt, arrays)
-    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
     opened = 0.0 * stress[0]
     if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
@@ -142,16 +142,16 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
             opened = opened_of(scene, block, scratch, strengths[3], lame + shear * (2.0 / 3.0), dt, arrays)
     new = stress_step(stress, increment, opened, strengths, lame, shear, features)
     for k in ti.static(range(features.stresses)):
-        arrays.state[first + features.stress + k] = new[k]
+        arrays.state[first + features.state.stress + k] = new[k]
     if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
         if near:
             shear_traction_step(block, scratch, dt, shear, arrays)
     if ti.static(features.volume_correction):
         mean = (new[0] + new[1] + new[2]) / 3.0
         gap = kept_gap(new[features.stresses + 1], mean, strengths[3], lame + shear * (2.0 / 3.0))
-        arrays.state[first + features.gap] = arrays.settings[scene, Setting.CORRECTED] * gap
+        arrays.state[first + features.state.gap] = arrays.settings[scene, Setting.CORRECTED] * gap
     if ti.static(features.strained):
-        at = first + features.plastic_strain
+        at = first + features.state.plastic_strain
         arrays.state[at] = arrays.state[at] + new[features.stresses]
 
 
@@ -159,22 +159,22 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
 def opened_of(scene, block, scratch, limit, bulk, dt, arrays: ti.template()):
     """K e [Pa] of the particles of a block in this step; limit: T [Pa], bulk: K [Pa]."""
     features = arrays.features
-    first = no_overflow(block * features.block)
-    x = [arrays.state[first + k] for k in ti.static(range(features.dimension))]
-    grid = [arrays.scratch[scratch + features.density + k] for k in ti.static(range(1 + features.dimension))]
+    first = no_overflow(block * features.state.size)
+    x = vectors(arrays.state, first, features.dimension)
+    grid = vectors(arrays.scratch, scratch + features.scratch.density, 1 + features.dimension)
     cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))]
     density, dx = property_of(scene, block, Property.DENSITY, arrays), arrays.settings[scene, Setting.CELL]
     gap = grid_gap(grid, x, contact_of(block, arrays), density, dx, cells, features)
     rate = dt * arrays.settings[scene, Setting.GAP_RATE]
-    return updated_gap(arrays.state[first + features.gap], limit, bulk, rate, gap)
+    return updated_gap(arrays.state[first + features.state.gap], limit, bulk, rate, gap)
 
 
 @ti.func
 def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     """G [-] of a block, row by row: of its velocity gradient and the jump of velocity at solids; `modulus`: M [Pa]."""
     features = arrays.features
-    first = no_overflow(block * features.block)
-    gradient = [dt * arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
+    first = no_overflow(block * features.state.size)
+    gradient = [dt * arrays.state[first + features.state.affine + k] for k in ti.static(range(features.dimension**2))]
     increment = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
         if near:
@@ -209,6 +209,7 @@ def strengths_of(scene, block, dt, arrays: ti.template()):
     features = arrays.features
     values = law_values(scene, block, arrays)
     strain = [
-        arrays.state[block * features.block + features.plastic_strain] for _ in ti.static(range(int(features.softens)))
+        arrays.state[block * features.state.size + features.state.plastic_strain]
+        for _ in ti.static(range(int(features.softens)))
     ]
     return features.law.strengths(values, strain, arrays.settings[scene, Setting.CELL], dt, features)

@@ -30,8 +30,8 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.arrays.access import add, no_overflow
-from mpm.arrays.features import REGISTER
+from mpm.arrays.access import add, no_overflow, vectors, zero_node
+from mpm.arrays.features import NODE, REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import push, touches
@@ -49,7 +49,7 @@ def property_of(scene, block, column: ti.template(), arrays: ti.template()):
     """A property of the particles: one number per scene, or one per lane where the scene is heterogeneous."""
     features = arrays.features
     if ti.static(features.heterogeneous):
-        return arrays.state[block * features.block + features.properties + column]
+        return arrays.state[block * features.state.size + features.state.properties + column]
     else:
         return arrays.properties[scene, column]
 
@@ -59,7 +59,7 @@ def volume_of(scene, block, arrays: ti.template()):
     """Initial volume [m^D] of the particles of a block, 0 of those that have left the box."""
     features = arrays.features
     if ti.static(features.outflow):
-        here = arrays.state[block * features.block + features.present]
+        here = arrays.state[block * features.state.size + features.state.present]
         return property_of(scene, block, Property.VOLUME, arrays) * here
     else:
         return property_of(scene, block, Property.VOLUME, arrays)
@@ -71,7 +71,7 @@ def lowest_node(arrays: ti.template(), scratch, lane, grid, strides: ti.template
     features = arrays.features
     n, at = grid, no_overflow(scratch * features.lanes + lane)
     for axis in ti.static(range(features.dimension)):
-        low = arrays.scratch_lanes[at + (features.lowest + axis) * features.lanes]
+        low = arrays.scratch_lanes[at + (features.scratch.lowest + axis) * features.lanes]
         n += ti.cast(low, ti.i32) * strides[axis]
     return n
 
@@ -83,14 +83,15 @@ def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, vari
     Unless `varies`, each node is given the same mass and side friction but for the weight: their slopes are zero.
     """
     features = arrays.features
-    first = ti.static(features.values + group * features.node)
+    first = ti.static(features.scratch.values + group * NODE)
     at = no_overflow(scratch * features.lanes + lane)
     return ti.Vector(
         [
             arrays.scratch_lanes[at + (first + k) * features.lanes]
-            if k < features.used and (group == 0 or varies or (k != features.dimension and k <= 2 * features.dimension))
+            if k < features.node.size
+            and (group == 0 or varies or (k != features.dimension and k <= 2 * features.dimension))
             else 0.0
-            for k in ti.static(range(features.node))
+            for k in ti.static(range(NODE))
         ]
     )
 
@@ -139,13 +140,13 @@ def number_to_grid(grid, block, k, strides: ti.template(), arrays: ti.template()
     There each number has a thread: those of a node, which are neighbours in memory, are added in one transaction.
     """
     features = arrays.features
-    scratch = no_overflow(block * features.scratch)
-    n, values = lowest_node(arrays, scratch, 0, grid, strides), scratch + features.values + k
+    scratch = no_overflow(block * features.scratch.size)
+    n, values = lowest_node(arrays, scratch, 0, grid, strides), scratch + features.scratch.values + k
     value = arrays.scratch_lanes[values]
     slope = ti.Vector([0.0 * value for _ in ti.static(range(features.dimension))])
     if k != features.dimension and k <= 2 * features.dimension:
         for axis in ti.static(range(features.dimension)):
-            slope[axis] = arrays.scratch_lanes[values + (1 + axis) * features.node]
+            slope[axis] = arrays.scratch_lanes[values + (1 + axis) * NODE]
     w = [three_vectors(arrays, scratch + 3 * axis) for axis in ti.static(range(features.dimension))]
     for a, b in ti.static(ti.ndrange(3, 3)):
         along, at = w[0][a] * w[1][b], n + a * strides[0] + b * strides[1]
@@ -161,12 +162,12 @@ def number_to_grid(grid, block, k, strides: ti.template(), arrays: ti.template()
 def weights_of(block, scratch, per_dx, arrays: ti.template()):
     """Leave in `scratch` the weights and lowest nodes of a block; its places above these nodes [cells], D vectors."""
     features = arrays.features
-    first = no_overflow(block * features.block)
+    first = no_overflow(block * features.state.size)
     f = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
     for k in ti.static(range(features.dimension)):
         low = ti.floor(f[k] - 0.5)
         f[k] = f[k] - low
-        arrays.scratch[scratch + features.lowest + k] = low
+        arrays.scratch[scratch + features.scratch.lowest + k] = low
         w = spline(f[k])
         for a in ti.static(range(3)):
             arrays.scratch[scratch + 3 * k + a] = w[a]
@@ -177,7 +178,7 @@ def weights_of(block, scratch, per_dx, arrays: ti.template()):
 def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     """Leave in `scratch` the weights, lowest nodes, values and slopes of a block."""
     features = arrays.features
-    first = no_overflow(block * features.block)
+    first = no_overflow(block * features.state.size)
     dx = arrays.settings[scene, Setting.CELL]
     volume, zero = volume_of(scene, block, arrays), 0.0 * arrays.state[first]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + zero
@@ -185,7 +186,7 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     if ti.static(features.contact):
         if touches(block, arrays):
             push(block, scratch, arrays)
-            pushed = [arrays.scratch[scratch + features.push + k] for k in ti.static(range(2 * features.dimension))]
+            pushed = vectors(arrays.scratch, scratch + features.scratch.push, 2 * features.dimension)
             leave_contributions(scene, block, scratch, mass, volume, pushed, f, dx, arrays)
         else:
             leave_contributions(scene, block, scratch, mass, volume, [], f, dx, arrays)
@@ -199,22 +200,22 @@ def leave_contributions(
 ):
     """Leave in `scratch` the values and slopes of a block."""
     features = arrays.features
-    first, values = no_overflow(block * features.block), scratch + features.values
-    velocity = [arrays.state[first + features.velocity + i] for i in ti.static(range(features.dimension))]
-    affine = [arrays.state[first + features.affine + k] for k in ti.static(range(features.dimension**2))]
-    stress = [arrays.state[first + features.stress + k] for k in ti.static(range(features.stresses))]
+    first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
+    velocity = vectors(arrays.state, first + features.state.velocity, features.dimension)
+    affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
+    stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     momentum, slopes, pull, forces = contributions((velocity, affine, stress), mass, volume, pushed, f, dx, features)
     for i in ti.static(range(features.dimension)):
         arrays.scratch[values + i] = momentum[i]
-        arrays.scratch[values + features.force + i] = pull[i]
+        arrays.scratch[values + features.node.force + i] = pull[i]
         for j in ti.static(range(features.dimension)):
-            at = values + (1 + j) * features.node + i
+            at = values + (1 + j) * NODE + i
             arrays.scratch[at] = slopes[i * features.dimension + j]
-            arrays.scratch[at + features.force] = forces[i * features.dimension + j]
+            arrays.scratch[at + features.node.force] = forces[i * features.dimension + j]
     arrays.scratch[values + features.dimension] = mass
     if ti.static(features.channel):
         grip = arrays.settings[scene, Setting.GRIP]
-        arrays.scratch[values + features.side_friction] = side_friction(stress, volume, grip)
+        arrays.scratch[values + features.node.side_friction] = side_friction(stress, volume, grip)
 
 
 @ti.func
@@ -258,7 +259,7 @@ def particles_in(scene, block, arrays: ti.template()):
 def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.template(), arrays: ti.template()):
     """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
     features, lanes = arrays.features, arrays.features.lanes
-    first = no_overflow(block * features.block)
+    first = no_overflow(block * features.state.size)
     # Weights, and weights times distance, of three nodes along each axis.
     f = weights_of(block, scratch, per_dx, arrays)
     for k in ti.static(range(features.dimension)):
@@ -267,7 +268,7 @@ def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.templa
             arrays.scratch[scratch + 3 * (features.dimension + k) + a] = (4.0 * per_dx) * w * apart
     loose = is_loose(block, arrays)
     for lane in range(lanes):
-        if ti.static(features.prefetch):
+        if ti.static(features.processor.prefetch):
             read_ahead(scene, block, scratch, lane, arrays)
         n, weight = lowest_node(arrays, scratch, lane, grid, strides), no_overflow(scratch * lanes + lane)
         sums = node_sums(n, weight, weight + 3 * features.dimension * lanes, strides, arrays)
@@ -284,14 +285,14 @@ def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
     A processor computes on while it waits for a few, not while it waits for all of a block's at once.
     """
     features, lanes = arrays.features, arrays.features.lanes
-    lines = ti.static(-(-features.block * REGISTER // (features.lanes * CACHE_LINE)))
+    lines = ti.static(-(-features.state.size * REGISTER // (features.lanes * CACHE_LINE)))
     last = arrays.offsets[scene, Offset.BLOCK] + (arrays.offsets[scene, Offset.PARTICLES] - 1) // lanes
-    at = no_overflow((ti.min(block + 1, last) * lanes + lane) * features.block)
+    at = no_overflow((ti.min(block + 1, last) * lanes + lane) * features.state.size)
     found = arrays.lanes[at]
     for k in ti.static(range(1, lines)):
-        found = found + arrays.lanes[at + ti.static(k * features.block // lines)]
+        found = found + arrays.lanes[at + ti.static(k * features.state.size // lines)]
     # Kept, though nobody needs it: else nothing would be read.
-    arrays.scratch_lanes[no_overflow(scratch * lanes + lane) + features.ahead * lanes] = found
+    arrays.scratch_lanes[no_overflow(scratch * lanes + lane) + features.scratch.ahead * lanes] = found
 
 
 @ti.func
@@ -300,10 +301,10 @@ def node_sums(n, weight, lever, strides: ti.template(), arrays: ti.template()):
     lanes = arrays.features.lanes
     wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
     lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
-    v, x_slope, y_slope, z_slope = zero_node(arrays), zero_node(arrays), zero_node(arrays), zero_node(arrays)
+    v, x_slope, y_slope, z_slope = zero_node(), zero_node(), zero_node(), zero_node()
     # Sums along the last axis first: they share the weights of the others.
     for a in ti.static(range(3)):
-        u, s, t = zero_node(arrays), zero_node(arrays), zero_node(arrays)
+        u, s, t = zero_node(), zero_node(), zero_node()
         if ti.static(arrays.features.dimension == 2):
             u, s = line_sums(n + a * strides[0], wy, ly, arrays)
         else:
@@ -344,21 +345,23 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, loose, arrays: ti
     features, lanes = arrays.features, arrays.features.lanes
     size = ti.static(features.dimension)
     own = no_overflow(scratch * lanes + lane)
-    at = own + (features.lowest + size) * lanes
-    affine = no_overflow(first * lanes + lane) + features.affine * lanes
+    at = own + (features.scratch.lowest + size) * lanes
+    affine = no_overflow(first * lanes + lane) + features.state.affine * lanes
     for i in ti.static(range(size)):
         arrays.scratch_lanes[at + i * lanes] = v[i]
-        arrays.scratch_lanes[at + (size + i) * lanes] = v[features.change + i]
+        arrays.scratch_lanes[at + (size + i) * lanes] = v[features.node.change + i]
     if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
         if loose:
-            arrays.scratch_lanes[own + features.density * lanes] = v[size]
+            arrays.scratch_lanes[own + features.scratch.density * lanes] = v[size]
             for j in ti.static(range(size)):
-                arrays.scratch_lanes[own + (features.density + 1 + j) * lanes] = slopes[j][size]
+                arrays.scratch_lanes[own + (features.scratch.density + 1 + j) * lanes] = slopes[j][size]
                 for i in ti.static(range(size)):
                     # C itself is still read: the compiler knows not that `state` and `lanes` are one memory.
                     k = ti.static(size * i + j)
-                    arrays.scratch_lanes[own + (features.gradient + k) * lanes] = slopes[j][i]
-                    arrays.scratch_lanes[own + (features.changes + k) * lanes] = slopes[j][features.change + i]
+                    arrays.scratch_lanes[own + (features.scratch.gradient + k) * lanes] = slopes[j][i]
+                    arrays.scratch_lanes[own + (features.scratch.changes + k) * lanes] = slopes[j][
+                        features.node.change + i
+                    ]
     if not loose:
         for i, j in ti.static(ti.ndrange(size, size)):
             arrays.lanes[affine + (size * i + j) * lanes] = slopes[j][i]
@@ -368,19 +371,12 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, loose, arrays: ti
 def hold_affine(scene, block, scratch, kappa, arrays: ti.template()):
     """Leave C of the particles of a block, that of those in a spray held back."""
     features = arrays.features
-    first = no_overflow(block * features.block)
+    first = no_overflow(block * features.state.size)
     count = ti.static(features.dimension**2)
-    slopes = [arrays.scratch[scratch + features.gradient + k] for k in ti.static(range(count))]
-    changes = [arrays.scratch[scratch + features.changes + k] for k in ti.static(range(count))]
-    affine = [arrays.state[first + features.affine + k] for k in ti.static(range(count))]
+    slopes = vectors(arrays.scratch, scratch + features.scratch.gradient, count)
+    changes = vectors(arrays.scratch, scratch + features.scratch.changes, count)
+    affine = vectors(arrays.state, first + features.state.affine, count)
     slow = arrays.settings[scene, Setting.SLOW_AFFINE]
     held = held_affine((slopes, changes), affine, kappa, slow, looseness(block, arrays), features.dimension)
     for k in ti.static(range(count)):
-        arrays.state[first + features.affine + k] = held[k]
-
-
-@ti.func
-def zero_node(arrays: ti.template()):
-    """A node's vector of zeros."""
-    features = arrays.features
-    return ti.Vector([0.0 for _ in ti.static(range(features.node))])
+        arrays.state[first + features.state.affine + k] = held[k]

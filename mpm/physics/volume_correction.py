@@ -117,11 +117,11 @@ def kept_gap(opened, mean, limit, bulk):
 @ti.func
 def looseness(block, arrays: ti.template()):
     """K e [Pa] of the particles of a block, and 1 of those that have borne nothing yet: positive where one is loose."""
-    features, first = arrays.features, no_overflow(block * arrays.features.block)
+    features, first = arrays.features, no_overflow(block * arrays.features.state.size)
     bears = 0.0 * arrays.state[first]
     for k in ti.static(range(3)):
-        bears = bears + magnitude(arrays.state[first + features.stress + k])
-    return ti.select(bears > 0.0, arrays.state[first + features.gap], 1.0)
+        bears = bears + magnitude(arrays.state[first + features.state.stress + k])
+    return ti.select(bears > 0.0, arrays.state[first + features.state.gap], 1.0)
 
 
 @ti.func

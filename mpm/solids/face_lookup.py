@@ -40,7 +40,7 @@ def first_crossed(start, end, cell_index, cell, arrays: ti.template()):
     nearest, found = 0.0 * cell + 2.0, -1
     for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):
         face = arrays.near_faces[at]
-        corner, normal = face_vector(face, 0, arrays), face_vector(face, features.face_normal, arrays)
+        corner, normal = face_vector(face, 0, arrays), face_vector(face, features.face.normal, arrays)
         before, after = (start - corner).dot(normal), (end - corner).dot(normal)
         if after < 0.0 - SKIN * cell and before >= 0.0 - 2.0 * SKIN * cell and after < before:
             part = ti.max(before, 0.0) / (before - after)
@@ -60,7 +60,7 @@ def covers_point(face, point, arrays: ti.template()):
         return t > 0.0 - SKIN and t < 1.0 + SKIN
     else:
         c = face_vector(face, 2 * features.dimension, arrays)
-        normal = face_vector(face, features.face_normal, arrays)
+        normal = face_vector(face, features.face.normal, arrays)
         area = (b - a).cross(c - a).dot(normal)
         one = (c - b).cross(point - b).dot(normal)
         two = (a - c).cross(point - c).dot(normal)
@@ -70,7 +70,7 @@ def covers_point(face, point, arrays: ti.template()):
 @ti.func
 def solid_of(face, arrays: ti.template()):
     """The number of a face's solid."""
-    return ti.cast(arrays.faces[face, arrays.features.face_solid], ti.i32)
+    return ti.cast(arrays.faces[face, arrays.features.face.solid], ti.i32)
 
 
 @ti.func
@@ -105,14 +105,14 @@ def nearest_face(x, last, cell_index, arrays: ti.template()):
             candidate = arrays.near_faces[first + number - 1]
             known = candidate == last
         # No point of a face is nearer than its plane.
-        height = (x - face_vector(candidate, 0, arrays)).dot(face_vector(candidate, features.face_normal, arrays))
+        height = (x - face_vector(candidate, 0, arrays)).dot(face_vector(candidate, features.face.normal, arrays))
         if height * height < smallest and not known:
             w, part, from_foot = foot_on_face(x, candidate, arrays)
             square = from_foot.dot(from_foot)
             if square < smallest:
                 smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
     # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
-    column = features.face_normal + feature * dimension
+    column = features.face.normal + feature * dimension
     normal = face_vector(face, column, arrays)
     d = offset.dot(normal)
     if feature > 0:
@@ -147,7 +147,7 @@ def free_path(x, face, weights, normal, d, cell_index, cell, arrays: ti.template
         else:
             c = face_vector(face, ti.static((k + 2) % dimension * dimension), arrays)
             free = ti.min(free, weights[k] * (b - a).cross(c - a).norm() / (c - b).norm())
-        if arrays.faces[face, features.face_friction + k] != arrays.faces[face, features.face_friction]:
+        if arrays.faces[face, features.face.friction + k] != arrays.faces[face, features.face.friction]:
             free = 0.0 * free
     corner = face_vector(face, 0, arrays)
     for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, minimum_filter
 
 from datasets.geometry.nearest import Search, feet, nearest
-from datasets.geometry.surface import Surface, surface_of
+from datasets.geometry.surface import Surface, solids_of, surface_of
 from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Contact, node_shape
@@ -54,7 +54,7 @@ class Obstacles:
 
     faces: Array
     """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], number
-    of its solid; see `mpm.arrays.features.parts`; shape [F, columns]."""
+    of its solid; see `mpm.arrays.features.Features.face`; shape [F, columns]."""
     cell_faces: Array
     """Where the list of each cell begins in `near_faces`, shape [C + 1]."""
     near_faces: Array
@@ -69,16 +69,17 @@ class Obstacles:
     """Of each node the sides of the box that a solid covers, bit k for side k of x-, x+, y-, ..., shape [C + 1]."""
 
 
-def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers, Integers]:
-    """The solids of several scenes in one, and where each scene's begin in `cell_faces` and in `faces`, shape [scenes].
+def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
+    """The solids of several scenes in one, and where each scene's begin in `cell_faces`, `faces` and `holds`, and where
+    the last one's end, shape [scenes + 1, 3].
 
     Raises InputError as `datasets.geometry.surface.surface_of`.
     """
     parts = [obstacles_in(scene) for scene in scenes]
-    counts = [(len(part.cell_faces), len(part.faces), len(part.near_faces), len(part.holds)) for part in parts]
-    firsts = np.cumsum([(0, 0, 0, 0), *counts], axis=0)[:-1].tolist()
+    counts = [(len(part.cell_faces), len(part.faces), len(part.holds), len(part.near_faces)) for part in parts]
+    firsts = np.cumsum([(0, 0, 0, 0), *counts], axis=0)
     lists: dict[str, list[Array]] = {field.name: [] for field in dataclasses.fields(Obstacles)}
-    for part, (_, face, near, hold) in zip(parts, firsts, strict=True):
+    for part, (_, face, hold, near) in zip(parts, firsts[:-1].tolist(), strict=True):
         lists["faces"].append(part.faces)
         lists["cell_faces"].append(part.cell_faces + near)
         lists["near_faces"].append(part.near_faces + face)
@@ -86,8 +87,7 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers, Integers
         lists["node_holds"].append(part.node_holds + hold)
         lists["holds"].append(part.holds + np.array([face, 0.0, 0.0]))
         lists["covered"].append(part.covered)
-    together = Obstacles(**{name: np.concatenate(each) for name, each in lists.items()})
-    return together, np.array([cell for cell, *_ in firsts]), np.array([face for _, face, *_ in firsts])
+    return Obstacles(**{name: np.concatenate(each) for name, each in lists.items()}), firsts[:, :3]
 
 
 def obstacles_in(scene: Scene) -> Obstacles:
@@ -99,7 +99,7 @@ def obstacles_in(scene: Scene) -> Obstacles:
     if surface is None:
         none = np.zeros(int(np.prod(node_shape(scene.domain))) + 1, np.int32)
         return Obstacles(
-            faces=np.zeros((0, features_of([scene], "f32").face_columns)),
+            faces=np.zeros((0, features_of([scene], "f32").face.size)),
             cell_faces=none,
             near_faces=none[:0],
             cell_distance=np.zeros(len(none)),
@@ -107,7 +107,47 @@ def obstacles_in(scene: Scene) -> Obstacles:
             holds=np.zeros((0, 3)),
             covered=none,
         )
-    return obstacles_with(surface, scene.domain, 1.0 + search_distance(scene) / scene.domain.cell, roughest(scene))
+    return obstacles_with(surface, scene.domain, farthest(scene), roughest(scene))
+
+
+def farthest(scene: Scene) -> float:
+    """Distance from solids up to which faces are listed [cells]."""
+    return 1.0 + search_distance(scene) / scene.domain.cell
+
+
+def solids_with(scene: Scene) -> tuple[Any, ...]:
+    """All that the faces and the holds of a scene follow from."""
+    return scene.domain, solids_of(scene), farthest(scene), roughest(scene)
+
+
+def faces_and_holds(scene: Scene, nodes: Integers, base: Floats) -> tuple[Floats, Floats]:
+    """Faces of the solids of a scene, and its holds in the order of `base` [K, 3], which those of `nodes` [K] are.
+
+    A hold that the scene does not have has no share. What else the kernel needs of solids is not made.
+    """
+    surface, holds = surface_of(scene), base.copy()
+    holds[:, 2] = 0.0
+    if surface is None:
+        return np.zeros((0, 0)), holds
+    surface = limited(surface, roughest(scene))
+    first, ours = holds_of(scene.domain, surface, np.unique(nodes), cutoff=farthest(scene))
+    owners, count = np.repeat(np.arange(len(first) - 1), np.diff(first)), len(surface.corners) + 1
+    keys, our_keys = (node * count + rows[:, 0].astype(np.int64) for node, rows in ((nodes, base), (owners, ours)))
+    _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
+    holds[at] = ours[our_at]
+    return face_lines(surface), holds
+
+
+def limited(surface: Surface, most: float) -> Surface:
+    """`surface` with Coulomb coefficients of at most `most` [-]."""
+    return dataclasses.replace(surface, friction=np.minimum(surface.friction, most))
+
+
+def face_lines(surface: Surface) -> Floats:
+    """`Obstacles.faces` of a surface."""
+    normals = surface.normals, surface.corner_normals, surface.edge_normals
+    described = surface.corners, *normals, surface.friction, surface.solid
+    return np.concatenate([each.reshape(len(surface.corners), -1) for each in described], axis=1)
 
 
 @lru_cache(maxsize=4)
@@ -116,16 +156,14 @@ def obstacles_with(surface: Surface, domain: Domain, cutoff: float, most: float 
 
     most: largest Coulomb coefficient of their faces [-].
     """
-    surface = dataclasses.replace(surface, friction=np.minimum(surface.friction, most))
+    surface = limited(surface, most)
     cell_faces, near_faces = faces_near(domain, surface, cutoff=cutoff)
     node_holds, holds = holds_of(domain, surface, np.flatnonzero(np.diff(cell_faces)), cutoff=cutoff)
     # From another cell the way to a face leads into a listed one, and from there it is still `cutoff` cells long.
     apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(node_shape(domain))).ravel()
     beyond = np.maximum(apart - np.sqrt(len(domain.size)), 0.0)
-    count, normals = len(surface.corners), (surface.normals, surface.corner_normals, surface.edge_normals)
-    described = surface.corners, *normals, surface.friction, surface.solid
     return Obstacles(
-        faces=np.concatenate([each.reshape(count, -1) for each in described], axis=1),
+        faces=face_lines(surface),
         cell_faces=cell_faces,
         near_faces=near_faces,
         cell_distance=np.append((cutoff + beyond) * domain.cell, 0.0),

@@ -11,7 +11,7 @@ from scipy.optimize import root
 from datasets.material import MOHR_COULOMB, Material
 from mpm import runtime
 from mpm.arrays.batch import aligned, put_vectors
-from mpm.arrays.features import Features
+from mpm.arrays.features import Features, Recorded
 from mpm.arrays.layout import Precision, Property
 from mpm.arrays.properties import properties_row
 from mpm.laws import law_of
@@ -112,7 +112,7 @@ def follow_states(
         dimension=gradients.shape[1],
         precision=precision,
         law_name=material.law,
-        strain_recorded=True,
+        recorded=Recorded(strain=True),
         volume_correction=corrected,
         **flags,
     )

@@ -264,7 +264,7 @@ def test_the_face_that_is_followed_is_the_nearest(dimension: int) -> None:
         kernel(batch.features)(*batch.arguments.values(), frame, frame + 1, Phase.FRAMES)
         positions = batch.numbers(0, 0, dimension).T
         exact = np.clip(nearest(surface(scene), positions).distance, 0.0, None)
-        found = batch.numbers(0, batch.features.contacts, len(Contact))[Contact.DISTANCE]
+        found = batch.numbers(0, batch.features.state.contacts, len(Contact))[Contact.DISTANCE]
         assert (found <= exact + 1.0e-9 * CELL).all()
         assert np.abs(found - exact)[exact < CELL].max(initial=0.0) < 1.0e-9 * CELL
     assert (exact < CELL).sum() > 20

@@ -46,19 +46,19 @@ class EndlessLayer:
         runtime.start("f64", 1)
         self.batch = Batch([self.scene], precision="f64", record=LAST)
         features = self.batch.features
-        numbers = self.batch.numbers(0, 0, features.block)
+        numbers = self.batch.numbers(0, 0, features.state.size)
         self.copies = [np.flatnonzero(np.floor(numbers[0] / self.length) == k) for k in range(3)]
         self.state = numbers[:, self.copies[1]]
         along, down = self.scene.gravity_vector
         weight = material.density * (DEPTH - self.state[1])
         for k, gravity in enumerate((down, down, down, along)):
-            self.state[features.stress + k] = gravity * weight
+            self.state[features.state.stress + k] = gravity * weight
 
     def throw(self, velocity: Callable[[Floats], Floats]) -> None:
         """Let it move at `velocity` [m/s] of the height y [m]."""
         features, y, h = self.batch.features, self.state[1], 1.0e-6
-        self.state[features.velocity] = velocity(y)
-        self.state[features.affine + 1] = (velocity(y + h) - velocity(y - h)) / (2.0 * h)
+        self.state[features.state.velocity] = velocity(y)
+        self.state[features.state.affine + 1] = (velocity(y + h) - velocity(y - h)) / (2.0 * h)
 
     def run(self, seconds: float) -> tuple[Floats, Floats]:
         """Mean velocity [m/s] of each row of cells at the end, shape [CELLS], and of all particles in ten moments."""
@@ -66,17 +66,17 @@ class EndlessLayer:
         frames = 10 * max(1, round(seconds / self.frame_dt / 10.0))
         for frame in range(1, frames + 1):
             self.state[0] %= self.length
-            numbers = self.batch.numbers(0, 0, features.block)
+            numbers = self.batch.numbers(0, 0, features.state.size)
             for k, own in enumerate(self.copies):
                 numbers[:, own] = self.state
                 numbers[0, own] += k * self.length
             put_vectors(self.batch.state_of(0), 0, numbers.T)
             step(*self.batch.arguments.values(), 1, 2, Phase.FRAMES)
-            self.state = self.batch.numbers(0, 0, features.block)[:, self.copies[1]]
+            self.state = self.batch.numbers(0, 0, features.state.size)[:, self.copies[1]]
             if frame % (frames // 10) == 0:
-                means.append(float(self.state[features.velocity].mean()))
+                means.append(float(self.state[features.state.velocity].mean()))
         rows = np.clip(self.state[1] / self.scene.domain.cell, 0, CELLS - 1).astype(int)
-        return np.bincount(rows, self.state[features.velocity]) / np.bincount(rows), np.array(means)
+        return np.bincount(rows, self.state[features.state.velocity]) / np.bincount(rows), np.array(means)
 
 
 def bagnold(scene: Scene, inertial: float) -> Callable[[Floats], Floats]:

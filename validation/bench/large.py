@@ -19,7 +19,7 @@ from inverse.parameters import Parameter
 from inverse.problem import Problem, read_problem
 from inverse.settings import LoopSettings, Surrogate, TargetSettings
 from mpm import Recording, simulate
-from mpm.arrays.features import features_of
+from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import INDEX_LIMIT, node_shape
 from mpm.runtime import workers_for
 from validation.loop.solve import RUNS, solve
@@ -68,7 +68,7 @@ def flow(cell: float, folder: Path) -> Found:
         file.put(**found.arrays())
     summary, nodes, workers = found.summary, node_shape(scene.domain), workers_for(found.summary["particles"])
     features = features_of([scene], "f32", shared=workers > 1)
-    grid = features.node * workers * math.prod(nodes) / summary["particles"]
+    grid = NODE * workers * math.prod(nodes) / summary["particles"]
     return {
         **{key: summary[key] for key in ("particles", "steps", "front", "remarks")},
         "seconds": summary["wall_s"],
@@ -77,7 +77,7 @@ def flow(cell: float, folder: Path) -> Found:
         "disk": path.stat().st_size,
         "cell": cell,
         "nodes": " x ".join(map(str, nodes)),
-        "most": min(INDEX_LIMIT / features.block, 2**31 / grid),
+        "most": min(INDEX_LIMIT / features.state.size, 2**31 / grid),
     }
 
 

@@ -77,8 +77,7 @@ def estimate(problem: "Problem", model: Path | None, out: Path) -> str:
     """What the runs take at least that a loop makes first, and those that check its answer."""
     from datasets.processes import processors
     from inverse.posterior.settings import CONSTANTS
-    from mpm.expected import INVERSION, expected, planned
-    from mpm.footprint import PROCESS
+    from mpm.footprint import INVERSION, PROCESS, expected, planned
     from validation.loop.surrogate import quick, seconds_of_run
 
     unknowns = len(problem.parameters)

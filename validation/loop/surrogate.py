@@ -33,7 +33,7 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.settings import Surrogate
 from inverse.target import Target
-from mpm.expected import SPEED
+from mpm.footprint import SPEED
 from mpm.resolution import particle_steps
 from validation.loop.search import Search
 from validation.loop.task import Task

@@ -16,9 +16,10 @@ from inverse.settings import ObservationSettings, TargetSettings
 from mpm import simulate, simulate_many
 from tests.scenes import scene_of
 
-NAMES = ("friction_deg", "masses[0].velocity_x", "masses[1].velocity_y", "floor_friction", "young")
-VALUES = np.array([30.0, 1.0, -0.3, 0.3, 2.0e6])
-STEPS = np.array([1e-4, 1e-6, 1e-6, 1e-5, 10.0])
+BOTH = ("friction_deg", "masses[0].velocity_x")
+NAMES = (*BOTH, "masses[1].velocity_y", "floor_friction", "young", "masses[1].cohesion")
+VALUES = np.array([30.0, 1.0, -0.3, 0.3, 2.0e6, 450.0])
+STEPS = np.array([1e-4, 1e-6, 1e-6, 1e-5, 10.0, 1e-2])
 SOIL = Material(friction_deg=30.0, cohesion=500.0, tension_cutoff=300.0)
 SCENE = scene_of(
     Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
@@ -52,7 +53,7 @@ def test_a_layer_is_ten_lines() -> None:
 def test_the_impulse_on_a_baffle() -> None:
     """At two times, as a function of the friction angle and of a velocity."""
     scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.313, 0.0), size=(0.05, 0.127)),), duration=0.03)
-    settings, both = ObservationSettings(kind="impulse", times=(0.021, 0.03)), zip(NAMES[:2], VALUES[:2], strict=True)
+    settings, both = ObservationSettings(kind="impulse", times=(0.021, 0.03)), zip(BOTH, VALUES[:2], strict=True)
     parameters = tuple(Parameter(name=name, initial=at, lower=0.5 * at, upper=1.5 * at) for name, at in both)
     target = TargetSettings(twin=True)
     problem = Problem(name="slide", scene=scene, parameters=parameters, observations=(settings,), target=target)

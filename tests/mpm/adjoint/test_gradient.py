@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
+from datasets.field import Field
 from datasets.material import Material
 from datasets.scene import Baffle, Channel, Mass, Scene, Solid
-from mpm.adjoint.gradient import Gradient, gradient
+from mpm.adjoint.gradient import Gradient, gradient, started
 from tests.mpm.adjoint.flows import SOIL, Weighted, central, exact_gradient, moved, plane, room, shaken, value_of
 
 pytestmark = pytest.mark.double
@@ -68,6 +69,9 @@ HILL = Solid(
     friction=((0.1, 0.6, 0.2), (0.5, 0.1, 0.4), (0.1, 0.5, 0.3)),
 )
 BAFFLED: dict[str, Any] = {"masses": NEAR, "baffles": (LEANING,), "baffle_friction": 0.3}
+FRICTIONS = Field(
+    quantity="friction_deg", values=(25.0, 35.0), origin=(0.0, 0.1), spacing=(0.3, 1.0), nodes=(2, 1), mass=None
+)
 SCENES = {
     # With its gaps remembered, a corner of this flow's path lies within the difference's step of friction_deg.
     "2D": plane(slope_deg=-20.0, volume_correction=False),
@@ -213,6 +217,36 @@ def test_the_remainder_falls_with_the_square_of_the_step() -> None:
     orders = np.diff(np.log(remainders)) / np.diff(np.log(steps))
     assert np.all(orders > 1.8), orders
     assert np.median(orders) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.filterwarnings("ignore:no initial stress")
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"damping": 0.1, "floor_friction": 0.5},
+        {"material": dataclasses.replace(SOIL, friction_deg=31.0, density=1900.0)},
+        {"masses": (NEAR[0], dataclasses.replace(NEAR[1], material=dataclasses.replace(SOIL, cohesion=450.0)))},
+        {"masses": (dataclasses.replace(NEAR[0], velocity=(2.0, 0.1)), NEAR[1])},
+        {"masses": (NEAR[0], dataclasses.replace(NEAR[1], lower=(0.2, 0.01), k0=0.5))},
+        {"baffles": (dataclasses.replace(LEANING, lower=(0.314, 0.0)),), "gravity": 9.0},
+        {"fields": (FRICTIONS,)},
+    ],
+)
+def test_what_a_run_begins_with_is_made_anew_where_a_path_changes_it(change: dict[str, Any]) -> None:
+    """From each scene to the other, whatever they have in common."""
+    scenes = plane(**BAFFLED), plane(**BAFFLED | change)
+    for base, scene in (scenes, scenes[::-1]):
+        found, whole = started(scene, started(base)), started(scene)
+        for name in ("stress", "properties", "settings", "faces"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
+        for name in ("positions", "velocities", "velocity_gradients", "friction", "volume"):
+            np.testing.assert_array_equal(getattr(found.particles, name), getattr(whole.particles, name), err_msg=name)
+        ours, theirs = (
+            {(node, face): share for node, (face, _, share) in zip(each.held, each.holds, strict=True) if share > 0.0}
+            for each in (found, whole)
+        )
+        assert ours.items() <= theirs.items()
+        assert len(ours) > 0.8 * len(theirs) > 0.0
 
 
 def test_a_path_that_moves_a_body_and_speeds_it_up() -> None:
