@@ -191,8 +191,16 @@ def started(scene: Scene, base: Start | None = None) -> Start:
         raise InputError("expected scenes with as many particles, a change of their number has no derivative")
     if faces.shape != base.faces.shape:
         raise InputError("expected solids with as many faces, a change of their number has no derivative")
-    made = {"particles": particles, "properties": properties, "stress": stress, "faces": faces, "holds": holds}
-    return dataclasses.replace(base, scene=scene, settings=np.array(settings_row(scene, particles)), **made)
+    return dataclasses.replace(
+        base,
+        scene=scene,
+        particles=particles,
+        stress=stress,
+        properties=properties,
+        settings=np.array(settings_row(scene, particles)),
+        faces=faces,
+        holds=holds,
+    )
 
 
 def particles_with(scene: Scene, base: Start) -> tuple[Particles, Floats]:
