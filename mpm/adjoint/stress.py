@@ -35,26 +35,32 @@ SWEEPS = {"f32": 4, "f64": 6}
 """Sweeps of three rotations: what is left off the diagonal falls at least with its square."""
 
 
-def trial_of(stress, affine, jump, contact, limits, lame, shear, gap, rate, grid, x, density, dx, cells, dt, features):
-    """Trial stress [Pa] of a block, traced: after the strain of C and of contact, with the cracks that gaps leave."""
+def trial_of(strained, moduli, opening, limits, box, dt, features):
+    """Trial stress [Pa] of a block, traced: after the strain of C and of contact, with the cracks that gaps leave.
+
+    strained: stress, C, jump of velocity at contact and contact; opening: gap, rate at which it follows the grid's,
+    mass of the grid around, place and density; box: cell and cells along each axis.
+    """
     opened = None
     if features.volume_correction:
-        around = grid_gap(grid, x, contact, density, dx, cells, features)
-        opened = updated_gap(gap[0], limits[0], lame + shear * (2.0 / 3.0), rate, around)
-    cracked = with_cracks(stress, opened, limits, lame, shear, features)
-    return trial_stress(cracked, increment_of(affine, jump, contact, dt, features), lame, shear, features.dimension)
+        gap, rate, mass, x, density = opening
+        around = grid_gap(mass, x, strained[3], density, *box, features)
+        opened = updated_gap(gap[0], limits[0], moduli[0] + moduli[1] * (2.0 / 3.0), rate, around)
+    cracked = with_cracks(strained[0], opened, limits, *moduli, features)
+    return trial_stress(cracked, increment_of(strained, dt, features), *moduli, features.dimension)
 
 
-def increment_of(affine, jump, contact, dt, features):
+def increment_of(strained, dt, features):
     """Strain and rotation [-] of a step of a block, traced: of C and of contact."""
+    _, affine, jump, contact = strained
     increment = midpoint_increment([dt * each for each in affine], features.dimension)
     return with_jump(increment, jump, contact, features.dimension) if features.contact else increment
 
 
-def strain_of(stress, affine, jump, contact, new, lame, shear, dt, features):
+def strain_of(strained, moduli, new, dt, features):
     """Plastic strain [-] of a block where cracks count as strain (`mpm.physics.stress.stress_step`); traced."""
-    bare = trial_stress(stress, increment_of(affine, jump, contact, dt, features), lame, shear, features.dimension)
-    return [strain_between(bare, new, shear, features.stresses)]
+    bare = trial_stress(strained[0], increment_of(strained, dt, features), *moduli, features.dimension)
+    return [strain_between(bare, new, moduli[1], features.stresses)]
 
 
 def principal_return(s1, s2, s3, strengths, lame, shear, return_principal, features):
@@ -96,8 +102,9 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
     cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(size))]
     rate, dx = dt * arrays.settings[scene, Setting.GAP_RATE], arrays.settings[scene, Setting.CELL]
     density = property_of(scene, block, Property.DENSITY, arrays)
-    numbers = ti.static((stress, affine, jump, contact, limits, lame, shear, gap, rate, around, x, density))
-    elastic = ti.static([Pullback(trial_of, numbers, (dx, cells, dt, features))])[0]
+    strained, moduli = ti.static(((stress, affine, jump, contact), (lame, shear)))
+    numbers = ti.static((strained, moduli, (gap, rate, around, x, density), limits))
+    elastic = ti.static([Pullback(trial_of, numbers, ((dx, cells), dt, features))])[0]
     strain_bar, opened_bar = zero, zero
     if ti.static(features.softens):
         strain_bar = arrays.adjoints[own + features.state.plastic_strain]
@@ -106,31 +113,29 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         opened_bar = arrays.settings[scene, Setting.CORRECTED] * arrays.adjoints[own + features.state.gap]
         opened_bar = ti.select(remembered, opened_bar, zero)
     new = vectors(arrays.history, after + features.state.stress, features.stresses)
-    arguments = ti.static((stress, affine, jump, contact, new, lame, shear))
-    old_bar, strained_bar, jumped_bar, touched_bar, new_bar, spread_bar, sheared_bar = crack_reverse(
-        arguments, strain_bar, dt, features
-    )
+    cracked_bar, cracked_moduli_bar, new_bar = crack_reverse((strained, moduli, new), strain_bar, dt, features)
     if ti.static(features.cracks):
         strain_bar = zero
     bar = [arrays.adjoints[own + features.state.stress + k] + new_bar[k] for k in ti.static(range(features.stresses))]
     others = [strain_bar, opened_bar]
-    trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
+    trial_bar, strengths_bar, returned_bar = plastic_return_reverse(
         bar + others, elastic.values, strengths, lame, shear, features
     )
-    bars = ti.static(elastic(trial_bar))
-    stress_bar, affine_bar, jump_bar, contacts_bar, limits_bar, lame_bar, shear_bar = ti.static(bars[:7])
-    gap_bar, rate_bar, around_bar, x_bar, density_bar = ti.static(bars[7:])
+    strained_bar, moduli_bar, opening_bar, limits_bar = ti.static(elastic(trial_bar))
+    stress_bar, affine_bar, jump_bar, contacts_bar = ti.static(strained_bar)
+    old_bar, spun_bar, jumped_bar, touched_bar = ti.static(cracked_bar)
     for k in ti.static(range(features.stresses)):
         arrays.adjoints[own + features.state.stress + k] = stress_bar[k] + old_bar[k]
     add_bars(own + features.state.affine, affine_bar, arrays)
-    add_bars(own + features.state.affine, strained_bar, arrays)
+    add_bars(own + features.state.affine, spun_bar, arrays)
     if ti.static(features.contact):
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
         add_bars(contact_bar(block, 0, arrays), touched_bar, arrays)
         if touching == 1:
-            strained = affine, contact, stress
-            modulus_bar = jump_reverse(block, scratch, strained, modulus, dt, jump_bar + jumped_bar, arrays)
+            moved = affine, contact, stress
+            modulus_bar = jump_reverse(block, scratch, moved, modulus, dt, jump_bar + jumped_bar, arrays)
     if ti.static(features.volume_correction):
+        gap_bar, rate_bar, around_bar, x_bar, density_bar = ti.static(opening_bar)
         arrays.adjoints[own + features.state.gap] = gap_bar[0]
         add_bars(own, x_bar, arrays)
         for k in ti.static(range(1 + size)):
@@ -138,9 +143,9 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         rate_total = lane_sum(arrays.state[first + features.state.present] * rate_bar, arrays)
         arrays.sums[worker, ti.static(int(Setting.GAP_RATE))] += ti.cast(dt, ti.f64) * rate_total
         add_property_bar(block, Property.DENSITY, density_bar, arrays)
-    add_property_bar(block, Property.LAME, moduli_bar[0] + lame_bar + spread_bar + modulus_bar, arrays)
-    whole = moduli_bar[1] + shear_bar + sheared_bar + slip_shear_bar + 2.0 * modulus_bar
-    add_property_bar(block, Property.SHEAR, whole, arrays)
+    both = [returned_bar[k] + moduli_bar[k] + cracked_moduli_bar[k] for k in ti.static(range(2))]
+    add_property_bar(block, Property.LAME, both[0] + modulus_bar, arrays)
+    add_property_bar(block, Property.SHEAR, both[1] + slip_shear_bar + 2.0 * modulus_bar, arrays)
     if ti.static(features.volume_correction):
         strengths_bar[3] = strengths_bar[3] + limits_bar[0]
     strengths_reverse(scene, block, strengths_bar, dt, arrays)
@@ -148,17 +153,17 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
 
 @ti.func
 def crack_reverse(arguments: ti.template(), strain_bar, dt, features: ti.template()):
-    """Bars of the `arguments` of `strain_of`, a list each, from that of the plastic strain; 0 without cracks."""
+    """Bars of the `arguments` of `strain_of`, shaped as these, from that of the plastic strain; 0 without cracks."""
     if ti.static(features.cracks):
         strain = ti.static([Pullback(strain_of, arguments, (dt, features))])[0]
-        old, strained, jumped, touched, new, spread, sheared = ti.static(strain([strain_bar]))
-        return old, strained, jumped, touched, new, spread, sheared
+        strained, moduli, new = ti.static(strain([strain_bar]))
+        return strained, moduli, new
     else:
         none = 0.0 * strain_bar
-        stress = [none for _ in ti.static(range(len(arguments[0])))]
-        affine = [none for _ in ti.static(range(len(arguments[1])))]
-        contact = [none for _ in ti.static(range(len(arguments[3])))]
-        return stress, affine, none, contact, stress, none, none
+        stress = [none for _ in ti.static(range(len(arguments[0][0])))]
+        affine = [none for _ in ti.static(range(len(arguments[0][1])))]
+        contact = [none for _ in ti.static(range(len(arguments[0][3])))]
+        return (stress, affine, none, contact), (none, none), stress
 
 
 @ti.func
@@ -166,10 +171,8 @@ def strengths_reverse(scene, block, bar: ti.template(), dt, arrays: ti.template(
     """Bars of the columns of a block's law, and of its plastic strain, from those of its strengths."""
     features = arrays.features
     values, cell = law_values(scene, block, arrays), arrays.settings[scene, Setting.CELL]
-    softened = ti.static(int(features.softens))
-    strain = [
-        arrays.state[block * features.state.size + features.state.plastic_strain] for _ in ti.static(range(softened))
-    ]
+    softened = block * features.state.size + features.state.plastic_strain
+    strain = vectors(arrays.state, softened, int(features.softens))
     found = ti.static([Pullback(features.law.strengths, (values, strain), (cell, dt, features))])[0]
     bars = ti.static(found(bar))
     if ti.static(features.softens):

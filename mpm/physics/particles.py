@@ -208,8 +208,6 @@ def strengths_of(scene, block, dt, arrays: ti.template()):
     """The strengths of a block in this step, as its law's return takes them."""
     features = arrays.features
     values = law_values(scene, block, arrays)
-    strain = [
-        arrays.state[block * features.state.size + features.state.plastic_strain]
-        for _ in ti.static(range(int(features.softens)))
-    ]
+    softened = block * features.state.size + features.state.plastic_strain
+    strain = vectors(arrays.state, softened, int(features.softens))
     return features.law.strengths(values, strain, arrays.settings[scene, Setting.CELL], dt, features)
