@@ -20,7 +20,6 @@ from inverse.adapt import main
 from inverse.adaptation import DATA, adapt, definition, deposits
 from inverse.parameters import Parameter
 from inverse.problem import Problem
-from tests.pool import pool
 from tests.refusals import refused_by
 
 MakeProblem = Callable[..., Problem]
@@ -44,9 +43,7 @@ def tiny(weights: Path) -> Model:
 def adapted(weights: Path, make_problem: MakeProblem, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a model that was trained for a second on seven flows."""
     out = tmp_path_factory.mktemp("run")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mpm.generate.pool", pool)
-        adapt(make_problem(2, *NAMES), out, runs=7, minutes=0.01, model=weights, jobs=1)
+    adapt(make_problem(2, *NAMES), out, runs=7, minutes=0.01, model=weights, jobs=1)
     return out
 
 
