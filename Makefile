@@ -9,8 +9,8 @@ VENV = $(if $(PYTHON),$(PYTHON) -m venv,$(if $(shell command -v uv),uv venv --qu
 # The constraints ask for torch's CPU build. Where the configured index has none, PyTorch's own one does.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 INSTALL := $(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,docs]'
-# A file of tests stays on one worker: kernels are compiled once for it.
-PARALLEL := -n $(WORKERS) --dist loadfile
+# What stays on one worker: tests/conftest.py.
+PARALLEL := -n $(WORKERS)
 # Material for MkDocs announces its successor on every build.
 export NO_MKDOCS_2_WARNING := 1
 

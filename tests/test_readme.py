@@ -1,6 +1,5 @@
-"""What the README tells a newcomer to type works: its Python, its commands, its make targets."""
+"""What the README tells a newcomer to type works: its Python and its commands."""
 
-import re
 from pathlib import Path
 
 import pytest
@@ -54,8 +53,3 @@ def test_every_command_helps(capsys: pytest.CaptureFixture[str]) -> None:
     for module in sorted({module for page in (README, ROOT / "docs" / "commands.md") for module, _ in commands(page)}):
         assert status(module, ["--help"]) == 0
         assert module in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("target", re.findall(r"\bmake ([a-z-]+)", README.read_text()))
-def test_a_make_target_exists(target: str) -> None:
-    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)

@@ -1,7 +1,9 @@
 """Files and scenes damaged at random: each is read, or is one line that names the file and what was expected."""
 
-import random
-from collections.abc import Callable
+import copy
+import operator
+from collections.abc import Callable, Iterator
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,8 @@ import meshio
 import numpy as np
 import pytest
 import tomli_w
+from hypothesis import given
+from hypothesis import strategies as st
 
 from datasets import InputError, read_scene, read_trajectory
 from datasets.exchange import geoelements
@@ -19,13 +23,16 @@ from datasets.trajectory import Trajectory
 from tests.datasets.conftest import toy
 from tests.datasets.geometry.solids import sphere
 
-SEEDS = range(4)
-PER_SEED = 25
 LONGEST = 3000
 """Characters of a line."""
-STRANGE: tuple[Any, ...] = (
-    *(-1, 0, 1, 2, 10**9, 10**30, -1.0, 0.0, 1e-300, 1e9, 1e300, float("inf"), float("nan")),
-    *("", "x", "box", "mesh", "layer", True, [], [[]], [0.1], [1.0, 2.0, 3.0], [[0.1, 0.2], [0.3, 0.4]], {}, {"x": 1}),
+EDITS = st.lists(
+    st.tuples(st.floats(0.0, 1.0), st.sampled_from((0, 1, 1, 20, 10**9)), st.binary(max_size=8)), min_size=1, max_size=4
+)
+"""Where in a file, as a share of its length, how many bytes go, and what stands in their place."""
+TEXTS = st.text(st.characters(codec="utf-8"), max_size=5) | st.sampled_from(("box", "mesh", "layer"))
+NUMBERS = st.booleans() | st.integers() | st.floats() | st.sampled_from((10**9, 10**30, 1e-300, 1e300))
+VALUES = st.recursive(
+    NUMBERS | TEXTS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXTS, inner, max_size=2), max_leaves=4
 )
 
 
@@ -37,23 +44,12 @@ def one_line(error: InputError, path: Path) -> None:
     assert len(line) < LONGEST
 
 
-def damaged(stream: random.Random, content: bytes) -> bytes:
-    """`content` with some of its bytes changed, cut, doubled, or gone from somewhere on."""
-    changed = bytearray(content)
-    for _ in range(stream.randint(1, 4)):
-        index = stream.randrange(max(1, len(changed)))
-        match stream.randrange(5):
-            case 0 if changed:
-                changed[index] = stream.randrange(256)
-            case 1 if changed:
-                changed[index] ^= 1 << stream.randrange(8)
-            case 2:
-                del changed[index : index + stream.randint(1, 20)]
-            case 3:
-                changed[index:index] = changed[index : index + stream.randint(1, 20)]
-            case _:
-                del changed[max(index, 4) :]
-    return bytes(changed)
+def damaged(content: bytes, edits: list[tuple[float, int, bytes]]) -> bytes:
+    """`content` after `EDITS`."""
+    for share, count, others in edits:
+        index = int(share * len(content))
+        content = content[:index] + others + content[index + count :]
+    return content
 
 
 def mesh_scene(path: Path) -> None:
@@ -98,57 +94,56 @@ def whole(request: pytest.FixtureRequest, tmp_path: Path, trajectory: Trajectory
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(("kind", "whole"), [(kind, kind) for kind in KINDS], indirect=["whole"])
 def test_damaged_files(kind: str, whole: Path) -> None:
-    read, content, refused = KINDS[kind][1], whole.read_bytes(), 0
+    read, content, refused = KINDS[kind][1], whole.read_bytes(), []
     read(whole)
-    for seed in SEEDS:
-        stream = random.Random(f"{kind} {seed}")
-        for _ in range(PER_SEED):
-            whole.write_bytes(damaged(stream, content))
-            try:
-                read(whole)
-            except InputError as error:
-                # Of a scene that is right as a file the keys are wrong, which has no file where it was not read.
-                one_line(error, whole if error.where else Path())
-                refused += 1
-    assert refused > 10
+
+    @given(edits=EDITS)
+    def is_read_or_refused(edits: list[tuple[float, int, bytes]]) -> None:
+        whole.write_bytes(damaged(content, edits))
+        try:
+            read(whole)
+        except InputError as error:
+            # Of a scene that is right as a file the keys are wrong, which has no file where it was not read.
+            one_line(error, whole if error.where else Path())
+            refused.append(error)
+
+    is_read_or_refused()
+    assert len(refused) > 5
 
 
-def changed(stream: random.Random, data: Any) -> Any:
-    """The tables of a scene with one value, somewhere, that is gone, doubled, renamed or of another kind."""
-    if isinstance(data, dict) and data and stream.random() < 0.8:
-        key = stream.choice(sorted(data))
-        match stream.randrange(6):
-            case 0:
-                return {name: value for name, value in data.items() if name != key}
-            case 1:
-                return {(f"{name}x" if name == key else name): value for name, value in data.items()}
-            case _:
-                return data | {key: changed(stream, data[key])}
-    if isinstance(data, list) and data and stream.random() < 0.8:
-        index = stream.randrange(len(data))
-        return [*data[:index], changed(stream, data[index]), *data[index + stream.randrange(2) :]]
-    return stream.choice(STRANGE)
+def places(data: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The keys that lead to each value in tables and lists."""
+    for key, value in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
+        yield (*way, key)
+        yield from places(value, (*way, key))
 
 
+@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", ["baffles-2", "layers-10", "slope-layers", "valley-3d"])
-@pytest.mark.parametrize("seed", SEEDS)
-def test_strange_scenes(name: str, seed: int, tmp_path: Path) -> None:
-    stream, path = random.Random(f"{name} {seed}"), tmp_path / "scene.toml"
+def test_strange_scenes(name: str, tmp_path: Path) -> None:
+    """With another value somewhere, or one that is gone."""
+    path, refused = tmp_path / "scene.toml", []
     (tmp_path / "valley-3d.asc").write_bytes((SCENES / "valley-3d.asc").read_bytes())
     good = read_toml(SCENES / f"{name}.toml")
-    outcomes = []
-    for _ in range(PER_SEED):
-        key = stream.choice(sorted(good))
-        path.write_text(tomli_w.dumps(good | {key: changed(stream, good[key])}))
+
+    @given(place=st.sampled_from([*places(good)]), value=VALUES | st.none())
+    def is_read_or_refused(place: tuple[Any, ...], value: Any) -> None:
+        data = copy.deepcopy(good)
+        inner = reduce(operator.getitem, place[:-1], data)
+        inner[place[-1]] = value
+        if value is None:
+            del inner[place[-1]]
+        path.write_text(tomli_w.dumps(data), encoding="utf-8")
         try:
             scene = read_scene(path)
-            outcomes.append(1)
             if scene.particle_volume * 1e6 > np.prod(scene.domain.size):
                 assert np.isfinite(initial_particles(scene).positions).all()
         except InputError as error:
             one_line(error, tmp_path)  # or a file beside it
-            outcomes.append(0)
-    assert outcomes.count(0) > PER_SEED // 4
+            refused.append(error)
+
+    is_read_or_refused()
+    assert len(refused) > 5
 
 
 def test_line_breaks_leave_one_line() -> None:

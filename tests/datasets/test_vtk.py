@@ -1,7 +1,6 @@
 """VTK series, read back by VTK: every field and time; never half of one series and half of another."""
 
 import dataclasses
-import re
 from pathlib import Path
 
 import numpy as np
@@ -173,18 +172,3 @@ def test_a_full_disk_is_one_line(tmp_path: Path, flow: Trajectory) -> None:
     path.symlink_to("/dev/full")
     with pytest.raises(WorkFailed, match=r"particles-0000\.vtp could not be written"):
         vtk._write(vtk.Meshes(flow).part("particles", 0, 0), path)
-
-
-def test_every_file_and_array_is_on_the_page(tmp_path: Path, flow: Trajectory) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
-    section = page.split("\n## VTK series (folder)\n")[1].split("\n## ")[0]
-    named = set(re.findall(r"`([\w.-]+)`", section))
-    recorded = {"stress": np.zeros((5, 4, 6), np.float32), "pressure": np.zeros((5, 4), np.float32)}
-    write_vtk(dataclasses.replace(grounded(flow), **recorded), tmp_path)
-    files = {re.sub(r"-\d+", "-NNNN", file.name) for file in tmp_path.iterdir()}
-    parts = read(tmp_path)[0.0]
-    arrays = {name for part in parts for name in (*part.point_data, *part.cell_data)}
-    assert all(
-        set(part.field_data) == {f"{name}_units" for name in (*part.point_data, *part.cell_data)} for part in parts
-    )
-    assert named - {"solids.vtp", "DIR", "NAME_units"} == files | arrays

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 import torch
 
-import gns
 from datasets.definitions.definition import Split
 from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
@@ -177,15 +176,6 @@ def test_a_model_without_a_card_says_so(tmp_path: Path) -> None:
         card.card_path(own).write_text(text)
         with pytest.raises(InputError, match=r"new\.json"):
             card.read(own)
-
-
-def test_the_page_names_every_key() -> None:
-    page = (ROOT / "docs" / "formats.md").read_text().split("## A model\n")[1].split("\n## ")[0]
-    keys = [
-        each.name for kind in (Card, card.Training, card.Dataset, card.Calibration) for each in dataclasses.fields(kind)
-    ]
-    buffers = [name for name, _ in gns.load("flow2d").named_buffers() if "." not in name]
-    assert [key for key in (*keys, *buffers) if f"`{key}`" not in page] == []
 
 
 @pytest.mark.parametrize("weights", models(), ids=lambda path: path.stem)

@@ -104,7 +104,7 @@ def follow_states(
     """Stress [Pa], shape [S, 4 or 6], accumulated plastic strain [-] and opening remembered [Pa], shape [S] each, along
     increments [S, D, D] [-]; `cell` [m] is the thickness of a band where the material softens, `dt` [s] the time of an
     increment where friction grows with the rate of shear."""
-    runtime.start(precision)
+    runtime.start(precision, enough=1)
     flags = law_of([material]).features([material], [])
     if material.law == MOHR_COULOMB:
         flags |= {"dilates": True, "cohesive": cohesive}
@@ -156,7 +156,7 @@ def follow_controlled(
 
 def returned(material: Material, stresses: Vector) -> tuple[Vector, Vector]:
     """Sorted principal stresses [Pa], shape [E, 3], returned, and the mean stress that opening cost [Pa], shape [E]."""
-    runtime.start("f64")
+    runtime.start("f64", enough=1)
     features = Features(dimension=2, precision="f64", dilates=material.dilation_deg > 0.0, cohesive=True)
     count, lanes = len(stresses), features.lanes
     blocks = aligned((-(-count // lanes), 4, lanes), np.dtype(np.float64))

@@ -121,5 +121,5 @@ def test_a_gate_holds_what_is_above_its_foot(scene: Scene) -> None:
 @pytest.mark.double
 def test_a_fast_gate_is_none() -> None:
     fast = with_masses(SCENE, dataclasses.replace(COLUMN, gate=Gate(speed=1000.0)))
-    flow, gone = (simulate(scene, precision="f64", threads=1) for scene in (fast, SCENE))
+    flow, gone = (simulate(scene, precision="f64", threads=1, record=WITH_FIELDS) for scene in (fast, SCENE))
     assert (flow.positions == gone.positions).all()

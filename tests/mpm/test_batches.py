@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-import mpm
 from datasets.errors import WorkFailed
 from datasets.material import Material
 from datasets.particles import Particles, initial_particles
@@ -17,13 +16,6 @@ from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Worker, node_shape
 from mpm.kernel import SUMMED
 from tests.scenes import COLUMN, SAND, box, room
-
-
-def test_every_public_name_is_there() -> None:
-    assert all(getattr(mpm, name) is not None for name in mpm.__all__)
-    with pytest.raises(AttributeError, match="module 'mpm' has no attribute 'simulated'"):
-        mpm.simulated  # noqa: B018
-
 
 TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
 """Thirteen times the wave speed of SAND."""

@@ -12,7 +12,6 @@ from datasets.geometry.nearest import nearest
 from datasets.material import Material
 from datasets.measures import front
 from datasets.scene import NO_SLIP, Baffle, Domain, Mass, Scene, Solid
-from datasets.trajectory import Trajectory
 from mpm import LAST, WITH_FIELDS, runtime, simulate, simulate_many
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import PADDING, Contact, node_shape
@@ -205,19 +204,6 @@ def test_momentum_goes_into_walls_and_solids_alone() -> None:
     assert flow.solid_impulse[-1, 1, 0] > 0.0
 
 
-@pytest.mark.slow
-def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
-    def slope(**surface: object) -> Trajectory:
-        body, base = Mass(lower=(0.3, 0.087), size=(0.3, 0.06)), Solid(lower=(0.0, 0.0), size=(1.0, 0.087), **surface)
-        soil = dataclasses.replace(SAND, friction_deg=45.0, cohesion=2000.0)
-        return simulate(sand(body, size=(1.0, 0.4), material=soil, solids=(base,), slope_deg=25.0, duration=0.5))
-
-    slides, sticks = slope(friction=0.2), slope(contact="no-slip")
-    moved = [(flow.positions[-1] - flow.positions[0])[:, 0].mean() for flow in (slides, sticks)]
-    assert moved[0] == pytest.approx(SlidingBlock.on_incline(25.0, 0.2).displacement(0.5), rel=0.1)
-    assert abs(moved[1]) < 0.03 * moved[0]
-
-
 def test_rough_surfaces_hold_what_touches_them() -> None:
     """A block on a rough floor stands at 40 degrees; a rough baffle has no slip; other words are refused."""
     strong = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, young=1.0e7)
@@ -257,8 +243,10 @@ def test_the_face_that_is_followed_is_the_nearest(dimension: int) -> None:
     boxes = (((0.16, 0.0), (0.2, 0.05)), ((0.16, 0.09), (0.2, 0.06)), ((0.24, 0.05), (0.03, 0.013)))
     body = Mass(lower=(0.02, 0.02, *deep), size=(0.12, 0.12, *size[2:]), velocity=(3.0, 0.0, *deep))
     baffles = tuple(Baffle(lower=(*low, *deep), size=(*span, *size[2:])) for low, span in boxes)
-    scene = sand(body, size=size, baffles=baffles, duration=0.06, step_fraction=0.9)
-    runtime.start("f64")
+    # In 3D without gaps, by the kernel of the next test.
+    settings = {"volume_correction": None if dimension == 2 else False, "duration": 0.06, "step_fraction": 0.9}
+    scene = sand(body, size=size, baffles=baffles, **settings)
+    runtime.start("f64", enough=1)
     batch = Batch([scene], precision="f64", record=LAST)
     for frame in range(1, scene.frames):
         kernel(batch.features)(*batch.arguments.values(), frame, frame + 1, Phase.FRAMES)
@@ -286,7 +274,7 @@ def test_an_impact_is_continuous_in_the_speed() -> None:
 
 
 @pytest.mark.double
-@pytest.mark.parametrize("shift", [-1.0e-8, 1.0e-8])
+@pytest.mark.parametrize("shift", [-1.0e-8, pytest.param(1.0e-8, marks=pytest.mark.slow)])
 def test_the_flow_is_continuous_in_the_place_of_a_baffle_whose_sides_stand_on_nodes(shift: float) -> None:
     """Held from half a cell of depth on, by the nearest face alone, nodes let sand jump by 0.3 mm."""
 
@@ -298,7 +286,7 @@ def test_the_flow_is_continuous_in_the_place_of_a_baffle_whose_sides_stand_on_no
     assert np.abs(positions(0.3 + shift) - positions(0.3)).max() < 3.0e-6
 
 
-@pytest.mark.parametrize(("wall", "cell"), [("rough", 0.01), ("no-slip", 0.01), ("rough", 0.02)])
+@pytest.mark.parametrize(("wall", "cell"), [("rough", 0.02), ("no-slip", 0.01)])
 def test_a_rough_wall_does_not_hold_dry_sand_that_falls_beside_it(wall: str, cell: float) -> None:
     """Sand that presses on nothing rubs on nothing: 0.96 of free fall before, and 0.92 on cells of 20 mm."""
     block = Solid(kind="box", lower=(0.0, 0.0), size=(0.2, 0.6), contact="no-slip")

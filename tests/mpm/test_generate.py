@@ -4,9 +4,6 @@ import json
 import os
 import signal
 import time
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,11 +16,9 @@ from datasets.definitions.definition import Definition, Split, Storage
 from datasets.errors import InputError, WorkFailed
 from datasets.scene import Domain, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.cluster import Workers
 from mpm.generate import command, generate, thinned
 from tests.breaking import BLOCKS, dataset_files, orphans, start, unfinished
-
-ROOT = Path(__file__).parents[2]
+from tests.pool import pool
 
 
 def draw(stream: np.random.Generator, index: int) -> Scene:
@@ -48,9 +43,11 @@ FILES = ["test/tiny-0002.npz", "train/tiny-0000.npz", "train/tiny-0003.npz", "va
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The whole tiny dataset, made by one process."""
+    """The whole tiny dataset, made by this process."""
     out = tmp_path_factory.mktemp("dataset")
-    generate(TINY, out, seed=7, count=None, jobs=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mpm.generate.pool", pool)
+        generate(TINY, out, seed=7, count=None, jobs=1)
     return out
 
 
@@ -68,7 +65,7 @@ def test_what_is_left_behind(dataset: Path) -> None:
     assert metadata["vel_mean"][0] == pytest.approx(0.0025, rel=0.05)
 
 
-def test_two_jobs_give_the_same_bytes_as_one(dataset: Path, tmp_path: Path) -> None:
+def test_two_jobs_give_the_same_bytes_as_this_process(dataset: Path, tmp_path: Path) -> None:
     generate(TINY, tmp_path, seed=7, count=None, jobs=2)
     assert dataset_files(tmp_path) == dataset_files(dataset)
 
@@ -99,15 +96,10 @@ def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path: Path, monkeypatc
 
 @pytest.fixture
 def at_once(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulations that take no time: a thread copies the trajectories of the whole dataset."""
+    """Simulations that take no time: copies of the trajectories of the whole dataset."""
     files = {entry.scene: dataset / entry.split.value / f"{entry.name}.npz" for entry in TINY.entries(seed=7)}
 
-    @contextmanager
-    def thread(jobs: int) -> Iterator[Workers]:
-        with ThreadPoolExecutor(jobs) as executor:
-            yield Workers(executor=executor, width=lambda: jobs)
-
-    monkeypatch.setattr("mpm.generate.pool", thread)
+    monkeypatch.setattr("mpm.generate.pool", pool)
 
     def copied(scene: Scene, path: Path, storage: Storage | None) -> None:
         Trajectory.load(files[scene]).save(path)
@@ -178,7 +170,7 @@ def test_wrong_input_is_one_line_and_status_2(
 def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(tmp_path: Path) -> None:
     """In a session of its own, where a terminal sends Ctrl-C to all, once it has left its first trajectory."""
     (tmp_path / "blocks.toml").write_text(BLOCKS.replace("count = 10", "count = 1000"))
-    process = start(["-m", "mpm.generate", str(tmp_path / "blocks.toml"), "--out", str(tmp_path), "--jobs", "2"])
+    process = start(["-m", "mpm.generate", str(tmp_path / "blocks.toml"), "--out", str(tmp_path), "--jobs", "1"])
     deadline = time.monotonic() + 240.0
     while not list(tmp_path.rglob("[!.]*.npz")):
         assert time.monotonic() < deadline

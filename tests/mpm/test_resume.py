@@ -91,9 +91,9 @@ def checkpoint() -> Checkpoint:
     ],
 )
 def test_another_run_is_refused(checkpoint: Checkpoint, scene: Scene, options: Any) -> None:
-    options = {"record": Recording(frames=10)} | options
+    batch = Batch([scene], **{"precision": "f32", "record": Recording(frames=10)} | options)
     with pytest.raises(InputError, match="expected the run of the checkpoint"):
-        simulate(scene, resume=checkpoint, threads=1, **options)
+        checkpoint.restore(batch)
 
 
 @pytest.mark.parametrize("change", [{"run": None}, {"frame": np.array("{")}])

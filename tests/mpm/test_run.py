@@ -65,6 +65,7 @@ def test_a_baffle_its_forces_and_a_series_for_paraview(tmp_path: Path) -> None:
     assert (out / "forces.png").is_file()
 
 
+@pytest.mark.double
 def test_fields_rest_and_precision(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, text = tmp_path / "out", SHORT.replace("duration = 0.02", "duration = 2.0\ndamping = 0.2")
     assert ran(tmp_path, text, "--fields", "--until-rest", "--precision", "f64") == 0

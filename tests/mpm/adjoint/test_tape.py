@@ -12,22 +12,28 @@ from datasets.scene import Gate, Scene
 from mpm import simulate
 from mpm.adjoint.gradient import gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, steady
+from mpm.arrays.layout import Precision
 from tests.mpm.adjoint.flows import Weighted, plane, room
 from tests.mpm.adjoint.test_gradient import SCENES
 
+pytestmark = pytest.mark.double
+FLAT = plane(volume_correction=False)
 
-@pytest.mark.parametrize("scene", [plane(), pytest.param(room(damping=0.05), marks=pytest.mark.slow)], ids=["2D", "3D"])
-def test_positions_are_those_of_the_solver(scene: Scene) -> None:
+
+@pytest.mark.parametrize(
+    ("scene", "precision"), [(FLAT, "f64"), pytest.param(room(damping=0.05), "f32", marks=pytest.mark.slow)]
+)
+def test_positions_are_those_of_the_solver(scene: Scene, precision: Precision) -> None:
     """To the bit, at every frame that is observed."""
     frames = [0, 1, scene.frames - 1]
-    tape = Tape([scene], frames, precision="f32", threads=1)
-    whole = simulate(scene, threads=1)
-    np.testing.assert_array_equal(tape.positions(), whole.positions[frames])
+    tape = Tape([scene], frames, precision=precision, threads=1)
+    whole = simulate(scene, precision=precision, threads=1)
+    np.testing.assert_array_equal(tape.positions().astype(np.float32), whole.positions[frames])
 
 
 def test_segments_do_not_change_the_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the bit: one frame a segment, three, or all frames in one."""
-    scene = plane()
+    scene = FLAT
     found = []
     for length in (1, 3, scene.frames - 1):
         monkeypatch.setattr(
@@ -43,7 +49,7 @@ def test_segments_do_not_change_the_gradient(monkeypatch: pytest.MonkeyPatch) ->
 def test_memory_stays_within_the_budget_and_grows_with_the_root_of_the_steps() -> None:
     used = []
     for duration in (0.04, 0.16):
-        scene = plane(duration=duration)
+        scene = dataclasses.replace(FLAT, duration=duration)
         tape = Tape([scene], [scene.frames - 1], threads=1, memory_mib=64.0)
         assert tape.bytes() < 64.0 * 2**20
         used.append(tape.bytes() - tape.fixed_bytes)
@@ -53,15 +59,15 @@ def test_memory_stays_within_the_budget_and_grows_with_the_root_of_the_steps() -
 
 def test_a_budget_that_is_too_small_is_one_clear_line() -> None:
     with pytest.raises(InputError, match=r"memory for the adjoint of at least [\d.]+ MiB, got 0.5 MiB") as refused:
-        Tape([plane()], [8], threads=1, memory_mib=0.5)
+        Tape([FLAT], [8], threads=1, memory_mib=0.5)
     enough = float(re.findall(r"at least ([\d.]+)", str(refused.value))[0]) + 0.1
-    tape = Tape([plane()], [8], threads=1, memory_mib=enough)
+    tape = Tape([FLAT], [8], threads=1, memory_mib=enough)
     assert tape.bytes() < enough * 2**20
 
 
 def test_frames_between_are_observed_too() -> None:
     """A sum over frames has the sum of their gradients."""
-    scene = plane()
+    scene = FLAT
     frames = [0, 3, 8]
     tape = Tape([scene], frames, threads=1, outputs=4)
     shape = tape.positions().shape
@@ -90,7 +96,7 @@ def test_scenes_side_by_side_are_as_alone() -> None:
 
 
 def test_what_has_no_reverse_is_refused() -> None:
-    scene = plane()
+    scene = FLAT
     gated = tuple(dataclasses.replace(mass, velocity=None, release=0.01, gate=Gate(speed=1.0)) for mass in scene.masses)
     with pytest.raises(InputError, match="a gate"):
         Tape([dataclasses.replace(scene, masses=gated)], [8], threads=1)
@@ -98,7 +104,7 @@ def test_what_has_no_reverse_is_refused() -> None:
 
 def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where more bars are cut than may be: here all that are not 0."""
-    scene = plane(step_fraction=0.9)
+    scene = dataclasses.replace(FLAT, step_fraction=0.9)
     tape = Tape([scene], [8], threads=1)
     monkeypatch.setattr("mpm.adjoint.tape.CUT", 0.0)
     with pytest.raises(WorkFailed, match=r"grows without bound.* try a step_fraction below 0.9"):
@@ -115,7 +121,6 @@ def test_steady_steps_are_those_of_a_lone_particle() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.double
 def test_lone_particles_that_swing_are_cut() -> None:
     """Sand of ten layers without memory of gaps: at 0.9 of the step lone particles swing, at 0.8 none does.
 

@@ -12,21 +12,17 @@ from datasets.library import read_scene
 from datasets.records import from_mapping
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
-from mpm.resolution import COVERAGE, Measurements, characteristic_length, read_measured, resolved, with_resolution
+from mpm.resolution import COVERAGE, Measurements, characteristic_length, resolved, with_resolution
 from tests.flows import flow_of
 from validation.bench.accuracy.bench import (
-    TRIED,
     Error,
     Errors,
     bound,
-    draw,
     error,
     errors_of,
     measured,
     own,
-    page,
     prediction_limit,
-    selected,
     toml,
 )
 from validation.bench.accuracy.flows import read_flows
@@ -110,15 +106,3 @@ def test_what_is_measured_is_what_a_tolerance_reads(tmp_path: Path) -> None:
     assert 0.0 < known[1].thickness < 0.5
     assert "of its largest" in str(resolved(COLUMN, 1.05 * known[1].promised, known))
     assert resolved(COLUMN, 1.05 * known[1].promised, known).cells == pytest.approx(5.0)
-
-
-def test_the_page_says_which_scenes_are_within_the_bound(tmp_path: Path) -> None:
-    known = read_measured()
-    what = [each for tolerance in TRIED if (each := selected(2, tolerance, known))]
-    assert [each.resolution.cells for each in what] == sorted(each.resolution.cells for each in what)
-    off = {each.resolution.cells: (0.5 * each.promised, 2.0 * each.promised) for each in what}
-    text = page({2: found(off)}, known, quick=False)
-    assert "**2D**: 1 of 2 other scenes are within" in text.conclusion
-    assert "| scene 1" in str(text)
-    draw(tmp_path / "accuracy.png", {2: found(off)}, known)
-    assert (tmp_path / "accuracy.png").stat().st_size > 10_000

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +11,8 @@ from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from tests.scenes import scene_of
-from validation.bench.gns import Compared, Model, Mound, draw, mpm_seconds, page
+from validation.bench.gns import Compared, Model, mpm_seconds
 from validation.bench.held_out import MOUNDS, Measured, creep, deposit_of, mound
-from validation.report import plots
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
 
@@ -81,25 +79,3 @@ def test_the_price_of_an_error_is_read_off_the_curve() -> None:
     assert mpm_seconds(points, 0.04) == pytest.approx(0.25)
     assert mpm_seconds(points, 0.04 / math.sqrt(2.0)) == pytest.approx(0.5)
     assert mpm_seconds(points, 0.001) is None
-
-
-def test_the_words_of_the_page_are_those_of_its_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mounds = [Mound(title="45° on 12°", mpm=[0.1, -0.2], models={"tiny": [8.0, 114.0]})]
-    text, far, without = (
-        str(page([each], mounds, flags="", quick=False))
-        for each in (model(), model(resolutions=(5,)), model(bands=False))
-    )
-    assert "stable mounds" not in str(page([model()], [], flags="", quick=False))
-    sentences = [line for line in text.splitlines() if line.startswith("- ")]
-    assert "flow2d 4.0% on average, worst -4.0 % of 1 (the MPM, jittered anew, 0.5%), profiles 1.0%." in sentences[0]
-    assert "flow2d -20.0 % (20.0% of absolute values), thickness 10.0%, 90% of the plan." in sentences[1]
-    assert "flow2d off by 4.0% in 0.5 s, a coarse MPM takes 0.25 s for the same error." in sentences[2]
-    assert "95% bands hold 1 of 1 fronts (flow2d)." in sentences[3]
-    assert "| 1 of 2 " in text
-    assert "creep by at most 0.2 mm/s (flow2d); stable" in sentences[4]
-    assert "stable mounds by 1.1e+02 to 1.1e+02 mm/s, in the MPM 0.2." in sentences[4]
-    assert "no coarse MPM is as good" in far
-    assert "bands hold" not in without
-    monkeypatch.setattr(plots, "DPI", 30)
-    draw(tmp_path / "gns.png", [model(), model()])
-    assert (tmp_path / "gns.png").stat().st_size > 1000

@@ -13,15 +13,13 @@ from datasets.errors import InputError, WorkFailed
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Scene
 from datasets.trajectory import Trajectory
-from mpm.safety import Safety
 from tests import scenes
 from tests.flows import flow_of
 from validation.bench.__main__ import main
 from validation.bench.stability import invariants
-from validation.bench.stability.bench import FOLDER, Check, Row, page, read_rows, run, verdict
+from validation.bench.stability.bench import FOLDER, Check, Row, read_rows, run, verdict
 from validation.bench.stability.invariants import ALWAYS, Finding
 from validation.bench.stability.quantities import QUANTITIES
-from validation.bench.stability.slopes import TAYLOR
 
 BED = Mass(lower=(0.0, 0.0), size=(0.4, 0.2))
 BAFFLE = Baffle(lower=(0.5, 0.0), size=(0.1, 0.2))
@@ -144,16 +142,6 @@ def test_a_verdict_says_what_is_wrong() -> None:
     assert verdict(row, WorkFailed("it blew up")).failures == ["it blew up"]
     lost = verdict(row, changed(flow, "positions", 2, np.nan))
     assert lost.failures == ["not finite 1600 (required ≤ 0)"]
-    text = page(
-        [verdict(row, flow, flow), lost],
-        {(2, "APIC", 1.0, 0.9): 1.0, (2, "AFLIP, default", 1.0, 0.9): 1.0},
-        {TAYLOR: {5: Safety(factor=0.98, stands=0.97, moves=0.99, displacements={}, cells=5.0, seconds=1.0)}},
-        precision="f32",
-        quick=False,
-    )
-    assert "1 of 2 hard cases hold; **red**: rest." in text.conclusion
-    assert "Factors of safety of 1 slopes are at most 2 % on 5 cells over the height off." in text.conclusion
-    assert "**not finite 1600" in str(text)
 
 
 def test_an_unknown_row_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,7 @@
 """Robust designs: exact ones of a response that is known, what the MPM says, mistakes in a line."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,6 @@ from tests.scenes import scene_of
 from validation import find_design
 from validation.design.__main__ import main
 from validation.design.problem import Budget, DesignProblem, Limit, Uncertain, Variable, read_design
-from validation.design.problem import _File as problem_file
-from validation.design.report import record
 from validation.design.search import Verdict, designed
 
 SCENE = scene_of(
@@ -199,16 +197,6 @@ def test_a_mistake_is_one_line(file: Path, old: str, new: str, line: str) -> Non
         read_design(file)
     assert line in str(caught.value)
     assert str(file.parent) in str(caught.value)
-
-
-def test_every_key_is_on_the_page_of_formats() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
-    section = page.split("\n## A design problem\n")[1].split("\n## ")[0]
-    problem = problem_of(budget=Budget(runs=30, checks=20))
-    written = record(designed(problem, Known(problem)))
-    read = [each.name for kind in (Uncertain, Limit, Budget, problem_file) for each in fields(kind)]
-    for name in (*read, *written, *written["probability"], *written["waves"][0], *written["checks"][0]):
-        assert f"`{name}`" in section or f"[{name}]" in section, name
 
 
 def test_the_shipped_problem_is_read() -> None:

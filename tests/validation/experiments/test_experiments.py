@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -15,21 +14,8 @@ from datasets.scene import Mass
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from tests.scenes import scene_of
-from validation.bench.experiments import compute, crossing, page
-from validation.experiments.experiment import (
-    Angle,
-    Assumption,
-    Experiment,
-    Grains,
-    Measured,
-    MeasuredScene,
-    Quantity,
-    Reading,
-    Shipped,
-    Status,
-    read_experiment,
-    read_experiments,
-)
+from validation.bench.experiments import compute, crossing
+from validation.experiments.experiment import Quantity, Reading, Shipped, read_experiment, read_experiments
 from validation.runs import Run
 
 SHIPPED = read_experiments()
@@ -163,18 +149,6 @@ def test_a_wrong_experiment_is_refused_by_file_and_key(shelf: Path, old: str, ne
     assert key in caught.value.key
 
 
-def test_the_page_on_formats_names_every_key() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
-    section = page.split("\n## A measured experiment (TOML)\n")[1].split("\n## ")[0]
-    for kind in (Experiment, Angle, Grains, MeasuredScene, Measured, Assumption):
-        for each in fields(kind):
-            assert f"`{each.name}`" in section or f"[{each.name}]" in section or f".{each.name}]" in section, each.name
-    for status in Status:
-        assert status in section.replace("\n", " ")
-    for quantity in Quantity:
-        assert f"`{quantity}`" in section
-
-
 def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
     findings = compute(read_experiments(shelf), deposits)
     (score,) = findings.scores
@@ -207,12 +181,3 @@ def test_a_front_that_no_angle_gives_has_a_slope_alone() -> None:
     assert math.isnan(crossing(fronts, 0.7)[0])
     assert crossing(fronts, 0.7)[1] == pytest.approx(-0.0125)
     assert crossing(fronts, 0.3)[1] == pytest.approx(-0.00625)
-
-
-def test_the_page_follows_the_numbers(shelf: Path) -> None:
-    text = page(compute(read_experiments(shelf), deposits), quick=False)
-    assert "0 of 1 lengths are within 2 times their spread; rms 4.0 spreads, at most -4.0 (wedge" in text.conclusion
-    assert "Fronts come 3.8 % too short" in text.conclusion
-    assert "2.0° below the measured one" in text.conclusion
-    assert "the first leaves 6.0 spreads rms and 1 lengths beyond 2, the other one 3.8 and 1." in text.conclusion
-    assert "- wedge, wedge, front: The wedge is imaginary." in str(text)

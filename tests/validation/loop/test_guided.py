@@ -44,7 +44,7 @@ from validation.loop.task import Task
 from validation.loop.verdict import judged, nearer
 
 
-@pytest.mark.parametrize(("kind", "factor"), [("front", 1.0), ("front", 1.03), ("profile", 0.97)])
+@pytest.mark.parametrize(("kind", "factor"), [("front", 1.03), ("profile", 0.97)])
 def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, kind: str, factor: float) -> None:
     case = wedge(tmp_path, truth=24.0, kind=kind, scatter=0.002)
     result = case.led(Formula(case.target.observation, factor)).solve(tmp_path / "out")
@@ -59,20 +59,8 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
     assert result.mpm_runs[0].purpose is Purpose.CHECK
     result.save(tmp_path / "out")
     stored = json.loads((tmp_path / "out" / "result.json").read_text())["surrogate"]
-    assert stored.keys() == {
-        *(
-            "asked",
-            "reason",
-            "unknowns",
-            "interval",
-            "half_widths",
-            "weight",
-            "mpm_error",
-            "answers",
-            "seconds",
-            "predictions",
-        )
-    }
+    keys = "asked reason unknowns interval half_widths weight mpm_error answers seconds predictions"
+    assert stored.keys() == set(keys.split())
     # By two runs there: that of a flow without scatter.
     there = FakeMpm().run(case.problem.scene_at(np.array([own]), 0))
     misfit = case.target.misfit(case.target.observation.observe(there))
@@ -80,7 +68,7 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
     assert "- The surrogate found `friction_deg` = " in (tmp_path / "out" / "report.md").read_text()
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.2])
+@pytest.mark.parametrize("factor", [0.8, pytest.param(1.2, marks=pytest.mark.slow)])
 def test_a_surrogate_that_is_wrong_by_more_than_its_band_costs_runs_and_no_truth(tmp_path: Path, factor: float) -> None:
     case = wedge(tmp_path, truth=27.0, scatter=0.002)
     result = case.led(Formula(case.target.observation, factor)).solve(tmp_path)
@@ -130,13 +118,21 @@ def test_each_of_two_answers_is_checked(tmp_path: Path) -> None:
     assert len(result.mpm_runs) <= 24
 
 
-def test_of_two_answers_that_the_mpm_refuses_the_nearer_stands(tmp_path: Path) -> None:
-    """A profile that rises towards the front fits nowhere: the search of the whole box is no better for it."""
+@pytest.fixture
+def misfit(tmp_path: Path) -> Case:
+    """A profile that rises towards the front fits nowhere."""
     case = wedge(tmp_path, kind="profile", scatter=0.002)
-    case = replace(case, target=replace(case.target, values=case.target.values[::-1].copy()))
-    result = case.led(Formula(case.target.observation)).solve(tmp_path)
+    return replace(case, target=replace(case.target, values=case.target.values[::-1].copy()))
+
+
+@pytest.mark.slow
+def test_the_search_of_the_whole_box_is_no_better_for_a_misfit(misfit: Case, tmp_path: Path) -> None:
+    result = misfit.led(Formula(misfit.target.observation)).solve(tmp_path)
     assert result.verdict in (Verdict.UNCONFIRMED, Verdict.UNREACHABLE)
-    found = judged(first(case.task(tmp_path)).inferred())
+
+
+def test_of_two_answers_that_the_mpm_refuses_the_nearer_stands(misfit: Case, tmp_path: Path) -> None:
+    found = judged(first(misfit.task(tmp_path)).inferred())
     for ratio, verdict, nearest in (
         (0.5, Verdict.UNCONFIRMED, "whole"),
         (2.0, Verdict.UNCONFIRMED, "led"),
@@ -149,16 +145,19 @@ def test_of_two_answers_that_the_mpm_refuses_the_nearer_stands(tmp_path: Path) -
         assert (nearer(found.state, whole) is whole) == (nearest == "whole")
 
 
-def test_an_answer_at_a_bound(tmp_path: Path) -> None:
-    """A truth just inside of it is found; a target beyond it is unreachable, by the word of the whole box."""
+def test_an_answer_just_inside_a_bound(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=12.5, scatter=0.002)
-    result = case.led(Formula(case.target.observation, 0.97)).solve(tmp_path / "inside")
+    result = case.led(Formula(case.target.observation, 0.97)).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
     assert result.surrogate is not None
     assert result.surrogate["unknowns"]["friction_deg"] == 12.0
     assert abs(result.unknowns["friction_deg"] - 12.5) < 0.5
+
+
+@pytest.mark.slow
+def test_a_target_beyond_a_bound_is_unreachable_by_the_word_of_the_whole_box(tmp_path: Path) -> None:
     case = wedge(tmp_path, value=length(5.0), scatter=0.001)
-    result = case.led(Formula(case.target.observation)).solve(tmp_path / "beyond")
+    result = case.led(Formula(case.target.observation)).solve(tmp_path)
     assert result.verdict is Verdict.UNREACHABLE
     assert result.unknowns["friction_deg"] == pytest.approx(12.0, abs=1.0)
 

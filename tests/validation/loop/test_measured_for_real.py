@@ -58,7 +58,6 @@ def inverted(folder: Path, text: str, x: np.ndarray, height: np.ndarray) -> tupl
 
 
 FORMS: dict[str, Callable[[Rows], tuple[str, np.ndarray, np.ndarray]]] = {
-    "metres": lambda rows: (ONE, rows[0], rows[1]),
     "surface": lambda rows: (ONE + 'heights = "surface"\n', rows[0], rows[2]),
     "front and profile": lambda rows: (BOTH.format(front=0.743), rows[0], rows[1]),
 }
@@ -72,19 +71,6 @@ def test_the_truth_lies_in_the_interval_of_each_form(rows: Rows, tmp_path: Path,
     assert result["verdict"] == "confirmed"
     half_width = result["certainty"]["friction_deg"]
     assert abs(result["unknowns"]["friction_deg"] - TRUTH) <= half_width < 2.0
-
-
-@pytest.mark.parametrize(
-    ("scale", "message"),
-    [((1.0, 2.0), "times the area that was released"), ((1000.0, 1000.0), "unit says in what unit the file is")],
-)
-def test_what_is_twice_as_high_or_in_millimetres_is_refused_at_once(
-    rows: Rows, tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: tuple[float, float], message: str
-) -> None:
-    status, path = inverted(tmp_path, ONE, scale[0] * rows[0], scale[1] * rows[1])
-    assert status == 2
-    assert message in capsys.readouterr().err
-    assert not path.exists()
 
 
 def test_the_demo_finds_the_angle_and_the_mpm_confirms(tmp_path: Path) -> None:

@@ -74,6 +74,7 @@ assert found.posterior["masses[0].velocity_x"].attrs["units"] == "m/s"
 """
 
 
+@pytest.mark.slow
 def test_arviz_plots_it_as_it_is(tmp_path: Path) -> None:
     inference_data.write(layers(tmp_path, scatter=0.002).solve(tmp_path), tmp_path / "posterior.nc")
     with h5py.File(tmp_path / "posterior.nc") as file:

@@ -8,35 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.command_line import run
 from datasets.errors import WorkFailed
 from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.found import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS
+from inverse.problem import Problem
 from tests.inverse.test_fields import files
 from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, Uneven, layers, length, wedge
 from validation.loop import verdict
-from validation.loop.__main__ import main, print_outcome
+from validation.loop.__main__ import print_outcome
 from validation.loop.search import first
 from validation.loop.solve import solve
 
-RESULT_KEYS = {
-    *(
-        "problem",
-        "verdict",
-        "unknowns",
-        "interval",
-        "certainty",
-        "answers",
-        "combinations",
-        "check",
-        "discrepancy",
-        "truth",
-    ),
-    *("error_pct", "observation", "loss", "mpm_runs", "iterations", "sampling", "surrogate", "seconds"),
-    *("remarks", "run_count", "peak_memory_mib"),
-}
+RESULT_KEYS = """
+problem verdict unknowns interval certainty answers combinations check discrepancy truth error_pct observation loss
+mpm_runs iterations sampling surrogate seconds remarks run_count peak_memory_mib
+"""
 
 
 @pytest.mark.parametrize(("kind", "truth"), [("front", 13.0), ("front", 42.0), ("profile", 24.0)])
@@ -70,7 +58,7 @@ def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None
     assert inside >= 26
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_flows_that_scatter_more_elsewhere_do_not_widen_the_half_width(tmp_path: Path, seed: int) -> None:
     case = wedge(tmp_path, mpm=Uneven(scatter=0.002), truth=22.0, seed=seed, noise=0.002)
     # Twenty runs from 20 to 24 degrees, nine over the whole box.
@@ -164,7 +152,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     out = tmp_path / "saved"
     found.save(out)
     result = json.loads((out / "result.json").read_text())
-    assert result.keys() == RESULT_KEYS
+    assert result.keys() == set(RESULT_KEYS.split())
     (answer,) = result["answers"]
     assert (answer["unknowns"], answer["half_widths"]) == (result["unknowns"], result["certainty"])
     assert (answer["weight"], answer["misfit"]) == (pytest.approx(1.0), result["loss"]["mpm"])
@@ -215,8 +203,8 @@ def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> 
     assert measured.answers[0].fit.cells == pytest.approx(0.02 * true, rel=0.2)
 
 
-def test_the_same_command_finds_fields(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    assert run(main, "validation.loop", [files(tmp_path), "--out", str(out)]) in (0, 1)
-    assert "velocity_x: The observation removes" in capfd.readouterr().out
-    assert (out / "result.json").is_file()
+def test_fields_are_left_to_the_adjoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Problem] = []
+    monkeypatch.setattr("inverse.inversion.invert", asked.append)
+    solve(files(tmp_path))
+    assert [each.name for each in asked[0].fields] == ["velocity_x"]
