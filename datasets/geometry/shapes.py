@@ -4,7 +4,8 @@ import itertools
 from collections.abc import Sequence
 
 from datasets.errors import require
-from datasets.scene import Mass, Rows, Solid
+from datasets.parts import Mass, Rows, Solid
+from datasets.records import FARTHEST
 
 KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
     (Solid, "box", 2): (("lower", "size"), ()),
@@ -21,9 +22,6 @@ KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
     (Mass, "layer", 3): (("thickness",), ("origin", "spacing", "outline")),
 }
 """Keys that a kind of solid or mass needs, and those that it may have; beside the box around a mass."""
-CONTACTS = ("coulomb", "no-slip")
-FARTHEST = 1.0e9
-"""Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
 
 
 def usual(number: float) -> bool:
@@ -82,7 +80,6 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
     check_shape(solid, key, dimension)
     turned = solid.turned_deg
     require(usual(turned) and (turned == 0.0 or solid.kind == "box"), f"{key}.turned_deg", "a turn of a box", turned)
-    require(solid.contact in CONTACTS, f"{key}.contact", " or ".join(map(repr, CONTACTS)), repr(solid.contact))
     if solid.kind == "box":
         check_vector(solid.lower or (), f"{key}.lower", dimension)
         check_vector(solid.size or (), f"{key}.size", dimension)

@@ -11,9 +11,9 @@ import rasterio
 from rasterio.transform import Affine
 
 from datasets.checks import warn_if_unlikely
-from datasets.geometry.closed import manifold, outward
-from datasets.geometry.files import read_mesh
+from datasets.exchange.meshes import read_mesh
 from datasets.geometry.nearest import nearest
+from datasets.geometry.shells import manifold, outward
 from datasets.library import read_scene
 from datasets.particles import initial_particles, mass_volumes
 from datasets.scene import Scene
