@@ -48,7 +48,7 @@ class Bounds:
 
 
 @cache
-def bounds_of(kind: Any) -> dict[str, Bounds]:
+def bounds_of(kind: type) -> dict[str, Bounds]:
     """The bounds that stand beside the types of a dataclass, by key."""
 
     def within(hint: Any) -> Iterator[Bounds]:
@@ -66,7 +66,8 @@ class Record:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     def __post_init__(self) -> None:
-        for key, bounds in bounds_of(type(self)).items():
+        kind: Any = type(self)
+        for key, bounds in bounds_of(kind).items():
             value = getattr(self, key)
             got = repr(value) if isinstance(value, str) else list(value) if isinstance(value, tuple) else value
             require(bounds.hold(value), key, bounds.expected, got)

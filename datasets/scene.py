@@ -6,40 +6,21 @@ from dataclasses import dataclass
 
 from datasets.checks import checked
 from datasets.files import json_object
-from datasets.parts import (
-    DOMAIN_SIDES,
-    NO_SLIP,
-    ROUGH,
-    TOLERANCE,
-    Baffle,
-    Channel,
-    Domain,
-    Gate,
-    Mass,
-    SceneLayout,
-    Solid,
-    Stage,
-    coefficient,
-    keyed,
-)
+from datasets.parts import DOMAIN_SIDES as DOMAIN_SIDES
+from datasets.parts import NO_SLIP as NO_SLIP
+from datasets.parts import ROUGH as ROUGH
+from datasets.parts import TOLERANCE as TOLERANCE
+from datasets.parts import Baffle as Baffle
+from datasets.parts import Channel as Channel
+from datasets.parts import Domain as Domain
+from datasets.parts import Gate as Gate
+from datasets.parts import Mass as Mass
+from datasets.parts import SceneLayout
+from datasets.parts import Solid as Solid
+from datasets.parts import Stage as Stage
+from datasets.parts import coefficient as coefficient
+from datasets.parts import keyed as keyed
 from datasets.records import from_mapping
-
-__all__ = [
-    "DOMAIN_SIDES",
-    "NO_SLIP",
-    "ROUGH",
-    "TOLERANCE",
-    "Baffle",
-    "Channel",
-    "Domain",
-    "Gate",
-    "Mass",
-    "Scene",
-    "Solid",
-    "Stage",
-    "coefficient",
-    "keyed",
-]
 
 
 @dataclass(frozen=True, kw_only=True)
