@@ -76,8 +76,6 @@ def check(scene: SceneLayout) -> None:
             if getattr(box, name) == ():
                 raise InputError("expected a value, the key is missing", key=f"{key}.{name}")
             check_vector(getattr(box, name), f"{key}.{name}", dimension)
-        positive = f"positive lengths in m, above {TOLERANCE:g}"
-        require(min(box.size) > TOLERANCE, f"{key}.size", positive, list(box.size))
         extents = zip(box.lower, box.size, domain.size, strict=True)
         inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
         got = f"{list(box.lower)} + {list(box.size)}"

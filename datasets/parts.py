@@ -28,6 +28,7 @@ NO_SLIP = 1.0e9
 Time = Annotated[float, Bounds(f"a positive time in s, up to {FARTHEST:g}", gt=0.0)]
 Length = Annotated[float, Bounds(f"a positive length in m, up to {FARTHEST:g}", gt=0.0)]
 Coefficient = Annotated[float | str, Bounds(f"a coefficient of at least 0 or '{ROUGH}'", ge=0.0, words=(ROUGH,))]
+Size = Annotated[Vector, Bounds(f"positive lengths in m, above {TOLERANCE:g}", gt=TOLERANCE)]
 Moment = Annotated[float | str, Bounds("a time in s or 'settled'", words=("settled",))]
 
 
@@ -75,7 +76,7 @@ class Mass(Record):
     """`box`, `polygon` (2D), `mesh` (3D) or `layer` (on the ground: terrain, else the floor)."""
     lower: Vector = ()
     """Lower corner of the box [m]; of other kinds that of the box around them, which a scene works out."""
-    size: Vector = ()
+    size: Size = ()
     """Extent of that box [m]."""
     vertices: Rows | None = None
     """Corners of a simple polygon in either orientation, or of the triangles of a mesh [m], shape [V, D]."""
@@ -85,7 +86,7 @@ class Mass(Record):
     """Of a layer, vertically [m]: a number; in 3D that or rows along x of columns along z."""
     origin: Vector | None = None
     """x and z of the first thickness in 3D [m]."""
-    spacing: Vector | None = None
+    spacing: Size | None = None
     """Distance between thicknesses along x and z [m]."""
     outline: Rows | None = None
     """Where a layer lies in plan: corners x, z of a polygon, in 2D two x [m]; everywhere where absent."""
@@ -120,7 +121,7 @@ class Baffle(Record):
 
     lower: Vector
     """Lower corner [m]."""
-    size: Vector
+    size: Size
     """Extent [m]."""
     turned_deg: float = 0.0
     """Turn about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
@@ -162,7 +163,7 @@ class Solid(Record):
     """`box`, `polygon` (2D), `terrain` (solid below a line or a surface) or `mesh` (3D)."""
     lower: Vector | None = None
     """Lower corner of a box before it is turned [m]."""
-    size: Vector | None = None
+    size: Size | None = None
     """Extent of a box [m]."""
     turned_deg: float = 0.0
     """Turn of a box about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
@@ -174,7 +175,7 @@ class Solid(Record):
     """Ground line of a terrain in 2D from small to large x [m], shape [P, 2]."""
     origin: Vector | None = None
     """x and z of the first height of a terrain in 3D [m]."""
-    spacing: Vector | None = None
+    spacing: Size | None = None
     """Distance between its heights along x and z [m]."""
     heights: Rows | None = None
     """Elevation y of a terrain in 3D [m], linear on triangles: rows along x of columns along z, shape [X, Z]."""

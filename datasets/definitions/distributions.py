@@ -49,7 +49,7 @@ class DefinitionFile(Record):
     """A scene (`datasets.scene`), numbers of which may be distributions; masses and baffles may have a `count`."""
     variables: dict[str, Any] = field(default_factory=dict)
     """Values that more than one key of a scene depends on."""
-    count: Annotated[int, Bounds(f"1 to {MOST_SCENES} scenes", ge=1, le=MOST_SCENES)] = 100
+    count: Annotated[int, Bounds(f"at least 1, at most {MOST_SCENES} scenes", ge=1, le=MOST_SCENES)] = 100
     """Number of scenes in the whole dataset."""
     split_period: Annotated[int, Bounds("at least 3", ge=3)] = 10
     """Of so many scenes, the second is for validation and the third for the test."""

@@ -69,7 +69,6 @@ def check_grid(shape: Solid | Mass, values: Rows, key: str, name: str) -> None:
     least = 2 if name == "heights" else 1
     check_vector(shape.origin or (), f"{key}.origin", 2)
     check_vector(shape.spacing or (), f"{key}.spacing", 2)
-    require(min(shape.spacing or ()) > 0.0, f"{key}.spacing", "positive lengths in m", list(shape.spacing or ()))
     enough = len(values) > 0 and len(values[0]) >= least
     require(enough, f"{key}.{name}", f"at least {least} x {least} numbers", "fewer")
     check_rows(values, f"{key}.{name}", len(values[0]), least=least)
@@ -83,7 +82,6 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
     if solid.kind == "box":
         check_vector(solid.lower or (), f"{key}.lower", dimension)
         check_vector(solid.size or (), f"{key}.size", dimension)
-        require(min(solid.size or ()) > 0.0, f"{key}.size", "positive lengths in m", list(solid.size or ()))
     if solid.points is not None:
         check_rows(solid.points, f"{key}.points", 2, least=2)
     for index, (first, second) in enumerate(itertools.pairwise(solid.points or ()), 1):
