@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 HDF5 = ".h5"
 CHUNK = 2**16
 """Bytes that a chunk of HDF5 holds at least."""
-HEADERS = 2**10
-"""Bytes in which the header of a member of an NPZ is."""
+HEADERS = 2**17
+"""Bytes that the headers of a member of an NPZ take at most."""
 DEFLATED: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 TEXTS = ("scene", "summary")
 WHAT = "a trajectory"
