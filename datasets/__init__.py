@@ -16,7 +16,6 @@ from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
 from pathlib import Path
 
-from datasets import checks as checks
 from datasets.errors import InputError
 from datasets.library import read_scene, write_scene
 from datasets.material import Material

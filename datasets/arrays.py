@@ -1,9 +1,8 @@
 """Arrays in files: NPZ whole or mapped, HDF5 frame by frame; sizes are looked up before reading, nothing is run."""
 
 import math
-import struct
 import zipfile
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, cast
@@ -22,13 +21,11 @@ if TYPE_CHECKING:
 HDF5 = ".h5"
 CHUNK = 2**16
 """Bytes that a chunk of HDF5 holds at least."""
-LARGEST_CHUNK = 2**30
-"""Bytes of a chunk that is read."""
+HEADERS = 2**17
+"""Bytes that the headers of a member of an NPZ take at most."""
 DEFLATED: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 TEXTS = ("scene", "summary")
 WHAT = "a trajectory"
-LOCAL_HEADER = struct.Struct("<26xHH")
-"""What stands before a member of a zip archive, at its end the lengths of its name and of its extra field."""
 
 
 class FrameWriter:
@@ -148,21 +145,20 @@ def open_frames(path: Path, key: str) -> NDArray[Any]:
 
         with reading(path, WHAT, key):
             stored = plain_array(h5py.File(path, "r", locking=False), key)
-            if stored.chunks and math.prod(stored.chunks) * stored.dtype.itemsize > LARGEST_CHUNK:
-                raise InputError(f"expected chunks of at most {LARGEST_CHUNK} bytes")
+            chunk = math.prod(stored.chunks or ()) * stored.dtype.itemsize
+            memory.require(chunk, "a chunk of an array", "it must fit into memory")
             return cast(NDArray[Any], Frames(stored))
-    with open_npz(path, WHAT) as archive:
+    with open_npz(path, WHAT) as archive, reading(path, WHAT, key), path.open("rb") as file:
         place = member(archive, key)
-        with reading(path, WHAT, key), archive.open(place) as stream:
-            shape, fortran, kind = read_header(stream)
-            if place.compress_type == zipfile.ZIP_STORED and kind == np.float32 and kind.isnative:
-                with path.open("rb") as file:
-                    file.seek(place.header_offset)
-                    lengths = LOCAL_HEADER.unpack(file.read(LOCAL_HEADER.size))
-                offset = place.header_offset + LOCAL_HEADER.size + sum(lengths) + stream.tell()
+        if place.compress_type == zipfile.ZIP_STORED:
+            # NumPy's own header stands behind that of the archive.
+            file.seek(place.header_offset)
+            file.seek(place.header_offset + file.read(HEADERS).index(np.lib.format.MAGIC_PREFIX))
+            shape, fortran, kind = read_header(file)
+            if kind == np.float32:
                 order: Any = "F" if fortran else "C"
                 # A plain array: slices of a memmap are slow to make and say nothing more.
-                return np.asarray(np.memmap(path, np.float32, "r", offset, shape, order))
+                return np.asarray(np.memmap(file, np.float32, "r", file.tell(), shape, order))
     return read_arrays(path, key)[key]
 
 
@@ -188,26 +184,16 @@ def member(archive: zipfile.ZipFile, key: str) -> zipfile.ZipInfo:
     return archive.getinfo(f"{key}.npy")
 
 
-def read_member(
-    archive: zipfile.ZipFile, key: str, what: str, unpickled: Callable[[bytes], Any] | None = None
-) -> NDArray[Any]:
-    """The array `key` of an open NPZ; unpickled: how one of objects is read, where there may be any.
-
-    Raises InputError.
-    """
+def read_member(archive: zipfile.ZipFile, key: str, what: str, unpickler: type[Any] | None = None) -> NDArray[Any]:
+    """The array `key` of an open NPZ; unpickler: of one of objects, where there may be any. Raises InputError."""
     with reading(Path(str(archive.filename)), what, key), archive.open(member(archive, key)) as stream:
         shape, _, dtype = read_header(stream)
         size = max(member(archive, key).file_size, math.prod(shape) * dtype.itemsize)
         memory.require(size, "an array", "it must fit into memory")
-        if dtype.hasobject and unpickled is not None:
-            value = np.asarray(unpickled(stream.read()))
-        else:
-            stream.seek(0)
-            value = np.lib.format.read_array(stream, allow_pickle=False)
-        # At the very end the archive compares the checksum.
-        if stream.read(1) or value.shape != shape:
-            raise InputError("expected one array of the shape that its header states")
-        return value
+        if dtype.hasobject and unpickler is not None:
+            return np.asarray(unpickler(stream).load())
+        stream.seek(0)
+        return np.lib.format.read_array(stream, allow_pickle=False)
 
 
 def read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -218,13 +204,12 @@ def read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]
 
 
 def plain_array(file: "h5py.File", key: str) -> "h5py.Dataset":
-    """An array of numbers, unread, that does not point to another file. Raises InputError."""
+    """An array of numbers, unread. Raises InputError."""
     import h5py
 
     array = file.get(key)
-    inside = isinstance(array, h5py.Dataset) and array.file.filename == file.filename
-    if not inside or array.external or array.is_virtual or array.dtype.kind not in "biuf":
-        raise InputError("expected an array of numbers in the file", key=key)
+    if not isinstance(array, h5py.Dataset) or array.dtype.kind not in "biuf":
+        raise InputError("expected an array of numbers", key=key)
     return array
 
 

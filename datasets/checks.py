@@ -1,4 +1,4 @@
-"""What a scene must fulfil to be simulated, each key with what is expected of it. A new scene runs these checks."""
+"""What the parts of a scene must fulfil together to be simulated; each key with what is expected of it."""
 
 import dataclasses
 import math
@@ -7,15 +7,15 @@ from typing import Any
 
 from datasets.errors import InputError, require
 from datasets.field import FRICTION, VELOCITIES
-from datasets.geometry.shapes import FARTHEST, check_rows, check_solid, check_vector, usual
+from datasets.geometry.shapes import check_rows, check_solid, check_vector, usual
 from datasets.material import ANGLES, MOHR_COULOMB
-from datasets.scene import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, Scene, keyed
+from datasets.parts import DOMAIN_SIDES, TOLERANCE, Mass, SceneLayout, keyed
+from datasets.records import FARTHEST
 
 MOST_CELLS = 2**31 - 1
 """Of the box: what 32 bits count."""
 MOST_PARTICLES = 2**30
 MOST_FRAMES = 10_000_000
-MOST_PER_AXIS = 1000
 MOST_BODIES = 4096
 """Masses, baffles and solids: each pair of them is compared."""
 LOST = 1.0e-6
@@ -28,8 +28,8 @@ SOFTEST = 10.0
 """Young's modulus over the pressure rho g h under a body, below which it sinks by a twentieth of its height or more."""
 
 
-def complete(scene: Scene) -> None:
-    """Check a new scene, and give its masses the boxes around them. Raises InputError."""
+def checked(scene: SceneLayout) -> SceneLayout:
+    """The scene with the boxes around its masses, where all of it fits together. Raises InputError."""
     # First of all, because shapes are filled with particles before the rest is checked.
     check_sizes(scene)
     for key, solid in keyed(scene, "solids").items():
@@ -38,34 +38,26 @@ def complete(scene: Scene) -> None:
         # The libraries of solid geometry load only where there is more than boxes.
         from datasets.geometry.bodies import with_boxes
 
-        object.__setattr__(scene, "masses", with_boxes(scene))
+        scene = SceneLayout(**vars(scene) | {"masses": with_boxes(scene)})
     check(scene)
+    return scene
 
 
-Scene.complete = staticmethod(complete)
-
-
-def check_sizes(scene: Scene) -> None:
+def check_sizes(scene: SceneLayout) -> None:
     """Raise InputError where the box, the times or the number of anything are beyond what can be counted."""
     domain = scene.domain
     require(len(domain.size) in (2, 3), "domain.size", "2 or 3 lengths in m", list(domain.size))
-    require(0.0 < domain.cell <= FARTHEST, "domain.cell", f"a positive length in m, up to {FARTHEST:g}", domain.cell)
     cells = [length / domain.cell for length in domain.size]
     fits = all(0.0 < length <= FARTHEST for length in domain.size) and all(map(whole, cells))
     expected = f"a positive whole number of cells of {domain.cell:g} m, up to {FARTHEST:g} m"
     require(fits, "domain.size", expected, list(domain.size))
     few = math.prod(cells) <= MOST_CELLS
     require(few, "domain.cell", f"a box of at most {MOST_CELLS} cells, so larger ones", f"{math.prod(cells):.3g}")
-    for key in ("frame_dt", "duration"):
-        time = getattr(scene, key)
-        require(0.0 < time <= FARTHEST, key, f"a positive time in s, up to {FARTHEST:g}", time)
     frames = scene.duration / scene.frame_dt
     few = frames <= MOST_FRAMES
     require(few, "frame_dt", f"at most {MOST_FRAMES} frames, so more time between them", f"{frames:.3g}")
     expected = f"a positive whole number of frames of {scene.frame_dt:g} s"
     require(whole(frames), "duration", expected, scene.duration)
-    most = f"an integer from 1 to {MOST_PER_AXIS}"
-    require(1 <= scene.particles_per_axis <= MOST_PER_AXIS, "particles_per_axis", most, scene.particles_per_axis)
     count = len(scene.masses) + len(scene.baffles) + len(scene.solids)
     require(count <= MOST_BODIES, "masses", f"at most {MOST_BODIES} masses, baffles and solids", count)
 
@@ -75,43 +67,25 @@ def whole(count: float) -> bool:
     return 0.5 <= count < MOST_CELLS and abs(count - round(count)) < 1e-6 * count
 
 
-def check(scene: Scene) -> None:
+def check(scene: SceneLayout) -> None:
     """Raise InputError for a scene that cannot be simulated: each key with what was expected of it."""
     domain, dimension = scene.domain, scene.dimension
-    for key in ("floor_friction", "wall_friction", "baffle_friction"):
-        check_friction(getattr(scene, key), key)
-    require(0.0 <= scene.gravity <= FARTHEST, "gravity", "an acceleration of at least 0 m/s^2", scene.gravity)
-    time = scene.relaxation_time
-    require(time is None or 0.0 <= time <= FARTHEST, "relaxation_time", "a time of at least 0 s", time)
-    require(scene.seed >= 0, "seed", "an integer of at least 0", scene.seed)
-    require(-90.0 < scene.slope_deg < 90.0, "slope_deg", "an angle in (-90, 90) degrees", scene.slope_deg)
-    require(0.0 <= scene.damping < 1.0, "damping", "a fraction in [0, 1)", scene.damping)
-    require(0.0 < scene.step_fraction <= 1.0, "step_fraction", "a fraction in (0, 1]", scene.step_fraction)
-    require(0.0 <= scene.jitter <= 1.0, "jitter", "a fraction in [0, 1]", scene.jitter)
     require(len(scene.masses) > 0, "masses", "at least one mass", "none")
     for key, box in keyed(scene, "masses", "baffles").items():
         for name in ("lower", "size"):
             if getattr(box, name) == ():
                 raise InputError("expected a value, the key is missing", key=f"{key}.{name}")
             check_vector(getattr(box, name), f"{key}.{name}", dimension)
-        positive = f"positive lengths in m, above {TOLERANCE:g}"
-        require(min(box.size) > TOLERANCE, f"{key}.size", positive, list(box.size))
         extents = zip(box.lower, box.size, domain.size, strict=True)
         inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
         got = f"{list(box.lower)} + {list(box.size)}"
         require(inside, key, f"a box inside the domain {list(domain.size)}", got)
     if scene.channel is not None:
         require(dimension == 2, "channel", "none in 3D, where the box or solids are the walls", "one")
-        require(0.0 < scene.channel.width <= FARTHEST, "channel.width", "a positive length in m", scene.channel.width)
-        angle = scene.channel.friction_deg
-        require(0.0 <= angle < 90.0, "channel.friction_deg", "an angle in [0, 90) degrees", angle)
     sides = DOMAIN_SIDES[: 2 * dimension]
     for index, side in enumerate(scene.open_sides):
         require(side in sides, f"open_sides[{index}]", f"one of {', '.join(sides)}", repr(side))
         require(side not in scene.open_sides[:index], f"open_sides[{index}]", "each side once", repr(side))
-    for key, baffle in keyed(scene, "baffles").items():
-        if baffle.friction is not None:
-            check_friction(baffle.friction, f"{key}.friction")
     for key, mass in keyed(scene, "masses").items():
         check_start(scene, mass, key)
     # Other shapes than boxes say so when they are filled.
@@ -126,14 +100,7 @@ def check(scene: Scene) -> None:
     check_overlaps(scene)
 
 
-def check_friction(friction: float | str, key: str) -> None:
-    """Raise InputError for what is no friction of a surface."""
-    ok = friction == ROUGH or (not isinstance(friction, str) and 0.0 <= friction <= FARTHEST)
-    got = repr(friction) if isinstance(friction, str) else friction
-    require(ok, key, f"a coefficient of at least 0 or '{ROUGH}'", got)
-
-
-def check_start(scene: Scene, mass: Mass, key: str) -> None:
+def check_start(scene: SceneLayout, mass: Mass, key: str) -> None:
     """Raise InputError for a mass that cannot begin as its velocities, its `k0` and its `release` ask."""
     dimension, velocity, turn = scene.dimension, mass.velocity, mass.angular_velocity
     k0, release = mass.k0, mass.release
@@ -146,24 +113,17 @@ def check_start(scene: Scene, mass: Mass, key: str) -> None:
         require(ok, f"{key}.angular_velocity", "a finite number in rad/s, in 3D that or 3 components", list(parts))
     box = release is None or mass.kind == "box"
     require(box, f"{key}.release", f"none of a {mass.kind}, which is no box", repr(release))
-    if isinstance(k0, str):
-        require(k0 == "elastic", f"{key}.k0", "a ratio of stresses or 'elastic'", repr(k0))
-    elif k0 is not None:
-        require(mass.kind in ("box", "layer"), f"{key}.k0", f"'elastic' of a {mass.kind}, no box and no layer", k0)
-        require(0.0 <= k0 <= FARTHEST, f"{key}.k0", "a ratio of at least 0", k0)
-    if mass.gate is not None:
-        held = release is not None
-        require(held, f"{key}.gate", "a release at which the gate begins to rise", "none")
-        require(mass.gate.speed > 0.0, f"{key}.gate.speed", "a positive speed in m/s", mass.gate.speed)
-        tau = mass.gate.time_constant
-        require(tau >= 0.0, f"{key}.gate.time_constant", "a time of at least 0 s", tau)
+    flat = mass.kind in ("box", "layer") or k0 is None or isinstance(k0, str)
+    require(flat, f"{key}.k0", f"'elastic' of a {mass.kind}, no box and no layer", k0)
+    held = release is not None or mass.gate is None
+    require(held, f"{key}.gate", "a release at which the gate begins to rise", "none")
     if release is not None:
         check_time(scene, release, f"{key}.release")
         still = not any(velocity or ())
         require(still, f"{key}.velocity", "a mass at rest behind its barriers", list(velocity or ()))
 
 
-def check_k0(scene: Scene) -> None:
+def check_k0(scene: SceneLayout) -> None:
     """Raise InputError for a ratio of stresses beyond active or passive yield (Rankine 1857), with cohesion Bell's:
 
         K_a - 2 (c / sigma_v) sqrt(K_a) <= K0 <= K_p + 2 (c / sigma_v) sqrt(K_p),    K_a = 1 / K_p = tan^2(45 - phi / 2)
@@ -172,7 +132,7 @@ def check_k0(scene: Scene) -> None:
     narrower of both. Where friction varies, phi is the least of the mass. Other laws: the MPM warns where no stress
     within yield has that ratio.
     """
-    from datasets.particles import height
+    from datasets.geometry.bodies import height
 
     for number, (key, mass) in enumerate(keyed(scene, "masses").items()):
         if mass.k0 is None or isinstance(mass.k0, str) or scene.gravity <= 0.0:
@@ -195,7 +155,7 @@ def check_k0(scene: Scene) -> None:
         require(inside, f"{key}.k0", f"a ratio within active and passive yield, {low:.3g} to {high:.3g}", mass.k0)
 
 
-def resting_load(scene: Scene, mass: Mass) -> float:
+def resting_load(scene: SceneLayout, mass: Mass) -> float:
     """Pressure [Pa] of the masses with a `k0` that are stacked on `mass`, at most, on its top."""
     level = [axis for axis in range(scene.dimension) if axis != 1]
     load, top = 0.0, mass.lower[1] + mass.size[1]
@@ -211,17 +171,16 @@ def resting_load(scene: Scene, mass: Mass) -> float:
     return load
 
 
-def check_time(scene: Scene, time: float | str, key: str) -> None:
+def check_time(scene: SceneLayout, time: float | str, key: str) -> None:
     """Raise InputError unless something can happen then: at the end of a frame before the last, or once settled."""
     if isinstance(time, str):
-        require(time == "settled", key, "a time in s or 'settled'", repr(time))
         return
     frames = time / scene.frame_dt
     require(whole(frames), key, f"a positive whole number of frames of {scene.frame_dt:g} s", time)
     require(round(frames) < scene.frames - 1, key, f"a time before the end at {scene.duration:g} s", time)
 
 
-def check_stages(scene: Scene) -> None:
+def check_stages(scene: SceneLayout) -> None:
     """Raise InputError for stages that are out of order, are for no mass or place, or make no material."""
     materials = {scene.material_of(mass) for mass in scene.masses}
     for index, (key, stage) in enumerate(keyed(scene, "stages").items()):
@@ -248,7 +207,7 @@ def check_stages(scene: Scene) -> None:
             raise InputError(error.message, key=error.key.replace("material", key, 1)) from None
 
 
-def check_fields(scene: Scene) -> None:
+def check_fields(scene: SceneLayout) -> None:
     """Raise InputError for fields that the particles of `scene` cannot have."""
     dimension, kinds = scene.dimension, (FRICTION, *VELOCITIES[: scene.dimension])
     for index, (key, field) in enumerate(keyed(scene, "fields").items()):
@@ -258,8 +217,6 @@ def check_fields(scene: Scene) -> None:
             require(count == dimension, f"{key}.{name}", f"{dimension} numbers", count)
         check_vector(field.origin, f"{key}.origin", dimension)
         check_vector(field.spacing, f"{key}.spacing", dimension)
-        require(min(field.spacing) > 0.0, f"{key}.spacing", "positive lengths in m", list(field.spacing))
-        require(min(field.nodes) > 0, f"{key}.nodes", "at least one along each axis", list(field.nodes))
         count = field.count
         require(len(field.values) == count, f"{key}.values", f"{count} numbers, one for each node", len(field.values))
         require(all(map(usual, field.values)), f"{key}.values", "finite numbers", "others")
@@ -282,20 +239,17 @@ def check_fields(scene: Scene) -> None:
             require(lowest >= smallest, f"{key}.values", message, lowest)
 
 
-def warn_if_unlikely(scene: Scene) -> None:
+def warn_if_unlikely(scene: SceneLayout) -> None:
     """One UserWarning for each number that looks like another unit's (radians, MPa, mm) and layer that the box cuts."""
-    from datasets.particles import height
+    from datasets.geometry.bodies import Plan, height
 
     layers = {key: mass for key, mass in keyed(scene, "masses").items() if mass.kind == "layer"}
-    if layers:
-        from datasets.geometry.bodies import Plan
-
-        for key, mass in layers.items():
-            lost = Plan(mass, scene.domain, key).lost
-            if lost > LOST:
-                warnings.warn(
-                    f"{key}: {lost:.2g} of the layer lies beyond the sides of the box and is left out", stacklevel=3
-                )
+    for key, mass in layers.items():
+        lost = Plan(mass, scene.domain, key).lost
+        if lost > LOST:
+            warnings.warn(
+                f"{key}: {lost:.2g} of the layer lies beyond the sides of the box and is left out", stacklevel=3
+            )
     own = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
     for key, material in {"material": scene.material, **own}.items():
         lines = []

@@ -23,12 +23,11 @@ from tabulate import tabulate
 from datasets import measures
 from datasets.command_line import run
 from datasets.errors import naming, require
-from datasets.exchange.vtk import Meshes
 from datasets.field import Floats
+from datasets.fields import FlowFields, Values, pairs
 from datasets.files import make_folder, replacing, write_json, write_text
-from datasets.trajectory import Trajectory, brackets, open_trajectory, trajectory_file
+from datasets.trajectory import Trajectory, open_trajectory, trajectory_file
 
-Fields = dict[str, NDArray[Any]]
 Figures = dict[str, Floats]
 
 MOMENTS = 60
@@ -40,8 +39,6 @@ APART = {"thickness": "thickness", "equal shares along x": "transport", "same pa
 """Root mean square distances of two flows [m], what they are called; nan where no particles are the same."""
 OVERLAP = "overlap"
 """What they have besides: `measures.overlap` in plan [-]."""
-CONSTANT = ("material", "friction_deg")
-"""Fields that do not change."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,53 +86,14 @@ class Comparison:
         return tabulate(rows, ["where they end", *self.labels, "difference"], "pipe", disable_numparse=True)
 
 
-def fields_at(meshes: Meshes, time: float) -> Fields:
-    """The `position` and all that is known of the particles at a time [s], shape [N] or [N, D] each.
-
-    Linear between frames; beyond them the first one's or the last one's.
-    """
-    flow = meshes.trajectory
-    (before,), (share,) = (each.tolist() for each in brackets(flow.time, np.array([time])))
-    first, second = (
-        {"position": np.asarray(flow.positions[frame])} | meshes.fields(frame) if weight > 0.0 else {}
-        for frame, weight in ((before, 1.0 - share), (before + 1, share))
-    )
-    if not first or not second:
-        return first or second
-    return {
-        key: first[key] if key in CONSTANT else (1.0 - share) * first[key] + share * second[key]
-        for key in first.keys() & second.keys()
-    }
-
-
-def pairs(one: Meshes, other: Meshes) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Indices into both flows of the particles that began at the same place: all P of the one that has fewer.
-
-    Of as many particles those of a number, no farther apart than neighbours are: another jitter is the same particle.
-    None where some have no such partner.
-    """
-    from scipy.spatial import cKDTree
-
-    few, many = sorted((one, other), key=lambda each: len(each.start))
-    own = nearest = np.arange(len(few.start))
-    if len(few.start) == len(many.start):
-        apart = float(np.linalg.norm(few.start - many.start, axis=1).max())
-    else:
-        distance, nearest = cKDTree(many.start).query(few.start)
-        apart = 2.0 * float(distance.max()) if len(np.unique(nearest)) == len(own) else np.inf
-    if not apart <= particle_spacing(many.trajectory):
-        return None
-    return (own, nearest) if few is one else (nearest, own)
-
-
-def figures_of(meshes: Meshes, fields: Fields) -> list[float]:
+def figures_of(flow: FlowFields, values: Values) -> list[float]:
     """The `FIGURES` of a flow whose particles have these fields."""
-    positions, velocity = fields["position"].astype(np.float64), fields.get("velocity")
-    volume = meshes.trajectory.volumes
-    mass = volume * np.array([each.density for each in meshes.materials])[meshes.material]
+    positions, velocity = values["position"].astype(np.float64), values.get("velocity")
+    volume = flow.trajectory.volumes
+    mass = volume * np.array([each.density for each in flow.materials])[flow.material]
     kinetic = math.nan if velocity is None else float(0.5 * mass @ np.sum(velocity.astype(np.float64) ** 2, axis=1))
-    potential = float(-mass @ (positions @ np.array(meshes.trajectory.scene.gravity_vector)))
-    raised = measures.above(positions, measures.ground_of(meshes.trajectory.scene))
+    potential = float(-mass @ (positions @ np.array(flow.trajectory.scene.gravity_vector)))
+    raised = measures.above(positions, measures.ground_of(flow.trajectory.scene))
     lengths = (measures.front(positions, volume), measures.runout(positions), measures.toe(positions)[0])
     return [*lengths, measures.mean_height(raised, volume), kinetic, potential]
 
@@ -152,7 +110,7 @@ class Columns:
     @staticmethod
     def of_flows(flows: Sequence[Trajectory]) -> "Columns":
         """Columns that divide the length along x."""
-        width = 2.0 * max(max(each.scene.domain.cell, particle_spacing(each)) for each in flows)
+        width = 2.0 * max(max(each.scene.domain.cell, FlowFields(each).spacing) for each in flows)
         plan = tuple(np.max([each.scene.domain.size[::2] for each in flows], axis=0).tolist())
         return Columns(plan[0] / max(2, round(plan[0] / width)), plan)
 
@@ -164,17 +122,12 @@ class Columns:
     def thickness(self, flow: Trajectory, positions: NDArray[Any]) -> Floats:
         """Of a flow whose particles are at `positions` [m], shape [S], in 3D [S, Z]."""
         raised = measures.above(positions, measures.ground_of(flow.scene))
-        return measures.thickness(raised, particle_spacing(flow), self.width, self.plan)
+        return measures.thickness(raised, FlowFields(flow).spacing, self.width, self.plan)
 
 
 def along(thickness: Floats) -> Floats:
     """The thickness [m] along x, in 3D its mean across the box, shape [S]."""
     return thickness if thickness.ndim == 1 else np.asarray(thickness.mean(axis=1), np.float64)
-
-
-def particle_spacing(flow: Trajectory) -> float:
-    """Between neighbours at the start [m]."""
-    return measures.particle_spacing(flow.volumes, flow.scene.dimension)
 
 
 def evenly(time: Floats, most: int = MOMENTS) -> Floats:
@@ -192,18 +145,18 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     """
     dimension, its = one.scene.dimension, other.scene.dimension
     require(dimension == its, "", f"a {dimension}D flow to compare with one", f"{its}D")
-    meshes, columns = (Meshes(one), Meshes(other)), Columns.of_flows((one, other))
-    same = pairs(*meshes)
+    both, columns = (FlowFields(one), FlowFields(other)), Columns.of_flows((one, other))
+    same = pairs(*both)
     end = float(other.time[-1]) * (1.0 + 1e-9)
     # A first flow that begins after the end of the second has one moment.
     time = evenly(one.time[: max(1, int(np.searchsorted(one.time, end)))])
     ends = (float(one.time[-1]), float(other.time[-1]))
     rows: tuple[list[list[float]], ...] = ([], [], [])
     for at in [*((moment, moment) for moment in time.tolist()), ends]:
-        fields = [fields_at(each, moment) for each, moment in zip(meshes, at, strict=True)]
-        first, second = (each["position"] for each in fields)
+        values = [each.at_time(moment) for each, moment in zip(both, at, strict=True)]
+        first, second = (each["position"] for each in values)
         heights = (columns.thickness(one, first), columns.thickness(other, second))
-        for own, each, known in zip(rows, meshes, fields, strict=False):
+        for own, each, known in zip(rows, both, values, strict=False):
             own.append(figures_of(each, known))
         thickness = measures.thickness_apart(*heights)
         transport = measures.transport_distance(first, one.volumes, second, other.volumes)

@@ -8,12 +8,12 @@ with h the spacing of the grid, and x outside of the grid moved to its edge.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.records import Record
+from datasets.records import Bounds, Record
 
 Floats = NDArray[np.float64]
 
@@ -27,9 +27,9 @@ class Grid:
 
     origin: tuple[float, ...]
     """The node with the smallest coordinates [m]."""
-    spacing: tuple[float, ...]
+    spacing: Annotated[tuple[float, ...], Bounds("positive lengths in m", gt=0.0)]
     """Distance between neighbours along each axis [m]."""
-    nodes: tuple[int, ...]
+    nodes: Annotated[tuple[int, ...], Bounds("at least one along each axis", gt=0)]
     """How many along each axis."""
 
     @property

@@ -15,7 +15,6 @@ the mean over the depth.
 import json
 import math
 import sys
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,9 +26,9 @@ from shapely.geometry.polygon import orient
 from tqdm import tqdm
 
 from datasets.command_line import run
-from datasets.errors import InputError, WorkFailed, require
-from datasets.exchange.vtk import Meshes
+from datasets.errors import InputError, require
 from datasets.field import Floats, Grid
+from datasets.fields import FlowFields
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.geometry.placement import tops_beneath
 from datasets.geometry.surface import surface_of
@@ -93,10 +92,9 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     cells that are finer than the particles, or longer than a side of the box. They lie where the first raster of the
     scene's terrain that knows says.
     """
-    scene, meshes, volumes = trajectory.scene, Meshes(trajectory), trajectory.volumes
+    scene, fields, volumes = trajectory.scene, FlowFields(trajectory), trajectory.volumes
     if threshold is None:
-        spacing = float(np.mean(volumes) ** (1.0 / scene.dimension))
-        threshold = min(spacing, 0.5 * min(least_thickness(mass) for mass in scene.masses))
+        threshold = min(fields.spacing, 0.5 * min(least_thickness(mass) for mass in scene.masses))
     require(threshold > 0.0, "--threshold", "a thickness above 0 m", f"{threshold:g}")
     if scene.dimension == 2:
         raise InputError("expected a trajectory in 3D, a flow in 2D has no plan")
@@ -106,7 +104,7 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     grid = Grid((0.5 * cell,) * 2, (cell,) * 2, tuple(math.ceil(side / cell - 1.0e-6) for side in sides))
     depth, fastest, start = np.zeros(grid.nodes), None, None
     for frame in tqdm(range(len(trajectory.time)), desc="maps", unit="frame", disable=not progress):
-        positions, velocity = trajectory.positions[frame], meshes.velocity(frame)
+        positions, velocity = trajectory.positions[frame], fields.velocity(frame)
         share = positions / np.array(scene.domain.size)
         inside = ((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1)
         spread = grid.weights(positions[inside][:, ::2].astype(np.float64)).T
@@ -156,32 +154,6 @@ def ground(scene: Scene, grid: Grid) -> Floats:
     return tops_beneath(surface, np.insert(plan, 1, np.inf, axis=1), 0.0).reshape(grid.nodes)
 
 
-def write_raster(path: Path, maps: PlanMaps, values: Floats, name: str, unit: str) -> None:
-    """Write one of `maps`, shape [X, Z], as a GeoTIFF.
-
-    Rows run from the north (large z) to the south, columns to the east (x). Raises WorkFailed.
-    """
-    import rasterio
-    from rasterio.errors import RasterioError
-
-    rows = np.ascontiguousarray(values.T[::-1], np.float32)
-    (height, width), (east, north) = rows.shape, maps.corner
-    profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}
-    # To the east along a row, to the south from row to row.
-    transform = rasterio.Affine(maps.cell, 0.0, east, 0.0, -maps.cell, north + height * maps.cell)
-    try:
-        with warnings.catch_warnings(), replacing(path) as part:
-            # A box in its own coordinates has no reference system, which is no mistake.
-            warnings.simplefilter("ignore")
-            place: dict[str, Any] = {"width": width, "height": height, "transform": transform, "crs": maps.crs}
-            with rasterio.open(part, "w", **profile, **place) as raster:
-                raster.write(rows, 1)
-                raster.set_band_description(1, name)
-                raster.set_band_unit(1, unit)
-    except RasterioError as error:
-        raise WorkFailed(f"{path.name} could not be written: {error}") from None
-
-
 def outline(maps: PlanMaps, values: Floats) -> MultiPolygon:
     """Where one of `maps`, shape [X, Z], exceeds their threshold: polygons with holes, in the maps' coordinates.
 
@@ -205,7 +177,7 @@ def write_outlines(path: Path, maps: PlanMaps, outlines: dict[str, MultiPolygon]
 
     Coordinates are those of the rasters, their system is named as GDAL does (`crs`); local ones name none.
     """
-    from rasterio.crs import CRS
+    from datasets.exchange.rasters import name_in_geojson
 
     features = [
         {
@@ -217,9 +189,7 @@ def write_outlines(path: Path, maps: PlanMaps, outlines: dict[str, MultiPolygon]
     ]
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if maps.crs is not None:
-        known = CRS.from_user_input(maps.crs).to_authority()
-        name = maps.crs if known is None else f"urn:ogc:def:crs:{known[0]}::{known[1]}"
-        collection["crs"] = {"type": "name", "properties": {"name": name}}
+        collection["crs"] = {"type": "name", "properties": {"name": name_in_geojson(maps.crs)}}
     write_text(path, json.dumps(collection) + "\n")
 
 
@@ -252,12 +222,14 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path) -> dict[str, Any
 
     Raises WorkFailed.
     """
+    from datasets.exchange.rasters import write_raster
+
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
     outlines = {name: outline(maps, values) for name, values in shown.items() if values is not None}
     found = {name: getattr(maps, name) for name in KINDS}
     for name, values in found.items():
         if values is not None:
-            write_raster(folder / f"{name}.tif", maps, values, *KINDS[name][:2])
+            write_raster(folder / f"{name}.tif", values, maps.cell, maps.corner, maps.crs, *KINDS[name][:2])
     draw_maps(folder / "maps.png", maps)
     write_outlines(folder / "outline.geojson", maps, outlines)
     # Single particles that rolled on are islands of their own.

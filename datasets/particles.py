@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.field import FRICTION
-from datasets.geometry.bodies import filling, lattice_of
+from datasets.geometry.bodies import filling, height, lattice_of
 from datasets.material import Material
 from datasets.memory import require
 from datasets.scene import TOLERANCE, Mass, Scene, keyed
@@ -164,13 +164,6 @@ def observed_cohesion(
         if scene.material_of(each).strength_gradient > 0.0:
             depths[mass == index] = depth(scene, each, np.asarray(positions[mass == index], np.float64))
     return cohesions([scene.material_of(each) for each in scene.masses], mass, depths)
-
-
-def height(scene: Scene, mass: Mass) -> float:
-    """Of the material of `mass` over one place in plan, at most [m]: of a layer its largest thickness."""
-    if mass.kind == "box":
-        return mass.size[1]
-    return float(np.max(mass.thickness or 0.0)) if mass.kind == "layer" else filling(scene, mass).height
 
 
 def scene_height(scene: Scene) -> float:

@@ -1,26 +1,76 @@
-"""Tables of TOML or JSON into frozen dataclasses: an unknown key or a wrong type is an error that names it."""
+"""Tables of TOML or JSON into frozen dataclasses: an unknown key, a wrong type or a number out of bounds is one error.
+
+pydantic checks keys and types of a file; bounds hold for records made in Python too, which check them themselves.
+"""
 
 import difflib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from datasets.errors import InputError, OutOfRange
+from datasets.errors import InputError, OutOfRange, require
 from datasets.files import line_of
 
 T = TypeVar("T")
 TYPES = ("float", "str")
 """Names of types in the path of an error at a key that takes either."""
+FARTHEST = 1.0e9
+"""Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a number, or each of a vector, may be, in words and as pydantic names it; stands beside the type of a key.
+
+    jitter: Annotated[float, Bounds("a fraction in [0, 1]", ge=0.0, le=1.0)] = 0.8
+    """
+
+    expected: str
+    gt: float = -math.inf
+    ge: float = -FARTHEST
+    lt: float = math.inf
+    le: float = FARTHEST
+    words: tuple[str, ...] = ()
+    """What may stand in place of a number."""
+
+    def hold(self, value: Any) -> bool:
+        """Whether a value, where there is one, is within them."""
+        if isinstance(value, tuple):
+            return all(map(self.hold, value))
+        if isinstance(value, str):
+            return value in self.words
+        return value is None or (self.gt < value < self.lt and self.ge <= value <= self.le)
+
+
+@cache
+def bounds_of(kind: type) -> dict[str, Bounds]:
+    """The bounds that stand beside the types of a dataclass, by key."""
+
+    def within(hint: Any) -> Iterator[Bounds]:
+        yield from (each for each in getattr(hint, "__metadata__", ()) if isinstance(each, Bounds))
+        for part in get_args(hint):
+            yield from within(part)
+
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: bounds for name, hint in hints.items() for bounds in within(hint)}
 
 
 class Record:
     """Base of every dataclass that is read from a file: no unknown keys, no silent conversions, no inf or nan."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    def __post_init__(self) -> None:
+        kind: Any = type(self)
+        for key, bounds in bounds_of(kind).items():
+            value = getattr(self, key)
+            got = repr(value) if isinstance(value, str) else list(value) if isinstance(value, tuple) else value
+            require(bounds.hold(value), key, bounds.expected, got)
 
 
 # Building one costs a hundred times as much as a validation with it.

@@ -2,226 +2,29 @@
 
 import dataclasses
 import json
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from datasets.field import Field
+from datasets.checks import checked
 from datasets.files import json_object
-from datasets.material import Material
-from datasets.records import Record, from_mapping
-
-Vector = tuple[float, ...]
-Rows = tuple[Vector, ...]
-Triangles = tuple[tuple[int, int, int], ...]
-
-TOLERANCE = 1.0e-9
-"""Slack [m] in comparisons of lengths that a user wrote in decimals."""
-DOMAIN_SIDES = ("x-", "x+", "y-", "y+", "z-", "z+")
-"""The sides of the box; y- is the floor."""
-RELAXATION = 0.5
-"""Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness, step (docs/stability.md)."""
-ROUGH = "rough"
-"""Friction of a surface as rough as the grains: nothing slides on it, the material shears above it."""
-NO_SLIP = 1.0e9
-"""Coulomb coefficient that stands for it: times no pressure it is none."""
-
-
-def coefficient(friction: float | str, rough: float = NO_SLIP) -> float:
-    """Coulomb coefficient [-] of a surface: a number as it is, `rough` where it is as rough as the grains."""
-    return rough if isinstance(friction, str) else friction
+from datasets.parts import DOMAIN_SIDES as DOMAIN_SIDES
+from datasets.parts import NO_SLIP as NO_SLIP
+from datasets.parts import ROUGH as ROUGH
+from datasets.parts import TOLERANCE as TOLERANCE
+from datasets.parts import Baffle as Baffle
+from datasets.parts import Channel as Channel
+from datasets.parts import Domain as Domain
+from datasets.parts import Gate as Gate
+from datasets.parts import Mass as Mass
+from datasets.parts import SceneLayout
+from datasets.parts import Solid as Solid
+from datasets.parts import Stage as Stage
+from datasets.parts import coefficient as coefficient
+from datasets.parts import keyed as keyed
+from datasets.records import from_mapping
 
 
 @dataclass(frozen=True, kw_only=True)
-class Domain(Record):
-    """The rigid box [0, size] and the background grid in it; y, the second axis, points up."""
-
-    size: Vector
-    """Extent in x, y and, in 3D, z [m]; a whole number of cells."""
-    cell: float
-    """Edge of a grid cell [m]."""
-
-    @property
-    def dimension(self) -> int:
-        """2 or 3."""
-        return len(self.size)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gate(Record):
-    """How the barriers of a mass rise from its release on, with the speed v (1 - exp(-t / tau)) after the time t."""
-
-    speed: float
-    """v [m/s], in the end."""
-    time_constant: float = 0.0
-    """tau [s]; 0: v from the start."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mass(Record):
-    """A body of material at the start; which keys give its shape depends on its kind (`datasets.geometry.shapes`).
-
-    For example:
-
-        Mass(lower=(0.0, 0.0), size=(0.2, 0.4), velocity=(1.0, 0.0))
-        Mass(kind="polygon", vertices=((0.0, 0.0), (0.3, 0.0), (0.0, 0.3)))
-    """
-
-    kind: str = "box"
-    """`box`, `polygon` (2D), `mesh` (3D) or `layer` (on the ground: terrain, else the floor)."""
-    lower: Vector = ()
-    """Lower corner of the box [m]; of other kinds that of the box around them, which a scene works out."""
-    size: Vector = ()
-    """Extent of that box [m]."""
-    vertices: Rows | None = None
-    """Corners of a simple polygon in either orientation, or of the triangles of a mesh [m], shape [V, D]."""
-    triangles: Triangles | None = None
-    """The three vertices of each triangle of a mesh, counted from 0; closed, in either orientation."""
-    thickness: float | Rows | None = None
-    """Of a layer, vertically [m]: a number; in 3D that or rows along x of columns along z."""
-    origin: Vector | None = None
-    """x and z of the first thickness in 3D [m]."""
-    spacing: Vector | None = None
-    """Distance between thicknesses along x and z [m]."""
-    outline: Rows | None = None
-    """Where a layer lies in plan: corners x, z of a polygon, in 2D two x [m]; everywhere where absent."""
-    velocity: Vector | None = None
-    """Initial velocity [m/s]; at rest where absent."""
-    angular_velocity: float | Vector | None = None
-    """Initial angular velocity about the centre of the box [rad/s]: a number about z, positive from x to y, or in 3D a
-    vector; the velocity at x is then velocity + angular_velocity x (x - centre)."""
-    material: Material | None = None
-    """Its own material; the scene's where absent."""
-    k0: float | str | None = None
-    """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic". Where absent none, of a
-    flat mass on inclined ground that of an infinite slope (`mpm.initial.slope`)."""
-    release: float | str | None = None
-    """Time [s] until which smooth vertical barriers hold its sides, or "settled"; free from the start where absent."""
-    gate: Gate | None = None
-    """How these barriers then rise; they are gone at once where absent."""
-
-    @property
-    def spin(self) -> NDArray[np.float64]:
-        """Initial velocity gradient W [1/s], shape [D, D]: W r = omega x r."""
-        given = self.angular_velocity or 0.0
-        x, y, z = (0.0, 0.0, given) if isinstance(given, float | int) else given
-        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[: len(self.size), : len(self.size)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Baffle(Record):
-    """A fixed rigid box in the way of the flow."""
-
-    lower: Vector
-    """Lower corner [m]."""
-    size: Vector
-    """Extent [m]."""
-    turned_deg: float = 0.0
-    """Turn about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
-    friction: float | str | None = None
-    """Coulomb coefficient of its faces [-], or "rough"; the scene's `baffle_friction` where absent."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Channel(Record):
-    """Two vertical walls along x between which a scene in 2D flows; their friction acts on its whole depth.
-
-    Per volume of the material -2 tan(friction) (-sigma_zz) v / (width |v|), with its own pressure across the plane.
-    """
-
-    width: float
-    """Distance between the walls [m]."""
-    friction_deg: float
-    """Angle of friction of the walls [deg], in [0, 90); its tangent is Coulomb's coefficient."""
-
-    @property
-    def grip(self) -> float:
-        """Friction per volume over the pressure on the walls [1/m]."""
-        return 2.0 * math.tan(math.radians(self.friction_deg)) / self.width
-
-
-@dataclass(frozen=True, kw_only=True)
-class Solid(Record):
-    """A fixed rigid body; which keys give its shape depends on its kind (`datasets.geometry.shapes`).
-
-    For example:
-
-        Solid(kind="polygon", vertices=((0.5, 0.0), (0.9, 0.0), (0.7, 0.2)), friction=0.4)
-        Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.0), (2.0, 0.0)))  # solid below this line
-    """
-
-    name: str | None = None
-    """What it is called in records; `solids[I]` where absent."""
-    kind: str = "box"
-    """`box`, `polygon` (2D), `terrain` (solid below a line or a surface) or `mesh` (3D)."""
-    lower: Vector | None = None
-    """Lower corner of a box before it is turned [m]."""
-    size: Vector | None = None
-    """Extent of a box [m]."""
-    turned_deg: float = 0.0
-    """Turn of a box about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
-    vertices: Rows | None = None
-    """Corners of a simple polygon in either orientation, or of the triangles of a mesh [m], shape [V, D]."""
-    triangles: Triangles | None = None
-    """The three vertices of each triangle of a mesh, counted from 0; closed, in either orientation."""
-    points: Rows | None = None
-    """Ground line of a terrain in 2D from small to large x [m], shape [P, 2]."""
-    origin: Vector | None = None
-    """x and z of the first height of a terrain in 3D [m]."""
-    spacing: Vector | None = None
-    """Distance between its heights along x and z [m]."""
-    heights: Rows | None = None
-    """Elevation y of a terrain in 3D [m], linear on triangles: rows along x of columns along z, shape [X, Z]."""
-    corner: Vector | None = None
-    """Easting and northing of x = 0, z = 0 in the coordinates of the raster that a terrain in 3D came from [m]."""
-    crs: str | None = None
-    """Reference system of these coordinates, as an authority's code or in WKT, where the raster named one."""
-    friction: float | Vector | Rows = 0.0
-    """Coulomb coefficient [-]: a number, or one per vertex, point or height, linear between them."""
-    contact: str = "coulomb"
-    """`coulomb` or `no-slip`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stage(Record):
-    """What the material of some particles becomes at a time: it stands first, then it loses its strength.
-
-    For example:
-
-        Stage(time="settled", cohesion=0.0)
-        Stage(time=2.0, mass=1, outline=((4.0,), (6.0,)), friction_deg=18.0)  # 2D: from x = 4 to 6 m
-    """
-
-    time: float | str
-    """When it begins [s], or "settled": when nothing moves any more since the stage before."""
-    mass: int | None = None
-    """Index of the one mass whose particles it is for; all where absent."""
-    lower: Vector | None = None
-    """Lower corner of a box [m]: it is for particles that began in it."""
-    size: Vector | None = None
-    """Extent of this box [m]."""
-    outline: Rows | None = None
-    """The same in plan: corners x, z of a polygon, in 2D two x [m]."""
-    friction_deg: float | None = None
-    """From then on the material's; as it was where absent, and so the others."""
-    dilation_deg: float | None = None
-    cohesion: float | None = None
-    strength_gradient: float | None = None
-    tension_cutoff: float | None = None
-
-    @property
-    def values(self) -> dict[str, Any]:
-        """The constants that it changes."""
-        names = ("friction_deg", "dilation_deg", "cohesion", "strength_gradient", "tension_cutoff")
-        return {name: value for name in names if (value := getattr(self, name)) is not None}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scene(Record):
+class Scene(SceneLayout):
     """Domain, material, masses, baffles and the simulated time; InputError where it cannot be simulated.
 
     For example:
@@ -231,104 +34,9 @@ class Scene(Record):
         looser = dataclasses.replace(scene, material=Material(friction_deg=25.0))
     """
 
-    domain: Domain
-    material: Material
-    """The material of every mass that brings none of its own."""
-    masses: tuple[Mass, ...]
-    fields: tuple[Field, ...] = ()
-    """What varies over the particles at the start: friction, velocities (`datasets.field`)."""
-    stages: tuple[Stage, ...] = ()
-    """When material changes, one after the other."""
-    baffles: tuple[Baffle, ...] = ()
-    solids: tuple[Solid, ...] = ()
-    """Other fixed rigid bodies: boxes, polygons, terrain, meshes."""
-    channel: Channel | None = None
-    """Side walls of a scene in 2D; none where absent."""
-    open_sides: tuple[str, ...] = ()
-    """Sides of the box that let material out, of "x-", "x+", "y-", "y+", "z-" and "z+"."""
-    duration: float = 1.0
-    """Simulated time [s], a whole number of frames."""
-    frame_dt: float = 0.0025
-    """Time between two frames [s]."""
-    gravity: float = 9.81
-    """Gravitational acceleration [m/s^2]."""
-    slope_deg: float = 0.0
-    """Inclination of the floor [deg], in (-90, 90): downhill is +x; the box is drawn level, gravity tilts instead."""
-    floor_friction: float | str = 0.0
-    """Coulomb coefficient of the floor y = 0 [-], or "rough": as rough as the grains, which then do not slide on it."""
-    wall_friction: float | str = 0.0
-    """Coulomb coefficient of every other wall of the box [-], or "rough"."""
-    baffle_friction: float | str = 0.0
-    """Coulomb coefficient of the faces of every baffle that names none of its own [-], or "rough"."""
-    damping: float = 0.0
-    """Local (Cundall) damping [-], in [0, 1): the part of a node's force that always opposes its motion; 0 is off."""
-    relaxation_time: float | None = None
-    """Time [s] in which the part of a particle's velocity that the grid cannot represent decays.
-
-    Half of sqrt(cell / gravity) where absent, so that flows of any size decay alike; 0 loses it in every step (APIC).
-    """
-    volume_correction: bool | None = None
-    """Whether sand that has come apart closes its gaps before it bears anything again.
-
-    Where absent, if a body is in flight at the start: a cell or more above what is beneath it, or thrown up by a cell.
-    Sand that has bounced would else stay as loose as it flew (docs/stability.md).
-    """
-    step_fraction: float = 0.4
-    """Time step as a fraction of cell / (pressure-wave speed), in (0, 1]."""
-    particles_per_axis: int = 2
-    """Particles per cell along one axis: 2 gives 4 particles per cell in 2D, 8 in 3D."""
-    jitter: float = 0.8
-    """Random displacement of a particle at the start, as a fraction of its share of the cell, in [0, 1]."""
-    seed: int = 0
-    """Seed of that displacement."""
-
-    complete: ClassVar[Callable[["Scene"], None]]
-    """Checks a new scene and works out the boxes around its masses; `datasets.checks` puts it here."""
-
     def __post_init__(self) -> None:
-        Scene.complete(self)
-
-    @property
-    def dimension(self) -> int:
-        """2 or 3."""
-        return len(self.domain.size)
-
-    @property
-    def relaxation(self) -> float:
-        """The relaxation time [s]: as given, or in proportion to that of a fall through a cell; inf without gravity."""
-        if self.relaxation_time is not None:
-            return self.relaxation_time
-        return RELAXATION * math.sqrt(self.domain.cell / self.gravity) if self.gravity > 0.0 else math.inf
-
-    @property
-    def frames(self) -> int:
-        """Number of frames, the initial state included."""
-        return round(self.duration / self.frame_dt) + 1
-
-    @property
-    def particle_spacing(self) -> float:
-        """Nominal distance between neighbouring particles at the start [m]."""
-        return self.domain.cell / self.particles_per_axis
-
-    @property
-    def particle_volume(self) -> float:
-        """Nominal volume of a particle [m^D], of a lattice that fits; `datasets.particles` has those of each mass."""
-        return self.particle_spacing**self.dimension
-
-    @property
-    def gravity_vector(self) -> Vector:
-        """Gravitational acceleration in the axes of the box [m/s^2]."""
-        slope = math.radians(self.slope_deg)
-        along, down = self.gravity * math.sin(slope), -self.gravity * math.cos(slope)
-        return (along, down) if self.dimension == 2 else (along, down, 0.0)
-
-    def material_of(self, mass: Mass) -> Material:
-        """The material that `mass` is made of."""
-        return mass.material or self.material
-
-    def friction_of(self, baffle: Baffle) -> float | str:
-        """Friction of the faces of `baffle`: its own, else that of all baffles."""
-        return self.baffle_friction if baffle.friction is None else baffle.friction
+        super().__post_init__()
+        object.__setattr__(self, "masses", checked(self).masses)
 
     def with_cell(self, cell: float) -> "Scene":
         """The scene on cells of another size [m]. Raises InputError unless the box is a whole number of them."""
@@ -346,8 +54,3 @@ class Scene(Record):
     def from_json(text: str) -> "Scene":
         """Read what `to_json` wrote. Raises InputError."""
         return from_mapping(Scene, json_object(text, "scene"))
-
-
-def keyed(scene: Scene, *groups: str) -> dict[str, Any]:
-    """The members of groups such as `masses` by their keys in the scene, such as `masses[0]`."""
-    return {f"{group}[{index}]": each for group in groups for index, each in enumerate(getattr(scene, group))}

@@ -4,7 +4,6 @@ import json
 import webbrowser
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -127,8 +126,10 @@ class Trajectory:
         other: a flow to draw over this one. Returns the page's path. Raises InputError.
         """
         page = Path(mkdtemp(prefix="talus-")) / "flow.html" if path is None else Path(path)
-        # By name: what draws imports this module.
-        import_module("datasets.exchange.view").write_view(page, self, other)
+        # The one place where a module imports what stands above it, late: what draws imports this module.
+        from datasets.exchange.view import write_view
+
+        write_view(page, self, other)
         if path is None:
             webbrowser.open(page.as_uri())
         return page

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from datasets.geometry.bodies import height
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
-from datasets.particles import height
 from datasets.scene import Scene, coefficient
 from gns.settings import ModelSettings
 from gns.units import Units

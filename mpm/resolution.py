@@ -23,8 +23,9 @@ import numpy as np
 
 from datasets.errors import InputError
 from datasets.files import read_toml
+from datasets.geometry.bodies import height
 from datasets.geometry.placement import connected, corners
-from datasets.particles import height, particle_count
+from datasets.particles import particle_count
 from datasets.records import Record, fraction, from_mapping
 from datasets.scene import TOLERANCE, Domain, Scene
 from mpm.arrays.layout import Precision

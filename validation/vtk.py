@@ -43,7 +43,8 @@ def command(
     rate
         Frames of the movie a second.
     """
-    from datasets.exchange.vtk import SERIES, Colour, frames_of, write_vtk
+    from datasets.exchange.vtk import SERIES, frames_of, write_vtk
+    from datasets.fields import Colour
     from validation.report.rendering import require, write_movie, write_picture
 
     for key, number in (("--frames", frames), ("--rate", rate)):

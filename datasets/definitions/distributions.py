@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from datasets.definitions.definition import Definition, Split
 from datasets.errors import InputError, OutOfRange, naming, require
 from datasets.files import read_toml
 from datasets.library import scene_from
-from datasets.records import Record, dotted, from_mapping
+from datasets.records import Bounds, Record, dotted, from_mapping
 from datasets.scene import TOLERANCE, Scene, keyed
 
 Key = tuple[int | str, ...]
@@ -49,17 +49,12 @@ class DefinitionFile(Record):
     """A scene (`datasets.scene`), numbers of which may be distributions; masses and baffles may have a `count`."""
     variables: dict[str, Any] = field(default_factory=dict)
     """Values that more than one key of a scene depends on."""
-    count: int = 100
+    count: Annotated[int, Bounds(f"at least 1, at most {MOST_SCENES} scenes", ge=1, le=MOST_SCENES)] = 100
     """Number of scenes in the whole dataset."""
-    split_period: int = 10
+    split_period: Annotated[int, Bounds("at least 3", ge=3)] = 10
     """Of so many scenes, the second is for validation and the third for the test."""
-    baffle_gap: float = 0.0
+    baffle_gap: Annotated[float, Bounds("a length of at least 0 m", ge=0.0)] = 0.0
     """Least distance of a baffle from other baffles and from masses along some axis [m]."""
-
-    def __post_init__(self) -> None:
-        require(self.count <= MOST_SCENES, "count", f"at most {MOST_SCENES} scenes", self.count)
-        for key, minimum in (("count", 1), ("split_period", 3), ("baffle_gap", 0.0)):
-            require(getattr(self, key) >= minimum, key, f"at least {minimum}", getattr(self, key))
 
 
 def definition_from_file(path: Path) -> Definition:

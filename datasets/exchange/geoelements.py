@@ -3,10 +3,7 @@
 What stands in their files: docs/exchange.md. Older ones, all of one array `gns_data`, are read as a whole.
 """
 
-import io
-import math
 import pickle
-import pickletools
 import zipfile
 from collections.abc import Iterable, Iterator
 from enum import IntEnum
@@ -31,6 +28,14 @@ STEEPEST = 1.0e3
 """A tan(phi) beyond this is none."""
 Sand = tuple[NDArray[np.floating], NDArray[Any] | None]
 """Positions [m], shape [T, N, D], and tan(phi), shape [N], or None where the file does not say."""
+NAMES = {
+    "numpy.dtype",
+    "numpy.ndarray",
+    "numpy._core.multiarray._reconstruct",
+    "numpy._core.multiarray.scalar",
+    "_codecs.encode",
+}
+"""What pickled arrays of numbers, and of objects that are such arrays, call."""
 EARLIEST = (1980, 1, 1, 0, 0, 0)
 """The date of every member: the same trajectories give the same bytes."""
 
@@ -79,10 +84,10 @@ def read(path: Path) -> Iterator[tuple[str, Sand]]:
     One is in memory at a time unless they are one array. Raises InputError, which names the file and the trajectory.
     """
     with open_npz(path, "a whole NPZ") as archive:
-        whole = read_member(archive, ALL, WHAT, unpickled) if ALL in keys(archive) else None
+        whole = read_member(archive, ALL, WHAT, ArrayUnpickler) if ALL in keys(archive) else None
         names = keys(archive) if whole is None else [f"{index:05d}" for index in range(len(whole))]
         for index, name in enumerate(names):
-            parts = read_member(archive, name, WHAT, unpickled) if whole is None else whole[index]
+            parts = read_member(archive, name, WHAT, ArrayUnpickler) if whole is None else whole[index]
             with reading(path, WHAT, name):
                 positions, types, material = (*parts, None)[:3]
                 sand = checked(positions, types, material)
@@ -126,15 +131,6 @@ def checked(positions: Any, types: Any, material: Any) -> Sand:
     return positions[:, sand], np.broadcast_to(values[sand] if values.shape == sand.shape else values, moving)
 
 
-def unpickled(content: bytes) -> Any:
-    """What a pickle of arrays holds, without executing anything. Raises InputError and whatever `pickle` does."""
-    for opcode, argument, _ in pickletools.genops(content):
-        # The unpickler makes room for as many values as a number in the file says.
-        if "PUT" in opcode.name and int(argument or 0) > len(content):
-            raise InputError("expected arrays and nothing else, found more values than bytes")
-    return ArrayUnpickler(io.BytesIO(content)).load()
-
-
 class ArrayUnpickler(pickle.Unpickler):
     """The object arrays of other codes: five names of NumPy's are looked up and no others, so no other is called.
 
@@ -143,34 +139,7 @@ class ArrayUnpickler(pickle.Unpickler):
 
     def find_class(self, module: str, name: str) -> Any:
         """What a name stands for here. Raises InputError."""
-        match module, name:
-            case "numpy", "dtype":
-                return plain_dtype
-            case "numpy", "ndarray":
-                return PickledArray
-            case "_codecs", "encode":
-                return super().find_class(module, name)
-            case "numpy.core.multiarray" | "numpy._core.multiarray", "_reconstruct":
-                # Its shape is that of its state, which is held against what is there.
-                return lambda *_: np.ndarray.__new__(PickledArray, (0,))
-            case "numpy.core.multiarray" | "numpy._core.multiarray", "scalar":
-                return super().find_class("numpy._core.multiarray", name)
-        raise InputError(f"expected arrays and nothing else, found the name {f'{module}.{name}'[:80]!r}")
-
-
-class PickledArray(np.ndarray[Any, Any]):
-    """An array that takes the state of no more elements than its pickle brings."""
-
-    def __setstate__(self, state: Any) -> None:
-        _, shape, dtype, _, content = state
-        if math.prod(shape) * (1 if dtype.hasobject else dtype.itemsize) != len(content):
-            raise InputError("expected arrays and nothing else, found one whose shape does not match its content")
-        super().__setstate__(state)
-
-
-def plain_dtype(code: str, *_: Any) -> np.dtype[Any]:
-    """A new dtype of numbers or of objects, whose byte order its state may set. Raises InputError."""
-    dtype = np.dtype(code)
-    if dtype.kind not in "biufO":
-        raise InputError(f"expected arrays and nothing else, found the dtype {code!r}")
-    return np.dtype(code, False, True)
+        module = module.replace("numpy.core.", "numpy._core.")
+        if f"{module}.{name}" not in NAMES:
+            raise InputError(f"expected arrays and nothing else, found the name {f'{module}.{name}'[:80]!r}")
+        return super().find_class(module, name)

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import measures
-from datasets.compare import Columns, Fields, along, evenly, fields_at, pairs
+from datasets.compare import Columns, along, evenly
 from datasets.errors import require
-from datasets.exchange.vtk import FIELDS, RANGE_QUANTILE, Colour, Field, Meshes, extent
+from datasets.exchange.vtk import extent
+from datasets.fields import RANGE_QUANTILE, SCALES, Colour, ColourScale, FlowFields, Values, pairs
 from datasets.files import finite, write_text
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.surface import closed_body, solids_of
@@ -34,8 +35,8 @@ NODES = 150
 """Of the ground along the longest side of the box, at most."""
 ERROR = "error"
 """What two flows of the same particles have besides: their distance."""
-SHOWN: dict[str, Field] = {key.value: field for key, field in FIELDS.items()}
-SHOWN[ERROR] = Field(title="distance between the two [m]", colours="magma")
+SHOWN: dict[str, ColourScale] = {key.value: scale for key, scale in SCALES.items()}
+SHOWN[ERROR] = ColourScale(title="distance between the two [m]", colours="magma")
 COLOURS = ("#1b6ca8", "#d9730d")
 """Of the first and of the second flow."""
 STOPS = 12
@@ -58,7 +59,7 @@ class Shown:
     """What is on a page of one flow, moment by moment."""
 
     def __init__(self, flow: Trajectory, columns: Columns) -> None:
-        self.flow, self.meshes, self.columns = flow, Meshes(flow), columns
+        self.flow, self.fields, self.columns = flow, FlowFields(flow), columns
         count = flow.positions.shape[1]
         # At random: every so many of a lattice would be stripes.
         chosen = np.random.default_rng(0).permutation(count)[:PARTICLES]
@@ -72,14 +73,14 @@ class Shown:
         """Thickness along x [m], [T] times [S]."""
         self.front: list[float] = []
 
-    def add(self, fields: Fields) -> None:
-        """One moment more; fields of all particles."""
-        whole = fields["position"]
+    def add(self, values: Values) -> None:
+        """One moment more; values of all particles."""
+        whole = values["position"]
         self.positions.append(whole[self.particles])
         self.heights.append(along(self.columns.thickness(self.flow, whole)))
         self.front.append(measures.front(whole, self.flow.volumes))
-        for key in [key for key in SHOWN if key in fields]:
-            self.values.setdefault(key, []).append(SHOWN[key].scaled(fields[key][self.particles]))
+        for key in [key for key in SHOWN if key in values]:
+            self.values.setdefault(key, []).append(SHOWN[key].scaled(values[key][self.particles]))
 
     def known(self) -> dict[str, NDArray[np.floating]]:
         """The fields that are known at every moment, shape [T, P]."""
@@ -124,16 +125,16 @@ def write_view(
         require(its == dimension, "", f"a {dimension}D flow over one", f"{its}D")
     columns, times = Columns.of_flows(flows), evenly(flow.time, FRAMES)
     shown = [Shown(each, columns) for each in flows]
-    same = None if other is None else pairs(shown[0].meshes, shown[1].meshes)
+    same = None if other is None else pairs(shown[0].fields, shown[1].fields)
     for time in times.tolist():
-        moments = [fields_at(each.meshes, time) for each in shown]
+        moments = [each.fields.at_time(time) for each in shown]
         if same is not None:
             apart = np.linalg.norm(moments[0]["position"][same[0]] - moments[1]["position"][same[1]], axis=1)
             few = int(len(moments[1]["position"]) < len(moments[0]["position"]))
             moments[few][ERROR] = np.zeros(len(apart))
             moments[few][ERROR][same[few]] = apart
-        for own, fields in zip(shown, moments, strict=True):
-            own.add(fields)
+        for own, values in zip(shown, moments, strict=True):
+            own.add(values)
     numbers = Numbers()
     head = {
         "dimension": dimension,
@@ -170,7 +171,7 @@ def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -
     high = np.max([each.max(axis=(0, 2)) for each in places], axis=0)
     corners = np.stack([extent(each.flow.scene, np.stack(each.positions)) for each in shown])
     fields: dict[str, dict[str, Any]] = {"run": {"name": "which flow"}} if len(shown) > 1 else {}
-    materials = list(dict.fromkeys(material for each in shown for material in each.meshes.materials))
+    materials = list(dict.fromkeys(material for each in shown for material in each.fields.materials))
     known, tops = [each.known() for each in shown], {}
     for key in SHOWN:
         series = [own[key].ravel() for own in known if key in own]
@@ -183,7 +184,7 @@ def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -
     for each, arrays, place, label, colour in zip(shown, known, places, labels, COLOURS, strict=False):
         values = {key: own[:, None] for key, own in arrays.items() if key in tops}
         if Colour.MATERIAL in values:
-            own = np.array([materials.index(material) for material in each.meshes.materials])
+            own = np.array([materials.index(material) for material in each.fields.materials])
             values[Colour.MATERIAL] = own[values[Colour.MATERIAL].astype(int)]
         highest = np.array([max(float(np.max(each.heights)), 1.0e-9)])
         run = {

@@ -2,9 +2,6 @@
 
 import re
 import tempfile
-from dataclasses import dataclass
-from enum import StrEnum
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -14,10 +11,9 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.errors import WorkFailed
+from datasets.fields import FlowFields
 from datasets.files import replacing
 from datasets.geometry.surface import surface_of
-from datasets.material import Material
-from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Scene
 from datasets.trajectory import Trajectory
 
@@ -48,108 +44,17 @@ ACTIVE = {MOVING: "velocity", "solids": "force"}
 """The vectors that ParaView takes for glyphs where none are chosen, of each part."""
 
 
-class Colour(StrEnum):
-    """What the colour of a particle shows."""
-
-    VELOCITY = "velocity"
-    DISPLACEMENT = "displacement"
-    PRESSURE = "pressure"
-    PLASTIC_STRAIN = "plastic_strain"
-    MATERIAL = "material"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Field:
-    """How a field becomes colours."""
-
-    title: str
-    """Name and unit at the colour bar."""
-    unit: float = 1.0
-    """One of that unit in SI units."""
-    colours: str
-    """Colour map of matplotlib."""
-
-    def scaled(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values [N], or the amounts of vectors [N, D], in SI units, in that unit, shape [N]."""
-        return np.asarray((np.linalg.norm(values, axis=1) if values.ndim == 2 else values) / self.unit)
-
-
-FIELDS = {
-    Colour.VELOCITY: Field(title="speed [m/s]", colours="viridis"),
-    Colour.DISPLACEMENT: Field(title="displacement [m]", colours="viridis"),
-    Colour.PRESSURE: Field(title="pressure [kPa]", unit=1000.0, colours="plasma"),
-    Colour.PLASTIC_STRAIN: Field(title="plastic strain [-]", colours="inferno"),
-    Colour.MATERIAL: Field(title="friction angle", colours="Set2"),
-}
-RANGE_QUANTILE = 0.995
-"""A colour bar ends at this quantile of the particles of its frames: no single particle decides."""
-
-
 class Meshes:
     """The parts of a trajectory as VTK's meshes; all in three dimensions, a 2D trajectory at z = 0."""
 
     def __init__(self, trajectory: Trajectory) -> None:
-        self.trajectory, scene = trajectory, trajectory.scene
-        self.materials: list[Material] = list(dict.fromkeys(map(scene.material_of, scene.masses)))
-        """The different ones of the scene, in the order of `datasets.particles.initial_particles`."""
+        self.trajectory, self.fields, scene = trajectory, FlowFields(trajectory), trajectory.scene
         solids = ("solids",) if scene.baffles or scene.solids else ()
         self.parts: tuple[str, ...] = (MOVING, *solids, "domain")
         """What there is to draw, the same in every frame."""
 
-    @cached_property
-    def start(self) -> NDArray[np.float64]:
-        """Positions at the start [m], shape [N, D]; the first frame's where the start was not kept and is not known."""
-        first = np.asarray(self.trajectory.positions[0], np.float64)
-        known = first if self.trajectory.time[0] == 0.0 else initial_particles(self.trajectory.scene).positions
-        return known if known.shape == first.shape else first
-
-    @cached_property
-    def material(self) -> NDArray[np.int32]:
-        """Index into `materials` of each particle, shape [N].
-
-        Where the trajectory does not say its mass, that of the nearest of the scene's own particles at the start.
-        """
-        from scipy.spatial import cKDTree
-
-        scene = self.trajectory.scene
-        if self.trajectory.mass is not None:
-            of_masses = [self.materials.index(scene.material_of(mass)) for mass in scene.masses]
-            return np.array(of_masses, np.int32)[self.trajectory.mass]
-        if len(self.materials) == 1:
-            return np.zeros(len(self.start), np.int32)
-        own = initial_particles(scene)
-        return np.asarray(own.material[cKDTree(own.positions).query(self.start)[1]])
-
-    def velocity(self, frame: int) -> NDArray[np.float32] | None:
-        """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else finite differences of the frames.
-
-        These are central; at the last frame backward; the first frame has the initial velocities where it is the start,
-        else there are none.
-        """
-        trajectory = self.trajectory
-        if trajectory.velocities is not None:
-            return np.asarray(trajectory.velocities[frame])
-        if frame == 0:
-            return trajectory.velocity0 if trajectory.time[0] == 0.0 else None
-        after, before = min(frame + 1, len(trajectory.time) - 1), frame - 1
-        elapsed = trajectory.time[after] - trajectory.time[before]
-        return np.asarray((trajectory.positions[after] - trajectory.positions[before]) / elapsed, np.float32)
-
-    def fields(self, frame: int) -> dict[str, NDArray[Any]]:
-        """All that is known of the particles at `frame`, shape [N] or [N, D] each."""
-        trajectory = self.trajectory
-        recorded = {key: getattr(trajectory, key) for key in ("stress", "pressure", "plastic_strain")}
-        known = {
-            "velocity": self.velocity(frame),
-            "displacement": trajectory.positions[frame] - self.start.astype(np.float32),
-            **{key: None if values is None else values[frame] for key, values in recorded.items()},
-            "material": self.material,
-            "friction_deg": np.degrees(np.arctan(trajectory.friction)).astype(np.float32),
-        }
-        return {key: values for key, values in known.items() if values is not None}
-
     def part(self, name: str, frame: int, since: int) -> "pyvista.PolyData":
-        """The part `name` at `frame`: the particles with `fields`, a vertex each, the edges of the box, or the solids.
+        """The part `name` at `frame`: particles with their fields, a vertex each, the edges of the box, or the solids.
 
         The faces of solids have the number of their solid, baffles first, its friction, infinite without slip, and,
         where it was recorded, the `impulse` [N s] that the whole solid has got until `frame`, and the mean `force` [N]
@@ -162,7 +67,7 @@ class Meshes:
             return edges((0.0,) * scene.dimension, scene.domain.size)
         if name == MOVING:
             mesh = pyvista.PolyData(spatial(trajectory.positions[frame]))
-            arrays, data = self.fields(frame), mesh.point_data
+            arrays, data = self.fields.at_frame(frame), mesh.point_data
         else:
             surface = surface_of(scene)
             assert surface is not None

@@ -17,11 +17,14 @@ import shapely
 from numpy.typing import NDArray
 
 from datasets.errors import require
-from datasets.geometry.closed import Body, check_simple, manifold, outward, sliced
+from datasets.geometry.closed import Body
 from datasets.geometry.ground import TOUCHING, Floats, elevation, plan_axes
-from datasets.geometry.shapes import FARTHEST, check_grid, check_shape
+from datasets.geometry.rings import check_simple
+from datasets.geometry.shapes import check_grid, check_shape
+from datasets.geometry.shells import manifold, outward, sliced
 from datasets.memory import require as require_memory
-from datasets.scene import TOLERANCE, Domain, Mass, Scene, Solid, keyed
+from datasets.parts import TOLERANCE, Domain, Mass, SceneLayout, Solid, keyed
+from datasets.records import FARTHEST
 
 LATTICE = 40
 """Bytes that a coordinate of a lattice takes while it is made."""
@@ -67,7 +70,7 @@ class Filling:
         return self.raised(moved)
 
 
-def with_boxes(scene: Scene) -> tuple[Mass, ...]:
+def with_boxes(scene: SceneLayout) -> tuple[Mass, ...]:
     """The masses of `scene`, each with the box around it. Raises InputError for a shape that is none."""
     masses = []
     for key, mass in keyed(scene, "masses").items():
@@ -79,7 +82,7 @@ def with_boxes(scene: Scene) -> tuple[Mass, ...]:
     return tuple(masses)
 
 
-def filling(scene: Scene, mass: Mass, key: str = "masses") -> Filling:
+def filling(scene: SceneLayout, mass: Mass, key: str = "masses") -> Filling:
     """The particles that fill a mass of `scene` that is no box. Raises InputError."""
     shape = dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None)
     # Without friction, so that scenes which differ by that alone share what is found.
@@ -132,6 +135,7 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     from datasets.geometry.surface import boundary
 
     vertices, triangles = outward(np.array(mass.vertices), np.array(mass.triangles, np.int64), f"{key}.triangles")
+    body = Body(vertices=vertices, faces=triangles, friction=np.zeros(len(vertices)), key=key)
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     lattice, spacing = lattice_in(lower, upper, share)
     within = sliced(vertices, triangles, lattice)
@@ -140,7 +144,6 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     buried = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False).ravel()[within]
 
     def outside(places: Floats) -> NDArray[np.bool_]:
-        body = Body(vertices=vertices, faces=triangles, friction=np.zeros(len(vertices)), key=key)
         found = np.zeros(len(places), bool)
         found[~buried] = ~inside(boundary([body], 0.0), places[~buried])
         return found
@@ -274,7 +277,14 @@ class Plan:
         return np.asarray(padded[tuple(cells)])
 
 
-def lattice_of(scene: Scene, mass: Mass) -> Floats:
+def height(scene: SceneLayout, mass: Mass) -> float:
+    """Of the material of `mass` over one place in plan, at most [m]: of a layer its largest thickness."""
+    if mass.kind == "box":
+        return mass.size[1]
+    return float(np.max(mass.thickness or 0.0)) if mass.kind == "layer" else filling(scene, mass).height
+
+
+def lattice_of(scene: SceneLayout, mass: Mass) -> Floats:
     """Where the particles of a mass are before their jitter [m], shape [N, D]."""
     if mass.kind == "box":
         lower = np.array(mass.lower)

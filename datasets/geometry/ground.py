@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.scene import Domain, Scene, Solid, coefficient
+from datasets.parts import Domain, SceneLayout, Solid, coefficient
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -30,7 +30,7 @@ def elevation(solids: tuple[Solid, ...], domain: Domain, plan: Floats) -> Floats
     return highest(solids, domain, plan, 0.0)[0]
 
 
-def ground_raster(scene: Scene, spacing: float) -> tuple[Floats, Floats, Integers]:
+def ground_raster(scene: SceneLayout, spacing: float) -> tuple[Floats, Floats, Integers]:
     """`highest` of a scene at places `spacing` [m] apart, from the box's corner on; each of shape [X], in 3D [X, Z].
 
     To the first place at or beyond the end of the box.

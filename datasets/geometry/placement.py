@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.geometry.bodies import Plan, filling, lattice_of
-from datasets.geometry.closed import manifold
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, plan_axes
 from datasets.geometry.nearest import inside
+from datasets.geometry.shells import share_volume
 from datasets.geometry.surface import Surface, closed_body, solids_of, surface_in, surface_of
-from datasets.scene import TOLERANCE, Baffle, Domain, Mass, Scene, Solid, keyed
+from datasets.parts import TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
 
 SAMPLES = 32
 """Most places along an axis at which the height of a body above ground is looked for."""
 
 
-def check_overlaps(scene: Scene) -> None:
+def check_overlaps(scene: SceneLayout) -> None:
     """Raise InputError for a solid that is none, a body that overlaps a solid, or masses that overlap each other."""
     keys, boxes = zip(*keyed(scene, "masses", "baffles").items(), strict=True)
     shared = overlaps(boxes)
@@ -42,7 +42,7 @@ def check_overlaps(scene: Scene) -> None:
                 raise InputError(f"expected a body clear of {key}, got an overlap{hint}", key=f"masses[{index}]")
 
 
-def has_shapes(scene: Scene) -> bool:
+def has_shapes(scene: SceneLayout) -> bool:
     """Whether there is more in a scene than boxes along the axes."""
     turned = any(baffle.turned_deg != 0.0 for baffle in scene.baffles)
     return bool(scene.solids) or turned or any(mass.kind != "box" for mass in scene.masses)
@@ -61,7 +61,7 @@ def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
     return np.asarray(np.triu((below & below.swapaxes(0, 1)).all(axis=-1), k=1))
 
 
-def overlap(scene: Scene, mass: Mass, other: Mass | Solid, key: str) -> bool:
+def overlap(scene: SceneLayout, mass: Mass, other: Mass | Solid, key: str) -> bool:
     """Whether a mass shares volume with another one or a solid: exactly, a layer by its particles."""
     if isinstance(other, Mass):
         if not overlaps((mass, other)).any():
@@ -94,11 +94,10 @@ def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> boo
     a, b = closed_body(first, key, domain), closed_body(second, key, domain)
     if domain.dimension == 2:
         return bool(shapely.Polygon(a.vertices).buffer(-margin).intersects(shapely.Polygon(b.vertices)))
-    solid = manifold(a.vertices, a.faces)
-    return bool((solid ^ manifold(b.vertices, b.faces)).volume() > margin * solid.surface_area())
+    return share_volume(a, b, margin)
 
 
-def remembers_gaps(scene: Scene) -> bool:
+def remembers_gaps(scene: SceneLayout) -> bool:
     """Whether gaps between particles are remembered: as `volume_correction` says, or if sand may fall or splash.
 
     It may where solids stand in its way, where a mass has a velocity, however slow (or an unknown velocity would cross
@@ -115,7 +114,7 @@ def remembers_gaps(scene: Scene) -> bool:
     )
 
 
-def heights_above_ground(scene: Scene) -> Floats:
+def heights_above_ground(scene: SceneLayout) -> Floats:
     """Height [m] of the body that each mass belongs to, above what is beneath it; masses that touch are one body.
 
     That of the body is the least of its masses', each above the floor or the highest box or solid beneath it, that of a
@@ -152,7 +151,7 @@ def connected(lower: Floats, upper: Floats) -> NDArray[np.int32]:
     return group
 
 
-def underside(scene: Scene, mass: Mass) -> Floats:
+def underside(scene: SceneLayout, mass: Mass) -> Floats:
     """Places on the underside of a body [m], shape [N, D]; of one that is no box those under all of its particles."""
     if mass.kind != "box":
         found = filling(scene, mass)

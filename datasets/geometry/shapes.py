@@ -4,7 +4,8 @@ import itertools
 from collections.abc import Sequence
 
 from datasets.errors import require
-from datasets.scene import Mass, Rows, Solid
+from datasets.parts import Mass, Rows, Solid
+from datasets.records import FARTHEST
 
 KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
     (Solid, "box", 2): (("lower", "size"), ()),
@@ -21,9 +22,6 @@ KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
     (Mass, "layer", 3): (("thickness",), ("origin", "spacing", "outline")),
 }
 """Keys that a kind of solid or mass needs, and those that it may have; beside the box around a mass."""
-CONTACTS = ("coulomb", "no-slip")
-FARTHEST = 1.0e9
-"""Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
 
 
 def usual(number: float) -> bool:
@@ -71,7 +69,6 @@ def check_grid(shape: Solid | Mass, values: Rows, key: str, name: str) -> None:
     least = 2 if name == "heights" else 1
     check_vector(shape.origin or (), f"{key}.origin", 2)
     check_vector(shape.spacing or (), f"{key}.spacing", 2)
-    require(min(shape.spacing or ()) > 0.0, f"{key}.spacing", "positive lengths in m", list(shape.spacing or ()))
     enough = len(values) > 0 and len(values[0]) >= least
     require(enough, f"{key}.{name}", f"at least {least} x {least} numbers", "fewer")
     check_rows(values, f"{key}.{name}", len(values[0]), least=least)
@@ -82,11 +79,9 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
     check_shape(solid, key, dimension)
     turned = solid.turned_deg
     require(usual(turned) and (turned == 0.0 or solid.kind == "box"), f"{key}.turned_deg", "a turn of a box", turned)
-    require(solid.contact in CONTACTS, f"{key}.contact", " or ".join(map(repr, CONTACTS)), repr(solid.contact))
     if solid.kind == "box":
         check_vector(solid.lower or (), f"{key}.lower", dimension)
         check_vector(solid.size or (), f"{key}.size", dimension)
-        require(min(solid.size or ()) > 0.0, f"{key}.size", "positive lengths in m", list(solid.size or ()))
     if solid.points is not None:
         check_rows(solid.points, f"{key}.points", 2, least=2)
     for index, (first, second) in enumerate(itertools.pairwise(solid.points or ()), 1):

@@ -7,7 +7,7 @@ comes from angle-weighted pseudonormals (Baerentzen & Aanaes 2005, https://doi.o
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,19 +15,11 @@ import shapely
 from numpy.typing import NDArray
 
 from datasets.errors import require
-from datasets.geometry.closed import (
-    Body,
-    check_simple,
-    continued,
-    ground_body,
-    outward,
-    pseudonormals,
-    ring,
-    union_of_rings,
-    union_of_surfaces,
-)
-from datasets.geometry.ground import CLOSING, TOUCHING, Floats
-from datasets.scene import ROUGH, Domain, Scene, Solid, coefficient, keyed
+from datasets.geometry.closed import Body, pseudonormals, ring, snapped
+from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, grid_triangles, ground_grid
+from datasets.geometry.rings import check_simple, cut_ring, lengthened_ring, union_of_rings
+from datasets.geometry.shells import cut_surface, lengthened_surface, outward, union_of_surfaces
+from datasets.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
 
 KEPT = 3.0
 """Cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)."""
@@ -76,7 +68,7 @@ class Surface:
         return Surface(**{name: array[faces] for name, array in vars(self).items()})
 
 
-def surface_of(scene: Scene) -> Surface | None:
+def surface_of(scene: SceneLayout) -> Surface | None:
     """The surface of all baffles and solids of `scene`; None where it has none. Raises InputError.
 
     The same scene, or one with the same box and solids, gives the same object.
@@ -86,7 +78,7 @@ def surface_of(scene: Scene) -> Surface | None:
     return surface_in(scene.domain, *solids_of(scene))
 
 
-def solids_of(scene: Scene) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
+def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """Everything solid in `scene`, in the order of its numbers, and the keys of each."""
     baffles = [
         Solid(
@@ -170,3 +162,55 @@ def closed_body(solid: Solid, key: str, box: Domain) -> Body:
     if dimension == 2 and not shapely.is_ccw(shapely.linearrings(vertices)):
         vertices, friction = vertices[::-1].copy(), friction[::-1].copy()
     return Body(vertices=vertices, faces=faces, friction=friction, key=key)
+
+
+def ground_body(solid: Solid, key: str, box: Domain) -> Body:
+    """All that lies below a terrain, some cells beyond the box; it goes on level, or straight from a side."""
+    axes, heights, friction = ground_grid(solid, key, box)
+    deep = min(0.0, float(heights.min())) - BEYOND * box.cell
+    if len(axes) == 1:
+        x, points = axes[0], np.stack([axes[0], heights], axis=1)
+        under = np.array([[x[-1], deep], [x[0], deep]])
+        # The line runs towards +x with the solid on its right: from its end back to its start is anticlockwise.
+        return Body(
+            vertices=np.concatenate([points[::-1], under[::-1]]),
+            faces=ring(len(points) + 2),
+            friction=np.concatenate([friction[::-1], friction[[0, -1]]]),
+            key=key,
+        )
+    x, z = axes
+    plan = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
+    top = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)
+    number = np.arange(len(top)).reshape(len(x), len(z))
+    # Around the edge once, then down to a floor far below that fans from one corner.
+    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
+    below = len(top) + np.arange(len(rim))
+    after, below_after = np.roll(rim, -1), np.roll(below, -1)
+    bottom = top[rim] * [1.0, 0.0, 1.0] + [0.0, deep, 0.0]
+    floor = np.stack([below, below_after, np.full(len(rim), len(top) + len(rim))], axis=1)
+    centre = np.array([[0.5 * (x[0] + x[-1]), deep, 0.5 * (z[0] + z[-1])]])
+    skirt = np.concatenate([np.stack([rim, after, below], axis=1), np.stack([after, below_after, below], axis=1)])
+    return Body(
+        vertices=np.concatenate([top, bottom, centre]),
+        faces=np.concatenate([grid_triangles(heights), skirt, floor]),
+        friction=np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]]),
+        key=key,
+    )
+
+
+def continued(body: Body, axis: int, side: int, box: Domain) -> Body:
+    """The body cut off at a side of the box (0 or 1 of `axis`) and continued beyond, where it reaches the side.
+
+    Raises InputError where nothing of it lies in the box.
+    """
+    limit, out = (box.size[axis], 1.0) if side else (0.0, -1.0)
+    within = replace(body, vertices=snapped(body.vertices, axis, limit))
+    height = out * (within.vertices[:, axis] - limit)
+    if height.max() < 0.0:
+        return body
+    planar = box.dimension == 2
+    if height.max() > 0.0:
+        within = (cut_ring if planar else cut_surface)(within, axis, limit, out)
+        within = replace(within, vertices=snapped(within.vertices, axis, limit))
+    lengthened = (lengthened_ring if planar else lengthened_surface)(within, axis, limit, out * BEYOND * box.cell)
+    return lengthened or body

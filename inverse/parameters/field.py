@@ -35,9 +35,10 @@ from scipy.special import expit, logit
 
 from datasets.errors import require
 from datasets.field import FRICTION, VELOCITIES, Field, Floats, Grid
-from datasets.geometry.shapes import FARTHEST, usual
+from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 from datasets.particles import initial_particles
+from datasets.records import FARTHEST
 from datasets.scene import Scene
 from inverse.parameters import Parameter
 

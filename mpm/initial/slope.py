@@ -18,9 +18,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.geometry.bodies import height
 from datasets.geometry.ground import highest, plan_axes
 from datasets.material import MOHR_COULOMB
-from datasets.particles import Particles, height
+from datasets.particles import Particles
 from datasets.scene import TOLERANCE, Mass, Scene, coefficient
 
 Floats = NDArray[np.float64]

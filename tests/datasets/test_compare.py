@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from datasets.command_line import run
-from datasets.compare import command, compare, fields_at, pairs
-from datasets.exchange.vtk import Meshes
+from datasets.compare import command, compare
 from datasets.trajectory import Trajectory
 from tests.datasets.conftest import toy
 from tests.refusals import refused_by
@@ -66,14 +65,6 @@ def test_energies_are_those_of_the_particles(dimension: int) -> None:
     assert first["potential"] == pytest.approx(mass * -flow.scene.gravity_vector[1] * centre, rel=1e-5)
 
 
-def test_between_two_frames_a_flow_is_linear() -> None:
-    flow = toy(2)
-    half = fields_at(Meshes(flow), float(flow.time[1] + flow.time[2]) / 2.0)
-    np.testing.assert_allclose(half["position"], 0.5 * (flow.positions[1] + flow.positions[2]), rtol=1e-6)
-    assert half["material"].dtype == np.int32
-    np.testing.assert_array_equal(fields_at(Meshes(flow), 1.0e3)["position"], flow.positions[-1])
-
-
 def test_flows_that_have_no_time_in_common_are_compared_where_they_end() -> None:
     flow = toy(2)
     late = dataclasses.replace(flow, positions=flow.positions[-1:], time=flow.time[-1:])
@@ -82,28 +73,6 @@ def test_flows_that_have_no_time_in_common_are_compared_where_they_end() -> None
     assert found.apart["transport"][-1] == pytest.approx(flow.time[-1] - flow.time[1], rel=1e-2)
     assert found.time.tolist() == [flow.time[-1]]
     assert "kinetic energy [J/m] | -" in re.sub(" +", " ", found.table())
-
-
-def test_a_thinned_flow_has_the_particles_of_the_whole_one() -> None:
-    flow = toy(2)
-    chosen = np.arange(0, flow.positions.shape[1], 3)
-    ratio = np.float32(flow.volumes.sum() / flow.volumes[chosen].sum())
-    thin = dataclasses.replace(
-        flow,
-        positions=flow.positions[:, chosen],
-        velocity0=flow.velocity0[chosen],
-        friction=flow.friction[chosen],
-        volume=(ratio * flow.volumes[chosen]).astype(np.float32),
-        mass=np.zeros(len(chosen), np.int32),
-    )
-    found = pairs(Meshes(flow), Meshes(thin))
-    assert found is not None
-    np.testing.assert_array_equal(found[0], chosen)
-    np.testing.assert_array_equal(found[1], np.arange(len(chosen)))
-    assert compare(flow, thin).apart["positions"][-1] == 0.0
-    elsewhere = dataclasses.replace(thin, positions=thin.positions + np.float32(0.05))
-    assert pairs(Meshes(flow), Meshes(elsewhere)) is None
-    assert np.isnan(compare(flow, elsewhere).apart["positions"][-1])
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -216,7 +216,7 @@ def test_the_definition_on_the_page(tmp_path: Path) -> None:
             "{ variable = 'a', factor = 2 }\n[variables]\na = 'x'",
             "expected numbers, variable, factor and",
         ),
-        ("[scene]", "count = 1000000000000\n[scene]", "count: expected at most 1000000 scenes"),
+        ("[scene]", "count = 1000000000000\n[scene]", "count: expected at least 1, at most 1000000 scenes"),
     ],
 )
 def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected: str) -> None:

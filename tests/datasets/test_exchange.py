@@ -181,17 +181,14 @@ def test_pickles_of_the_older_numpy(tmp_path: Path) -> None:
         (objects(POSITIONS), 1, "positions, particle types"),
         (objects(np.where(POSITIONS > 0.5, np.nan, POSITIONS), TYPES), 2, "positions within"),
         (objects(POSITIONS, 3), 2, "sand that moves"),
-        (objects(POSITIONS, TYPES, np.array(["a"] * 5)), 3, "found the dtype"),
+        (objects(POSITIONS, TYPES, np.array(["a"] * 5)), 3, "material properties as numbers"),
         (b"", 1, "positions, particle types"),
-        (pickle.dumps([1, 2]), 1, "of the shape that its header states"),
-        (pickle.dumps(Calls(np.dtype, "V9", False, True)), 1, "the dtype 'V9'"),
+        (pickle.dumps([1, 2]), 1, "positions as numbers"),
         (
             pickle.dumps(Calls(os.mkdir, "/nowhere/else")),
             1,
             f"expected arrays and nothing else, found the name '{os.name}",
         ),
-        (b"\x80\x04Nr\xff\xff\xff\x7f.", 1, "more values than bytes"),
-        (pickle.dumps(np.arange(3)).replace(b"K\x03\x85", b"J\xff\xff\xff\x7f\x85"), 1, "match its content"),
     ],
 )
 def test_what_is_no_trajectory_or_hostile(tmp_path: Path, content: bytes, count: int, expected: str) -> None:

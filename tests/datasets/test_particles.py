@@ -140,7 +140,7 @@ def test_a_field_of_one_mass_leaves_the_others() -> None:
     ("changes", "key"),
     [
         ({"quantity": "porosity"}, "fields[0].quantity"),
-        ({"spacing": (0.1, 0.0)}, "fields[0].spacing"),
+        ({"spacing": (0.1, 0.0)}, "spacing"),
         ({"values": (30.0,)}, "fields[0].values"),
         ({"mass": 2}, "fields[0].mass"),
     ],

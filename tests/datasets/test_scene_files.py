@@ -40,7 +40,12 @@ MISTAKES = {
     "missing key": ("cell = 0.01", "", "domain.cell", "missing"),
     "not TOML": ("[domain]", "[domain", "", "readable TOML"),
     "mass outside the domain": ("lower = [0.0, 0.0]", "lower = [0.9, 0.0]", "masses[0]", "inside the domain"),
-    "unknown initial stress": ("velocity = [1, 0]", "k0 = 'geostatic'", "masses[0].k0", "a ratio of stresses or"),
+    "unknown initial stress": (
+        "velocity = [1, 0]",
+        "k0 = 'geostatic'",
+        "masses[0].k0",
+        "a ratio of stresses of at least 0 or 'elastic'",
+    ),
     "release within a frame": ("velocity = [1, 0]", "release = 0.001", "masses[0].release", "whole number of frames"),
     "gate of a free mass": ("velocity = [1, 0]", "gate = { speed = 0.7 }", "masses[0].gate", "a release at which"),
     "thrown behind barriers": (

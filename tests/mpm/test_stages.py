@@ -137,7 +137,7 @@ def test_a_scene_with_stages_is_read_back(tmp_path: Path) -> None:
     ("stage", "said"),
     [
         ({"time": 0.6}, "stages[0].time: expected a time before the end at 0.6 s, got 0.6"),
-        ({"time": "soon"}, "stages[0].time: expected a time in s or 'settled', got 'soon'"),
+        ({"time": "soon"}, "time: expected a time in s or 'settled', got 'soon'"),
         ({"mass": 1}, "stages[0].mass: expected one of 0 to 0, got 1"),
         ({"lower": (0.0, 0.0)}, "stages[0].size: expected lower and size together, lower is given, got none"),
         ({"outline": ((0.1,),)}, "stages[0].outline: expected at least 2 rows of 1 numbers, got 1"),

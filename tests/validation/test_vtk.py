@@ -12,7 +12,7 @@ from matplotlib.image import imread
 
 from datasets.command_line import run
 from datasets.errors import WorkFailed
-from datasets.exchange.vtk import Colour
+from datasets.fields import Colour
 from datasets.scene import Baffle, Mass
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.errors import InputError, WorkFailed
-from datasets.exchange.vtk import FIELDS, RANGE_QUANTILE, Colour, Meshes, edges, extent, spatial
+from datasets.exchange.vtk import Meshes, edges, extent, spatial
+from datasets.fields import RANGE_QUANTILE, SCALES, Colour, FlowFields
 from datasets.files import replacing
 from datasets.geometry.surface import body_of, solids_of
 from datasets.trajectory import Trajectory
@@ -42,7 +43,7 @@ MARGIN = (0.13, 0.24)
 def require(trajectory: Trajectory, colour: Colour) -> None:
     """Raise InputError where `trajectory` has not recorded what `colour` is to show."""
     missing = colour in (Colour.PRESSURE, Colour.PLASTIC_STRAIN) and getattr(trajectory, colour) is None
-    if missing or (colour is Colour.VELOCITY and Meshes(trajectory).velocity(0) is None):
+    if missing or (colour is Colour.VELOCITY and FlowFields(trajectory).velocity(0) is None):
         raise InputError("expected a trajectory that recorded it, this one did not", key=colour)
 
 
@@ -96,7 +97,7 @@ class Picture:
 
     def values(self, frame: int) -> Floats:
         """What the colours show at `frame`, in the unit of the colour bar, shape [N]."""
-        return FIELDS[self.colour].scaled(self.meshes.fields(frame)[self.colour])
+        return SCALES[self.colour].scaled(self.meshes.fields.at_frame(frame)[self.colour])
 
     @property
     def spacing(self) -> float:
@@ -152,9 +153,9 @@ class Picture:
         """The particles, which `at` moves and colours, and the colour bar."""
         self.cloud = pyvista.PolyData(spatial(self.trajectory.positions[0]))
         self.cloud.point_data["colour"] = self.values(0)
-        field, named = FIELDS[self.colour], self.colour is Colour.MATERIAL
+        field, named = SCALES[self.colour], self.colour is Colour.MATERIAL
         if named:
-            materials = self.meshes.materials
+            materials = self.meshes.fields.materials
             limits: tuple[float, float] = (-0.5, len(materials) - 0.5)
             colours: Any = ListedColormap(colormaps[field.colours](np.arange(len(materials)) % 8)[:, :3])
             names = {float(index): f"{index}: {each.friction_deg:g}°" for index, each in enumerate(materials)}

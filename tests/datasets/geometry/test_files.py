@@ -14,9 +14,9 @@ from hypothesis.extra.numpy import arrays
 from rasterio.transform import Affine
 
 from datasets.checks import warn_if_unlikely
-from datasets.geometry.closed import manifold, outward
-from datasets.geometry.files import read_mesh
+from datasets.exchange.meshes import read_mesh, write_surface
 from datasets.geometry.nearest import nearest
+from datasets.geometry.shells import manifold, outward
 from datasets.library import read_scene
 from datasets.particles import initial_particles, mass_volumes
 from datasets.scene import Scene
@@ -337,3 +337,12 @@ def test_files_that_are_refused(tmp_path: Path, name: str, write: Callable[[Path
 def test_solids_that_are_refused(tmp_path: Path, text: str, words: str) -> None:
     whole = text + PLANE + BODY if text.startswith("open") else PLANE + BODY + text
     refused(scene, tmp_path, whole, said=words)
+
+
+@pytest.mark.parametrize("name", ["solids.stl", "solids.ply", "solids.vtu"])
+def test_the_surface_of_solids_is_written_as_a_mesh(tmp_path: Path, name: str) -> None:
+    found = scene(tmp_path, SPACE + BODY_3D + "[[solids]]\nlower = [0.5, 0.2, 0.2]\nsize = [0.4, 0.3, 0.2]\n")
+    write_surface(found, tmp_path / name)
+    assert manifold(*outward(*read_mesh(tmp_path / name), "")).volume() == pytest.approx(0.4 * 0.3 * 0.2, rel=1e-5)
+    assert "ends in .stl" in str(refused(write_surface, found, tmp_path / "solids.txt"))
+    assert "in 3D with" in str(refused(write_surface, scene(tmp_path, SPACE + BODY_3D), tmp_path / name))

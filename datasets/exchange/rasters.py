@@ -1,0 +1,164 @@
+"""Rasters by rasterio: elevations and thicknesses read, maps written."""
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import rasterio
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.warp import transform as reprojected
+
+from datasets.errors import WorkFailed, require
+from datasets.field import Floats
+from datasets.files import file_size, reading, replacing
+from datasets.geometry.shapes import usual
+from datasets.memory import require as require_memory
+
+LARGEST = 2**30
+"""Bytes of a file."""
+VALUE = 32
+"""Bytes that a value takes while a raster is read."""
+METRES = ("", "m", "metre", "metres", "meter", "meters")
+"""What a raster may call the unit of its values."""
+UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)
+"""Values that stand for no data by custom, as they are in the file."""
+NO_ELEVATION = 2.0e4
+"""Elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38."""
+LENGTH, EARTH = 100.0, 6.371e6
+"""Of the map over which its scale is looked at; radius of the earth [m]."""
+DISTORTED = 0.02
+"""What a metre of the map may differ from one on the ground; the earth's flattening makes up 0.5 % of it."""
+SAME_PLACE = 1.0
+"""How far two reference systems may be apart that are one for a flow [m]."""
+
+
+class Raster(NamedTuple):
+    """Values on a regular grid."""
+
+    x: Floats
+    """Ascending [m], shape [X]."""
+    z: Floats
+    """Ascending [m], shape [Z]."""
+    values: Floats
+    """NaN in holes, shape [X, Z]."""
+    spacing: tuple[float, float]
+    """Of the grid along x and z [m]."""
+    corner: tuple[float, float]
+    """Lower left corner of the extent in the file's own coordinates [m]."""
+    crs: str | None
+    """Coordinate reference system, as an authority's code or in WKT, where it names one."""
+
+
+def read_raster(path: Path) -> Raster:
+    """A raster of one band whose rows run from west to east, in metres on the ground. Raises InputError.
+
+    Scale and offset of its band are applied. Values that no elevation or thickness has are no data, also where the file
+    does not say so, which a warning then does.
+    """
+    file_size(path, "a raster", most=LARGEST)
+    with path.open("rb") as raw:
+        head = raw.read(2)
+    with reading(path, "a readable raster"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        # A path without a scheme, and one of two drivers: others open what a file names, on this machine or elsewhere.
+        with rasterio.open(path.resolve(), driver="GTiff" if head in (b"II", b"MM") else "AAIGrid") as file:
+            require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
+            georeferenced = not file.transform.is_identity
+            transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
+            scale, offset = float(file.scales[0]), float(file.offsets[0])
+            masked = file.read(1, masked=True).astype(np.float64)
+    require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
+    require(bands == 1, "", "a raster of one band", bands)
+    require(unit is None or unit.lower() in METRES, "", "elevations in metres", repr(unit))
+    name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
+    require(name.lower() in METRES, "", "a projected coordinate system in metres", f"one in {name}")
+    require(georeferenced, "", "a raster that says where it lies and how large its cells are", "one that does not")
+    upright = transform.b == transform.d == 0.0 and transform.a > 0.0 and transform.e != 0.0
+    require(upright, "", "a raster whose rows run from west to east", "one that is turned or mirrored")
+    require(scale != 0.0 and usual(scale) and usual(offset), "", "a finite scale and offset", (scale, offset))
+    rows, columns = masked.shape
+    raw_values = masked.filled(np.nan)
+    values = scale * raw_values + offset
+    none = np.isfinite(values) & (np.isin(raw_values, UNDECLARED) | (np.abs(values) >= NO_ELEVATION))
+    if none.any():
+        which = f"{int(none.sum())} values such as {raw_values[none][0]:g}"
+        warnings.warn(f"{path}: {which} are taken as no data, which the file does not declare", stacklevel=2)
+    values[none | ~np.isfinite(values)] = np.nan
+    # From the south to the north.
+    height = abs(transform.e)
+    south = transform.f + (rows * transform.e if transform.e < 0.0 else 0.0)
+    values = values[::-1] if transform.e < 0.0 else values
+    x = np.asarray(transform.c + (np.arange(columns) + 0.5) * transform.a)
+    z = np.asarray(south + (np.arange(rows) + 0.5) * height)
+    if crs:
+        check_lengths(crs, float(x.mean()), float(z.mean()))
+    return Raster(
+        x=x,
+        z=z,
+        values=np.ascontiguousarray(values.T),
+        spacing=(float(transform.a), float(height)),
+        corner=(float(transform.c), float(south)),
+        crs=crs.to_string() if crs else None,
+    )
+
+
+def check_lengths(crs: Any, east: float, north: float) -> None:
+    """Raise InputError where a metre of the map at a place is not one on the ground, such as in Web Mercator."""
+    steps = [(0.0, 0.0), (LENGTH, 0.0), (0.0, LENGTH)]
+    try:
+        longitude, latitude = np.radians(
+            reprojected(crs, "EPSG:4326", [east + step for step, _ in steps], [north + step for _, step in steps])
+        )
+    except RasterioError:
+        return  # a system of its own, without a place on the earth
+    ground = EARTH * np.hypot(np.cos(latitude[0]) * (longitude[1:] - longitude[0]), latitude[1:] - latitude[0]) / LENGTH
+    require(
+        bool((np.abs(ground - 1.0) <= DISTORTED).all()),
+        "",
+        "a projected coordinate system whose metres are metres on the ground (UTM or a country's own)",
+        f"{crs.to_string()[:60]}, where one is {ground[0]:.3g} m",
+    )
+
+
+def same_system(name: str | None, raster: Raster) -> bool:
+    """Whether a raster's corner lies at one place by its own reference system and by another, or either is none."""
+    if name is None or raster.crs is None or name == raster.crs:
+        return True
+    try:
+        (east,), (north,) = reprojected(raster.crs, name, *([each] for each in raster.corner))
+    except RasterioError:
+        return False
+    return bool(np.hypot(east - raster.corner[0], north - raster.corner[1]) <= SAME_PLACE)
+
+
+def write_raster(
+    path: Path, values: Floats, cell: float, corner: Sequence[float], crs: str | None, name: str, unit: str
+) -> None:
+    """Write `values` [X, Z] on square cells of an edge `cell` [m], from `corner` on (east, north), as a GeoTIFF.
+
+    Rows run from the north (large z) to the south, columns to the east (x). Raises WorkFailed.
+    """
+    rows = np.ascontiguousarray(values.T[::-1], np.float32)
+    (height, width), (east, north) = rows.shape, corner
+    profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}
+    # To the east along a row, to the south from row to row.
+    place = {"transform": rasterio.Affine(cell, 0.0, east, 0.0, -cell, north + height * cell), "crs": crs}
+    try:
+        with warnings.catch_warnings(), replacing(path) as part:
+            # A box in its own coordinates has no reference system, which is no mistake.
+            warnings.simplefilter("ignore")
+            with rasterio.open(part, "w", width=width, height=height, **profile, **place) as raster:
+                raster.write(rows, 1)
+                raster.set_band_description(1, name)
+                raster.set_band_unit(1, unit)
+    except RasterioError as error:
+        raise WorkFailed(f"{path.name} could not be written: {error}") from None
+
+
+def name_in_geojson(crs: str) -> str:
+    """A reference system as GDAL names it in GeoJSON."""
+    known = CRS.from_user_input(crs).to_authority()
+    return crs if known is None else f"urn:ogc:def:crs:{known[0]}::{known[1]}"

@@ -1,0 +1,188 @@
+"""Closed surfaces in three dimensions, triangles, by manifold3d: turned outwards, cut, continued, united, cut level."""
+
+import warnings
+from dataclasses import replace
+from itertools import combinations
+
+import manifold3d
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from datasets.errors import InputError, require
+from datasets.geometry.closed import Body, meet, outside_of_box, pseudonormals
+from datasets.geometry.ground import Floats, Integers
+
+SHARED = 1.0e-6
+"""Share of a volume that rounding may change."""
+FLAT = 1.0e-6
+"""What makes the place of a vertex between faces of one plane unique [-]."""
+NARROW = 100.0
+"""Width, over the distance by which bodies have grown, up to which what they share is no face."""
+MOST_TRIANGLES = 20_000
+"""Of two bodies that are looked at, such as boxes and meshes, not terrain: a boolean of more takes seconds."""
+
+
+def manifold(vertices: Floats, triangles: Integers, friction: Floats | None = None) -> manifold3d.Manifold:
+    """A closed surface as the library takes it, with the friction of its vertices where given."""
+    values = vertices if friction is None else np.column_stack([vertices, friction])
+    mesh = manifold3d.Mesh64(np.ascontiguousarray(values), np.ascontiguousarray(triangles, np.uint64))
+    return manifold3d.Manifold(mesh)
+
+
+def outward(vertices: Floats, triangles: Integers, key: str) -> tuple[Floats, Integers]:
+    """Vertices [V, 3] and triangles [T, 3] of a closed surface, turned to face outwards, its shells united.
+
+    A shell that faces inwards within others is a cavity. What shells share counts once, which a warning says. Raises
+    InputError where the surface is open.
+    """
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    _, number = np.unique(edges, axis=0, return_counts=True)
+    opened, odd = int((number == 1).sum()), int((number % 2 == 1).sum())
+    fault = f"{opened} open edges" if opened else f"{odd} edges of three or more triangles"
+    require(opened == odd == 0, key, "a closed surface", f"one with {fault}")
+    body = manifold(vertices, triangles)
+    if body.status() != manifold3d.Error.NoError:
+        raise InputError("expected a closed surface whose triangles all face the same way", key=key)
+    if body.volume() < 0.0:
+        triangles = triangles[:, ::-1].copy()
+        body = manifold(vertices, triangles)
+    require(body.volume() > 0.0, key, "a surface that encloses a volume", "one that does not")
+    shells = sorted(body.decompose(), key=lambda shell: -abs(shell.volume()))
+    if len(shells) == 1:
+        return vertices, triangles
+    united = manifold3d.Manifold()
+    for shell in shells:
+        if shell.volume() > 0.0:
+            united = united + shell
+            continue
+        mesh = shell.to_mesh64()
+        turned = manifold(np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts)[:, ::-1])
+        buried = (united ^ turned).volume() > (1.0 - SHARED) * turned.volume()
+        united = united - turned if buried else united + turned
+    if abs(united.volume() - body.volume()) <= SHARED * united.volume():
+        return vertices, triangles
+    volumes = f"{united.volume():.6g} m^3 in place of {body.volume():.6g}"
+    prefix = f"{key}: " if key else ""
+    warnings.warn(f"{prefix}the shells of the mesh are united, which makes {volumes}", stacklevel=2)
+    mesh = united.to_mesh64()
+    return np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64)
+
+
+def cut_surface(body: Body, axis: int, limit: float, out: float) -> Body:
+    """The part of triangles within a side of the box. Raises InputError where there is none."""
+    inward = tuple((-out * np.eye(3)[axis]).tolist())
+    part = manifold(body.vertices, body.faces).trim_by_plane(inward, -out * limit)
+    if part.is_empty():
+        raise outside_of_box(body)
+    mesh = part.to_mesh64()
+    vertices, triangles = np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64)
+    return replace(body, vertices=vertices, faces=triangles, friction=np.full(len(vertices), body.friction[0]))
+
+
+def lengthened_surface(body: Body, axis: int, limit: float, beyond: float) -> Body | None:
+    """Triangles whose faces on a side of the box are moved outwards, `beyond` it [m]; None where none lies there."""
+    vertices, triangles, friction = body.vertices, body.faces, body.friction
+    on_side = (vertices[triangles][..., axis] == limit).all(axis=1)
+    if not on_side.any():
+        return None
+    lid = triangles[on_side]
+    used, renamed = np.unique(lid, return_inverse=True)
+    renamed = renamed.reshape(-1, 3) + len(vertices)
+    moved = vertices[used]
+    moved[:, axis] = limit + beyond
+    edges = np.stack([lid, np.roll(lid, -1, axis=1)], axis=-1).reshape(-1, 2)
+    ends = np.stack([renamed, np.roll(renamed, -1, axis=1)], axis=-1).reshape(-1, 2)
+    known = {tuple(edge) for edge in edges.tolist()}
+    rim = np.array([(b, a) not in known for a, b in edges.tolist()])
+    (a, b), (c, d) = edges[rim].T, ends[rim].T
+    skirt = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+    return Body(
+        vertices=np.concatenate([vertices, moved]),
+        faces=np.concatenate([triangles[~on_side], renamed, skirt]),
+        friction=np.concatenate([friction, friction[used]]),
+        key=body.key,
+    )
+
+
+def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
+    """Vertices [V, 3] and triangles [F, 3] of the union, friction at their corners [F, 3] and the body of each [F].
+
+    Every body grows by `gap`, so that those that touch but for rounding share volume.
+    """
+    parts, numbers = [], {}
+    for number, body in enumerate(bodies):
+        part = manifold(grown(body, gap), body.faces, body.friction).as_original()
+        if part.status() != manifold3d.Error.NoError:
+            raise InputError("expected a closed surface that does not cross itself", key=body.key)
+        parts.append(part)
+        numbers[part.original_id()] = number
+    check_lines(parts, [body.key for body in bodies], gap)
+    mesh = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add).to_mesh64()
+    values, triangles = np.array(mesh.vert_properties), np.array(mesh.tri_verts, np.int64)
+    owner = np.zeros(len(triangles), np.int32)
+    starts = np.array(mesh.run_index, np.int64) // 3
+    for original, first, last in zip(mesh.run_original_id, starts[:-1], starts[1:], strict=True):
+        owner[first:last] = numbers[int(original)]
+    friction = values[:, 3][triangles]
+    # Vertices where solids meet stand in the mesh once for each body.
+    same = np.arange(len(values))
+    same[np.array(mesh.merge_from_vert, np.int64)] = np.array(mesh.merge_to_vert, np.int64)
+    return values[:, :3], same[triangles], friction, owner
+
+
+def check_lines(parts: list[manifold3d.Manifold], keys: list[str], gap: float) -> None:
+    """Raise InputError where solids in 3D meet in a point or along a line alone, which no third solid covers.
+
+    parts: the solids, each grown by `gap` [m]. Two that share a face of width w then have a layer of the surface
+    2 w L in common, with L the length of its diagonal; of an edge it is 8 gap L.
+    """
+    bounds = np.array([part.bounding_box() for part in parts]).reshape(-1, 2, 3)
+    for first, second in combinations(range(len(parts)), 2):
+        apart = (bounds[[first, second], 0].max(axis=0) > bounds[[first, second], 1].min(axis=0)).any()
+        if apart or parts[first].num_tri() + parts[second].num_tri() > MOST_TRIANGLES:
+            continue
+        for shared in (parts[first] ^ parts[second]).decompose():
+            low, high = np.array(shared.bounding_box()).reshape(2, 3)
+            length = float(np.linalg.norm(high - low))
+            if shared.surface_area() > NARROW * gap * length:
+                continue
+            others = [part for number, part in enumerate(parts) if number not in (first, second)]
+            left = manifold3d.Manifold.batch_boolean([shared, *others], manifold3d.OpType.Subtract)
+            if left.volume() > 0.5 * shared.volume():
+                where = "along a line" if length > NARROW * gap else "in a point"
+                raise meet(keys[first], keys[second], "a face", where)
+
+
+def grown(body: Body, gap: float) -> Floats:
+    """The vertices [V, 3] of a body whose faces have all moved outwards by `gap` [m].
+
+    A vertex moves by the least d for which n . d = gap of its faces' normals n, in the mean square where they are many.
+    """
+    normals, _, _ = pseudonormals(body.vertices, body.faces)
+    matrix, right = np.zeros((len(body.vertices), 3, 3)), np.zeros((len(body.vertices), 3))
+    for corner in range(3):
+        np.add.at(matrix, body.faces[:, corner], normals[:, :, None] * normals[:, None, :])
+        np.add.at(right, body.faces[:, corner], gap * normals)
+    matrix += FLAT * np.eye(3)
+    return np.asarray(body.vertices + np.linalg.solve(matrix, right[..., None])[..., 0])
+
+
+def share_volume(first: Body, second: Body, margin: float) -> bool:
+    """Whether two bodies share more than a layer of `margin` [m]."""
+    solid = manifold(first.vertices, first.faces)
+    return bool((solid ^ manifold(second.vertices, second.faces)).volume() > margin * solid.surface_area())
+
+
+def sliced(vertices: Floats, triangles: Integers, lattice: Floats) -> NDArray[np.bool_]:
+    """Which places of a lattice [m], shape [N, 3], lie in a closed surface, by level cuts through it; shape [N]."""
+    # The library cuts across its third axis.
+    body = manifold(vertices[:, [0, 2, 1]], triangles[:, ::-1])
+    within = np.zeros(len(lattice), bool)
+    for level in np.unique(lattice[:, 1]):
+        here = np.flatnonzero(lattice[:, 1] == level)
+        rings = [shapely.Polygon(ring) for ring in body.slice(float(level)).to_polygons() if len(ring) >= 3]
+        for ring in rings:
+            # A ring inside another one is a hole.
+            within[here] ^= np.asarray(shapely.contains_xy(ring, lattice[here, 0], lattice[here, 2]), bool)
+    return within

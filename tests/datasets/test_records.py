@@ -1,0 +1,54 @@
+"""Records: bounds hold for what a file says and for what Python says, in the same words."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import pytest
+
+from datasets.errors import InputError, OutOfRange
+from datasets.records import FARTHEST, Bounds, Record, from_mapping
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limited(Record):
+    """A number, a vector and what may be a word, each within bounds."""
+
+    share: Annotated[float, Bounds("a share in (0, 1]", gt=0.0, le=1.0)] = 0.5
+    sizes: Annotated[tuple[float, ...], Bounds("positive lengths", gt=0.0)] | None = None
+    friction: Annotated[float | str, Bounds("a coefficient or 'rough'", ge=0.0, words=("rough",))] = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Holder(Record):
+    """Records in a record."""
+
+    parts: tuple[Limited, ...]
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ({"share": 0.0}, "share: expected a share in (0, 1], got 0.0"),
+        ({"share": 1.5}, "share: expected a share in (0, 1], got 1.5"),
+        ({"sizes": (0.1, -1.0)}, "sizes: expected positive lengths, got [0.1, -1.0]"),
+        ({"sizes": (2.0 * FARTHEST,)}, "sizes: expected positive lengths, got [2000000000.0]"),
+        ({"friction": "smooth"}, "friction: expected a coefficient or 'rough', got 'smooth'"),
+    ],
+)
+def test_a_value_out_of_bounds_is_named_alike(values: dict[str, Any], expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Limited(**values)
+    assert str(caught.value) == expected
+    with pytest.raises(OutOfRange) as found:
+        from_mapping(Holder, {"parts": [{}, values]})
+    assert str(found.value) == f"parts[1].{expected}"
+
+
+@pytest.mark.parametrize("values", [{}, {"share": 1.0}, {"sizes": (1, 2.0)}, {"friction": "rough"}, {"friction": 0}])
+def test_a_value_within_is_taken(values: dict[str, Any]) -> None:
+    assert from_mapping(Holder, {"parts": [values]}).parts == (Limited(**values),)
+
+
+def test_no_number_is_within_no_bounds() -> None:
+    with pytest.raises(InputError, match="got nan"):
+        Limited(share=float("nan"))
