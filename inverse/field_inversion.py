@@ -38,8 +38,9 @@ from datasets.particles import initial_volumes
 from datasets.processes import processors
 from datasets.scene import Scene
 from datasets.trajectory import brackets
+from inverse.answer import Answer, MpmRun, Purpose, judge
+from inverse.field_posterior import FieldPosterior
 from inverse.forward.adjoint import derivatives
-from inverse.found import Answer, FoundField, MpmRun, Purpose, judge
 from inverse.noise import Scatter, fit, shrunk
 from inverse.observations import Observation, Rollout
 from inverse.parameters.field import BAND
@@ -74,7 +75,7 @@ def of_fields(problem: Problem) -> Result:
     began, used = time.perf_counter(), time.process_time()
     target = read_target(problem, simulate)
     flow = WhiteFlow(problem, target.observation)
-    measured = target.errors_of(np.eye(len(target.values)))
+    measured = target.errors.matrix
     iterations, seed = problem.optimiser.max_iterations, problem.scene.seed
     rng, start = np.random.default_rng(seed), np.zeros(flow.size)
     runs = flow.scattered(start)
@@ -135,7 +136,7 @@ def of_fields(problem: Problem) -> Result:
     )
 
 
-def found_fields(flow: "WhiteFlow", posterior: "Gaussian") -> list[FoundField]:
+def found_fields(flow: "WhiteFlow", posterior: "Gaussian") -> list[FieldPosterior]:
     """Each field with its widths at the nodes."""
     problem, draws = flow.problem, posterior.draws(DRAWS)
     truths = [None] * len(problem.fields) if not problem.target.twin else problem.true_fields
@@ -145,7 +146,7 @@ def found_fields(flow: "WhiteFlow", posterior: "Gaussian") -> list[FoundField]:
     ):
         removed = (unknown.prior.field(posterior.removed[part]) ** 2).sum(axis=1)
         found.append(
-            FoundField(
+            FieldPosterior(
                 unknown=unknown,
                 latent=latent,
                 width=np.sqrt(np.maximum(unknown.prior.deviation**2 - removed, 0.0)),

@@ -1,26 +1,52 @@
 """Observation operators: what is measured of a flow.
 
->>> from inverse.observations import build
->>> from inverse.settings import ObservationSettings
->>> front = build(ObservationSettings(kind="front"), scene)
+>>> from inverse.observations import FrontSettings
+>>> front = FrontSettings(noise="1%").operator(scene)
 >>> front.observe(trajectory)
 """
 
-from datasets.scene import Scene
-from inverse.observations.deposit import Deposit, Front, Outline, Passed, Runout, Toe
-from inverse.observations.gauges import Gauges, Impulse
+from inverse.observations.deposit import (
+    DepositSettings,
+    FrontSettings,
+    OutlineSettings,
+    PassedSettings,
+    RunoutSettings,
+    ToeSettings,
+)
+from inverse.observations.gauges import GaugesSettings, ImpulseSettings
 from inverse.observations.observation import Observation, Rollout, Values
-from inverse.observations.profile import Profile
-from inverse.settings import ObservationSettings
+from inverse.observations.profile import ProfileSettings
+from inverse.observations.settings import ObservationSettings
 
-__all__ = ["KINDS", "Observation", "Rollout", "Values", "build"]
+__all__ = [
+    "KINDS",
+    "DepositSettings",
+    "FrontSettings",
+    "GaugesSettings",
+    "ImpulseSettings",
+    "Observation",
+    "ObservationSettings",
+    "OutlineSettings",
+    "PassedSettings",
+    "ProfileSettings",
+    "Rollout",
+    "RunoutSettings",
+    "ToeSettings",
+    "Values",
+]
 
-KINDS: dict[str, type[Observation]] = {
-    each.kind: each for each in (Front, Runout, Profile, Toe, Deposit, Passed, Gauges, Impulse, Outline)
+KINDS: dict[str, type[ObservationSettings]] = {
+    settings.kind: settings
+    for settings in (
+        FrontSettings,
+        RunoutSettings,
+        ProfileSettings,
+        ToeSettings,
+        DepositSettings,
+        PassedSettings,
+        GaugesSettings,
+        ImpulseSettings,
+        OutlineSettings,
+    )
 }
-"""Every kind of observation by its name in TOML."""
-
-
-def build(settings: ObservationSettings, scene: Scene) -> Observation:
-    """The observation operator that `settings` describe, for flows of `scene`. Raises InputError."""
-    return KINDS[settings.kind](settings, scene)
+"""The settings of every kind of observation by its name in TOML."""

@@ -33,12 +33,12 @@ from scipy.special import gammaln
 from scipy.stats import f, qmc
 
 from inverse.noise import biases
+from inverse.observations.target import Target
 from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, most_informative, squared_distance
 from inverse.posterior.reduction import Reduction, reduction
 from inverse.posterior.sampling import Samples, sample, systematic
 from inverse.posterior.settings import CONSTANTS
-from inverse.target import Target
 
 OUTERMOST = 0.1
 """Share of a region's extent, within which a sample lies at its edge."""

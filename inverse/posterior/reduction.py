@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from inverse.observations.target import Target
 from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
-from inverse.target import Target
 
 NEGLIGIBLE = 1e-8
 """Effect of a parameter on any number, over scatter and noise, that is rounding."""
@@ -69,7 +69,7 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
         basis=basis,
         components=components,
         expected_scatter=expected,
-        noise=target.errors_of(scaled),
+        noise=target.errors.combined(scaled),
     )
 
 

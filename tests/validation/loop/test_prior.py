@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from inverse import Prior, inference_data
-from inverse.found import Verdict
+from inverse.answer import Verdict
 from tests.validation.loop.flows import Case, Formula, layers, wedge
 
 NOISE, SLOPE = 0.06, 0.0164

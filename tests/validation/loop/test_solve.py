@@ -12,7 +12,8 @@ from datasets.command_line import run
 from datasets.errors import WorkFailed
 from datasets.lock import locked
 from datasets.trajectory import Trajectory
-from inverse.found import Purpose, Verdict
+from inverse import plot, save
+from inverse.answer import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS
 from tests.inverse.test_fields import files
 from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, Uneven, layers, length, wedge
@@ -101,7 +102,7 @@ def test_a_target_outside_the_bounds_is_unreachable(tmp_path: Path, beyond: floa
     result = wedge(tmp_path, value=length(beyond), scatter=0.001).solve(tmp_path)
     assert result.verdict is Verdict.UNREACHABLE
     assert result.unknowns["friction_deg"] == pytest.approx(bound, abs=0.5)
-    result.save(tmp_path)
+    save(result, tmp_path)
     with pytest.raises(WorkFailed, match="unreachable"):
         print_outcome(result, tmp_path)
     assert "No parameters within the bounds" in (tmp_path / "report.md").read_text()
@@ -117,7 +118,7 @@ def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pyt
     assert sum(answer.weight for answer in result.answers) == pytest.approx(1.0)
     assert all(0.2 < answer.weight < 0.8 for answer in result.answers)
     assert all(result.target.misfit(answer.observation) < 0.003**2 for answer in result.answers)
-    result.save(tmp_path)
+    save(result, tmp_path)
     print_outcome(result, tmp_path)
     said = capsys.readouterr().out
     assert said.startswith("wedge: ambiguous")
@@ -195,7 +196,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     for picture in ("deposit.png", "posterior.png"):
         assert f"({picture})" in report
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
-    figure = found.plot()
+    figure = plot(found)
     assert "confirmed" in figure.get_suptitle()
     assert len(figure.axes) == 3
 

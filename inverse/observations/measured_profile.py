@@ -1,32 +1,35 @@
-"""What was measured, in a CSV: columns of numbers by their header, in the units of the problem, and profiles.
-
-A profile has rows x and height, made heights above the floor and held against what was released:
+"""Measured profiles: rows x and height, made heights above the floor and compared with what was released.
 
     h = (height - datum) in metres;    |1 - A / A0| within a bound,  A = int h dx,  A0 = released volume over the width
 
 What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for.
 """
 
-import dataclasses
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from enum import StrEnum
 
 import numpy as np
 from scipy.stats import chi2
 
-from datasets import files
-from datasets.errors import InputError, naming
+from datasets.errors import InputError, require
 from datasets.field import Floats
 from datasets.geometry.ground import elevation
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
-from inverse.settings import Heights, ObservationSettings
+from inverse.observations.errors import Noise
 
-LENGTHS = ("x", "z", "front", "height")
-"""Columns that are lengths."""
+
+class Heights(StrEnum):
+    """What the heights of a measured profile are."""
+
+    EQUIVALENT = "equivalent"
+    """Of the released volume at its initial density, over the length and the width."""
+    SURFACE = "surface"
+    """Of the deposit's surface above the ground, which may be looser than what was released."""
+    ELEVATION = "elevation"
+    """Of the deposit's surface above the datum, over terrain: the ground beneath it is taken off (2D)."""
+
+
 EDGE = 0.01
 """Height over the largest, below which a deposit has ended."""
 FURTHEST = 2.0
@@ -41,39 +44,6 @@ MINIMUM_FREEDOM = 4
 """Fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too."""
 AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25), Heights.ELEVATION: (0.9, 1.25)}
 """Of a profile over the released one: sand of a porosity of 0.38 that comes to rest at 0.45 takes an eighth more."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Context:
-    """What the numbers of a measurement are read and checked with."""
-
-    scene: Scene
-    folder: Path
-    """Relative paths start here."""
-    released: float | None
-    """Volume of the masses over the width [m^2]; None where that is itself a parameter."""
-    run: Trajectory | None = None
-    """The flow that was observed, where it is known."""
-
-
-def tabulated(
-    settings: ObservationSettings, context: Context, columns: Mapping[str, str], optional: Sequence[str]
-) -> ObservationSettings:
-    """`settings` with the numbers of their `csv` [m, s] under the keys that its columns stand for."""
-    required, given = [name for name in columns if name not in optional], dict[str, Any]()
-    for name, column in read_columns(context.folder / str(settings.csv), required, optional).items():
-        datum = settings.datum if name == "height" else 0.0
-        metres = settings.unit.metres if name in LENGTHS else 1.0
-        given[columns[name]] = tuple(((column - datum) * metres).tolist())
-    return dataclasses.replace(settings, csv=None, **given)
-
-
-def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
-    """Columns of a CSV, each of shape [R], and `optional` ones that it has. Raises InputError, which names it."""
-    found = files.read_columns(path, tuple(names), tuple(optional), others=True)
-    if len(found[names[0]]) < 2:
-        raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
-    return {name: found[name] for name in (*names, *optional) if name in found}
 
 
 def require_inside(x: Floats, length: float) -> Floats:
@@ -99,11 +69,11 @@ class MeasuredProfile:
         """Heights [m] at `stations` [m], linear in between, 0 beyond; shape [S]."""
         return np.asarray(np.interp(stations, self.x, self.height, left=0.0, right=0.0))
 
-    def deviation(self, *, share: float, noise: float) -> Floats:
-        """Of each height [m], [R]: a `share` of it and `noise` [m]; 0 where the ground is bare on both sides."""
+    def deviation(self, noise: Noise) -> Floats:
+        """Of each height [m], shape [R]; 0 where the ground is bare on both sides."""
         covered = self.height > 0.0
         edge = np.concatenate([[False], covered[:-1]]) | np.concatenate([covered[1:], [False]])
-        return np.asarray(np.where(covered | edge, np.hypot(share * self.height, noise), 0.0))
+        return np.asarray(np.where(covered | edge, noise.of(self.height), 0.0))
 
     def roughness(self, deviation: Floats) -> float:
         """How many times `deviation` [m], shape [R], the heights scatter about the line through their neighbours; >= 1.
@@ -128,38 +98,35 @@ class MeasuredProfile:
         return math.sqrt(square) if chi2.sf(square * freedom, freedom) < RARE else 1.0
 
 
-def profile_of(settings: ObservationSettings, context: Context) -> MeasuredProfile:
-    """The profile in the CSV of `settings`; its area is checked where the released one is known.
+def checked_profile(
+    x: Floats, height: Floats, scene: Scene, heights: Heights, released: float | None
+) -> MeasuredProfile:
+    """The profile of rows [m], both of shape [R]; its area is compared with the released one where that is known.
 
-    Raises InputError, which names the file, for rows that are no profile, lie outside of the box, end in the middle of
-    the deposit, or hold another area than was released.
+    Raises InputError for rows that are no profile, lie outside of the box, end in the middle of the deposit, or hold
+    another area than was released.
     """
-    path, scene, metres = context.folder / str(settings.csv), context.scene, settings.unit.metres
-    x, height = read_columns(path, ("x", "height")).values()
-    with naming(path):
-        if not np.all(np.diff(x) > 0.0):
-            raise InputError("expected x in ascending order")
-        x, height = require_inside(x * metres, scene.domain.size[0]), (height - settings.datum) * metres
-        if settings.heights is Heights.ELEVATION:
-            if scene.dimension != 2:
-                raise InputError("expected heights above the ground in 3D, got elevations", key="heights")
-            height = height - elevation(scene.solids, scene.domain, x[:, None])
-        got = "datum is the floor's in the file"
-        if height.max() <= 0.0:
-            raise InputError(f"expected a height above the floor, got none; {got}")
-        if height.min() < -BELOW * height.max():
-            raise InputError(f"expected heights above the floor, got {height.min():g} m; {got}")
-        profile = closed(x, np.maximum(height, 0.0), scene.domain.size[0])
-        if (released := context.released) is not None:
-            area = float(np.trapezoid(profile.height, profile.x))
-            low, high = AREA[settings.heights]
-            if not low * released <= area <= high * released:
-                raise InputError(
-                    f"expected {low:g} to {high:g} times the area that was released, {released:.4g} m^2, for "
-                    f"{settings.heights} heights, got {area:.4g} m^2, {area / released:.3g} times; unit, datum and "
-                    "heights say what stands in the file"
-                )
-        return profile
+    if len(falls := np.flatnonzero(np.diff(x) <= 0.0)):
+        raise InputError(f"expected x in ascending order, got {x[falls[0] + 1]:g} m after {x[falls[0]]:g} m")
+    require_inside(x, scene.domain.size[0])
+    if heights is Heights.ELEVATION:
+        require(scene.dimension == 2, "heights", "heights above the ground in 3D", "elevations")
+        height = height - elevation(scene.solids, scene.domain, x[:, None])
+    got = "datum is the floor's in the file"
+    require(height.max() > 0.0, "", "a height above the floor", f"none; {got}")
+    least = height.min()
+    require(least >= -BELOW * height.max(), "", "heights above the floor", f"{least:g} m; {got}")
+    profile = closed(x, np.maximum(height, 0.0), scene.domain.size[0])
+    if released is not None:
+        area = float(np.trapezoid(profile.height, profile.x))
+        low, high = AREA[heights]
+        require(
+            low * released <= area <= high * released,
+            "",
+            f"{low:g} to {high:g} times the area that was released, {released:.4g} m^2, for {heights} heights",
+            f"{area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what stands in the file",
+        )
+    return profile
 
 
 def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
