@@ -5,48 +5,22 @@
 >>> front.observe(trajectory)
 """
 
-from inverse.observations.deposit import (
-    DepositSettings,
-    FrontSettings,
-    OutlineSettings,
-    PassedSettings,
-    RunoutSettings,
-    ToeSettings,
-)
-from inverse.observations.gauges import GaugesSettings, ImpulseSettings
-from inverse.observations.observation import Observation, Rollout, Values
-from inverse.observations.profile import ProfileSettings
-from inverse.observations.settings import ObservationSettings
+from inverse.observations.deposit import DepositSettings as DepositSettings
+from inverse.observations.deposit import FrontSettings as FrontSettings
+from inverse.observations.deposit import OutlineSettings as OutlineSettings
+from inverse.observations.deposit import PassedSettings as PassedSettings
+from inverse.observations.deposit import RunoutSettings as RunoutSettings
+from inverse.observations.deposit import ToeSettings as ToeSettings
+from inverse.observations.gauges import GaugesSettings as GaugesSettings
+from inverse.observations.gauges import ImpulseSettings as ImpulseSettings
+from inverse.observations.observation import Observation as Observation
+from inverse.observations.observation import Rollout as Rollout
+from inverse.observations.observation import Values as Values
+from inverse.observations.profile import ProfileSettings as ProfileSettings
+from inverse.observations.settings import ObservationSettings as ObservationSettings
 
-__all__ = [
-    "KINDS",
-    "DepositSettings",
-    "FrontSettings",
-    "GaugesSettings",
-    "ImpulseSettings",
-    "Observation",
-    "ObservationSettings",
-    "OutlineSettings",
-    "PassedSettings",
-    "ProfileSettings",
-    "Rollout",
-    "RunoutSettings",
-    "ToeSettings",
-    "Values",
-]
-
+_DEPOSIT = (FrontSettings, RunoutSettings, ToeSettings, DepositSettings, PassedSettings, OutlineSettings)
 KINDS: dict[str, type[ObservationSettings]] = {
-    settings.kind: settings
-    for settings in (
-        FrontSettings,
-        RunoutSettings,
-        ProfileSettings,
-        ToeSettings,
-        DepositSettings,
-        PassedSettings,
-        GaugesSettings,
-        ImpulseSettings,
-        OutlineSettings,
-    )
+    settings.kind: settings for settings in (*_DEPOSIT, ProfileSettings, GaugesSettings, ImpulseSettings)
 }
 """The settings of every kind of observation by its name in TOML."""

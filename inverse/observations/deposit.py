@@ -61,15 +61,10 @@ class FrontSettings(TabulatedSettings):
     unit: LengthUnit = LengthUnit.METRE
     """Of the front in a table."""
 
-    operator_type = Front
+    operator_type, options = Front, ("times",)
     columns: ClassVar = {"time": "times", "front": "values"}
 
-    def operator(self, scene: Scene) -> Front:
-        """See `ObservationSettings.operator`."""
-        return Front(scene, self.times)
-
     def converted(self, name: str, column: Floats) -> Floats:
-        """See `TabulatedSettings.converted`."""
         return column * self.unit.metres if name == "front" else column
 
 
@@ -196,11 +191,7 @@ class PassedSettings(ObservationSettings):
     width: float | None = None
     """Length over which the share is smoothed for gradients [m]; a cell of the scene where absent."""
 
-    operator_type = Passed
-
-    def operator(self, scene: Scene) -> Passed:
-        """See `ObservationSettings.operator`."""
-        return Passed(scene, self.line, self.width)
+    operator_type, options = Passed, ("line", "width")
 
 
 class Deposit(Observation):
@@ -292,17 +283,12 @@ class OutlineSettings(TabulatedSettings):
     unit: LengthUnit = LengthUnit.METRE
     """Of the lengths in a table."""
 
-    operator_type = Outline
-
-    def operator(self, scene: Scene) -> Outline:
-        """See `ObservationSettings.operator`."""
-        return Outline(scene, self.directions_deg)
+    operator_type, options = Outline, ("directions_deg",)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
-        """See `ObservationSettings.read`."""
         if self.csv is None:
             return super().read(scene, folder, released)
-        operator, path = self.operator(scene), folder / self.csv
+        operator, path = Outline(scene, self.directions_deg), folder / self.csv
         vertices = np.stack([*read_columns(path, ("x", "z")).values()], axis=1) * self.unit.metres
         with naming(path):
             require_inside(vertices[:, 0], scene.domain.size[0])

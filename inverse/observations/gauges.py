@@ -99,16 +99,11 @@ class GaugesSettings(TabulatedSettings):
     datum: float = 0.0
     """Height of the floor in a table [`unit`]."""
 
-    operator_type = Gauges
+    operator_type, options = Gauges, ("x", "z", "times", "spacing")
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
 
-    def operator(self, scene: Scene) -> Gauges:
-        """See `ObservationSettings.operator`."""
-        return Gauges(scene, self.x, times=self.times, z=self.z, spacing=self.spacing)
-
     def converted(self, name: str, column: Floats) -> Floats:
-        """See `TabulatedSettings.converted`."""
         if name == "time":
             return column
         return (column - (self.datum if name == "height" else 0.0)) * self.unit.metres
@@ -173,12 +168,8 @@ class ImpulseSettings(TabulatedSettings):
     times: tuple[float, ...] | None = None
     """When [s] after the start; where absent, in the end."""
 
-    operator_type = Impulse
+    operator_type, options = Impulse, ("solid", "axis", "times")
     columns: ClassVar = {"time": "times", "impulse": "values"}
-
-    def operator(self, scene: Scene) -> Impulse:
-        """See `ObservationSettings.operator`."""
-        return Impulse(scene, solid=self.solid, axis=self.axis, times=self.times)
 
 
 def hat_area(x: Values, spacing: float, length: float) -> Values:

@@ -167,7 +167,6 @@ class ProfileSettings(TabulatedSettings):
         return kind(scene, self.spacing, times=self.times, rows=rows)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
-        """See `ObservationSettings.read`."""
         path = folder / str(self.csv)
         x, height = read_columns(path, ("x", "height")).values()
         metres = self.unit.metres

@@ -49,6 +49,8 @@ class ObservationSettings(Record):
     """Standard deviation of each number, of a profile of each height: in their unit, or a percentage such as "3%"."""
 
     operator_type: ClassVar[type[Observation]]
+    options: ClassVar[tuple[str, ...]] = ()
+    """Keys that the operator takes."""
 
     def __post_init__(self) -> None:
         Noise.stated(self.noise)
@@ -56,7 +58,7 @@ class ObservationSettings(Record):
 
     def operator(self, scene: Scene) -> Observation:
         """The operator for flows of `scene`. Raises InputError, which names the key."""
-        return self.operator_type(scene)
+        return self.operator_type(scene, **{key: getattr(self, key) for key in self.options})
 
     @property
     def sources(self) -> list[str]:
@@ -122,7 +124,6 @@ class TabulatedSettings(ObservationSettings):
         return column
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
-        """See `ObservationSettings.read`."""
         if self.csv is None:
             return super().read(scene, folder, released)
         path = folder / self.csv
