@@ -34,8 +34,8 @@ def write(result: Result, path: Path) -> None:
     prior = shares if problem.prior is None else problem.prior.at(shares)
     units = [kind.unit for kind in problem.kinds]
     numbers = {
-        name: dict(zip(problem.names, zip(np.moveaxis(problem.box.at(own), -1, 0), units, strict=True), strict=True))
-        for name, own in (("posterior", chains(points)), ("prior", prior[None]))
+        name: dict(zip(problem.names, zip(np.moveaxis(problem.box.at(shares), -1, 0), units, strict=True), strict=True))
+        for name, shares in (("posterior", chains(points)), ("prior", prior[None]))
     }
     with replacing(path) as part, h5py.File(part, "w", track_order=True) as file:
         for name, variables in numbers.items():
@@ -44,11 +44,12 @@ def write(result: Result, path: Path) -> None:
         if len(values) > MAX_NUMBERS or len(posterior.reduction.mean) != len(values):
             return
         shown = {"posterior_predictive": chains(raw(predictive(posterior, points, rng))), "observed_data": raw(values)}
-        for name, own in shown.items():
+        for name, samples in shown.items():
             parts = {
-                each.name: (own[..., each.numbers], each.observation.unit) for each in result.target.observation.parts
+                part.name: (samples[..., part.numbers], part.observation.unit)
+                for part in result.target.observation.parts
             }
-            fill(file.create_group(name, track_order=True), parts, CHAINS if own.ndim > 1 else ())
+            fill(file.create_group(name, track_order=True), parts, CHAINS if samples.ndim > 1 else ())
 
 
 def chains(samples: Matrix) -> Matrix:

@@ -141,9 +141,9 @@ def mark(axis: Axes, result: Result, deposit: Deposit, colour: str) -> str:
     if isinstance(observation, Passed):
         axis.axvline(observation.line, color=LINE, linestyle="--", linewidth=1.2, zorder=5, label="line")
     elif isinstance(observation, Toe):
-        own, target = observation.exact(deposit), result.target.values
+        toe, target = observation.exact(deposit), result.target.values
         style: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markersize": 8, "zorder": 5}
-        axis.plot(own[0], own[across], "o", color=colour, label="toe of this deposit", **style)
+        axis.plot(toe[0], toe[across], "o", color=colour, label="toe of this deposit", **style)
         axis.plot(target[0], target[across], "k+", markersize=13, markeredgewidth=2, zorder=6, label="target toe")
     else:
         front = measures.front(deposit, particle_volumes(result.problem.scene, len(deposit)))
@@ -178,8 +178,8 @@ def unknowns(result: Result) -> Figure:
     size = (WIDTH, 0.4 + 3.2 * len(units))
     figure, grid = plt.subplots(len(units), 1, figsize=size, layout="constrained", squeeze=False)
     for unit, axis in zip(units, grid[:, 0], strict=True):
-        own = [index for index, each in enumerate(result.problem.numbers) if each.kind.unit == unit]
-        every, x = [result.problem.numbers[index] for index in own], np.arange(len(own))
+        indices = [index for index, each in enumerate(result.problem.numbers) if each.kind.unit == unit]
+        every, x = [result.problem.numbers[index] for index in indices], np.arange(len(indices))
         if truth:
             # Steps as wide as their columns: the profile of the truth over the layers.
             axis.hlines([truth[each.name] for each in every], x - 0.4, x + 0.4, color="black", label="truth")
@@ -188,11 +188,11 @@ def unknowns(result: Result) -> Figure:
         for number, answer in enumerate(result.answers):
             label = "" if number else "found, with its interval (95 %)"
             style = {"fmt": "o", "color": COLOURS["MPM"], "capsize": 4, "label": label}
-            value, ends = answer.parameters[own], answer.interval[:, own]
+            value, ends = answer.parameters[indices], answer.interval[:, indices]
             wide = np.maximum([value - ends[0], ends[1] - value], 0.0)
             axis.errorbar(x + 0.1 + 0.15 * number, value, yerr=wide, **style)
         axis.set_xticks(x, [each.name.replace(".", "\n") for each in every])
-        axis.set(xlim=(-0.6, len(own) - 0.4), ylabel=f"[{unit}]")
+        axis.set(xlim=(-0.6, len(indices) - 0.4), ylabel=f"[{unit}]")
         axis.grid(axis="y", color="#e5e5e5")
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure

@@ -103,9 +103,8 @@ class Problem:
 
     def __post_init__(self) -> None:
         check_parameters(self.scene, self.parameters)
-        if self.correlations:
-            # It refuses pairs that are none.
-            JointPrior(self.marginals, self.correlations)
+        # It refuses correlations that are none.
+        _ = self.prior
         self._check_observations()
         self._check_target()
         unknowns = len(self.parameters)
@@ -268,13 +267,13 @@ class Problem:
 
     def _check_fields(self) -> None:
         """Raise InputError for fields that the adjoint cannot find, or a twin without their truth."""
-        known = {(each.quantity, each.mass) for each in self.scene.fields}
+        true_fields = {(each.quantity, each.mass) for each in self.scene.fields}
         indices = [index for index, each in enumerate(self.parameters) if each.is_field]
         for index, unknown in zip(indices, self.fields, strict=True):
             settings = unknown.settings
             with keyed(f"unknowns[{index}]"):
                 unknown.check_bounds(self.scene)
-                true = not self.target.twin or (settings.quantity, settings.mass) in known
+                true = not self.target.twin or (settings.quantity, settings.mass) in true_fields
                 require(true, "name", f"a scene with a field of {unknown.name} as the truth", "none")
             if settings.quantity == FRICTION:
                 expected = "a body without initial stress, whose yield depends on an unknown friction"

@@ -155,9 +155,9 @@ def equifinality(result: Result) -> str:
         return ""
     parts = [advice] if (advice := finer(result)) else []
     if names := unidentified(result.problem, result.answers[0]):
-        known = [mix(each) for each in result.combinations if each.identifiable]
+        constrained = [mix(each) for each in result.combinations if each.identifiable]
         listed = ", ".join(f"`{name}`" for name in names)
-        parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(known[:SUGGESTED]) or 'nothing'}")
+        parts.append(f"Not identifiable: {listed}; constrained: {'; '.join(constrained[:SUGGESTED]) or 'nothing'}")
     if result.further:
         best = ", ".join([*result.further][:SUGGESTED])
         parts.append(f"most would be decided by {best}")
@@ -224,7 +224,9 @@ def every_answer(result: Result) -> str:
     rows = []
     for each in result.answers:
         both = zip(result.problem.numbers, each.parameters.tolist(), each.interval.T, strict=True)
-        row = {f"`{own.name}`": f"{own.kind.text(value)} ({within(own, ends)})" for own, value, ends in both}
+        row = {
+            f"`{number.name}`": f"{number.kind.text(value)} ({within(number, ends)})" for number, value, ends in both
+        }
         row["share of the posterior"] = f"{100.0 * each.weight:.0f} %"
         row["the MPM there"] = "not asked" if each.fit is None else distance(result, each)
         rows.append(row)
@@ -238,10 +240,10 @@ def comparison(result: Result) -> str:
     same, rows, runs = len(shown) == len(target.values), [], len(result.answers[0].checks)
     which = f"{result.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
     for part in whole.parts:
-        own, text, root = part.numbers, part.observation.text, part.observation.root_text
-        measured = whole.raw(target.values)[own]
-        answer = whole.raw(shown)[own] if same else shown
-        noise, residual = rms(target.deviation[own] * scale[own]), rms(answer - measured) if same else np.nan
+        index, text, root = part.numbers, part.observation.text, part.observation.root_text
+        measured = whole.raw(target.values)[index]
+        answer = whole.raw(shown)[index] if same else shown
+        noise, residual = rms(target.deviation[index] * scale[index]), rms(answer - measured) if same else np.nan
         row = {"observation": part.name, "target": text(measured), which: text(answer)}
         row["noise"] = root(noise)
         row["residual (root mean square)"] = root(residual)
@@ -313,11 +315,11 @@ def finer(result: Result) -> str:
 
     The error is that of the cell beyond the target's, 0 in nature; work grows by the power dimension + 1 of 1 / cell.
     """
-    fit, cell, own = result.answers[0].fit, result.problem.scene.domain.cell, result.target.cell or 0.0
-    if fit is None or not 0.0 < fit.noise < fit.cells or own >= cell:
+    fit, cell, target_cell = result.answers[0].fit, result.problem.scene.domain.cell, result.target.cell or 0.0
+    if fit is None or not 0.0 < fit.noise < fit.cells or target_cell >= cell:
         return ""
     share = fit.cells / fit.noise
-    enough = own + (cell - own) / share
+    enough = target_cell + (cell - target_cell) / share
     times = (cell / enough) ** (result.problem.scene.dimension + 1)
     seconds = float(np.mean([each.seconds for each in result.answers[0].checks]))
     price = f", {times * seconds:.2g} s instead of {seconds:.2g} s a run" if seconds > 0.0 else ""

@@ -1,6 +1,5 @@
 """Where a flow came to rest: front, runout, toe, the share beyond a line, every particle, the outline."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -12,12 +11,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import measures
-from datasets.errors import InputError, naming, require
+from datasets.errors import naming, require
 from datasets.field import Floats
 from datasets.particles import mass_centroids, mass_volumes, particle_volumes
 from datasets.scene import Scene
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import Observation, Values, fitted_tail
+from inverse.observations.observation import Numbers, Observation, Values, fitted_tail
 from inverse.observations.settings import LengthUnit, ObservationSettings, TabulatedSettings, read_columns
 from inverse.observations.target import Target
 
@@ -33,7 +32,7 @@ class Front(Observation):
     kind = "front"
     label = "the front, the x that 99.5 % of the volume is behind"
 
-    def __init__(self, scene: Scene, times: Sequence[float] | None = None) -> None:
+    def __init__(self, scene: Scene, times: Numbers = None) -> None:
         super().__init__(scene, times)
         self.limits = (0.0, scene.domain.size[0])
 
@@ -243,10 +242,9 @@ class Outline(Observation):
     kind = "outline"
     label = "the outline of the deposit in plan"
 
-    def __init__(self, scene: Scene, directions_deg: Sequence[float] | None = None) -> None:
+    def __init__(self, scene: Scene, directions_deg: Numbers = None) -> None:
         super().__init__(scene)
-        if scene.dimension != 3:
-            raise InputError("expected a scene in 3D for an outline", key="kind")
+        require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
         angles = np.deg2rad(DIRECTIONS_DEG if directions_deg is None else np.array(directions_deg))
         self.directions = np.stack([np.cos(angles), np.sin(angles)])
         """From +x towards +z, shape [2, M]."""

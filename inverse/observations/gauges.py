@@ -1,6 +1,5 @@
 """What instruments record: heights at gauges, and the impulse on a solid, in the end or at times of their own."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -8,12 +7,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.field import Floats
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import Observation, Rollout, Values, at_times
+from inverse.observations.observation import Numbers, Observation, Rollout, Values, at_times
 from inverse.observations.settings import LengthUnit, TabulatedSettings
 
 SPACING = 0.02
@@ -35,23 +34,16 @@ class Gauges(Observation):
     label = "the height at gauges"
 
     def __init__(
-        self,
-        scene: Scene,
-        x: Sequence[float] | None,
-        *,
-        times: Sequence[float] | None = None,
-        z: float | None = None,
-        spacing: float = SPACING,
+        self, scene: Scene, x: Numbers, *, times: Numbers = None, z: float | None = None, spacing: float = SPACING
     ) -> None:
         super().__init__(scene, times)
-        if x is None:
-            raise InputError("expected the x [m] of the gauges", key="x")
+        require(x is not None, "x", "the x [m] of the gauges", "none")
         self.x = require_inside(np.array(x), scene.domain.size[0])
         if self.times is not None and len(self.times) != len(self.x):
             # Every gauge at every time, one gauge after the other.
             self.x, self.times = np.repeat(self.x, len(self.times)), np.tile(self.times, len(self.x))
-        if z is not None and (scene.dimension != 3 or not 0.0 <= z <= scene.domain.size[2]):
-            raise InputError(f"expected a z inside a box in 3D, got {z:g}", key="z")
+        inside = z is None or (scene.dimension == 3 and 0.0 <= z <= scene.domain.size[2])
+        require(inside, "z", "a z inside a box in 3D", z)
         self.z, self.spacing = z, spacing
         self.area = hat_area(self.x, self.spacing, scene.domain.size[0])
         if scene.dimension == 3:
@@ -117,17 +109,14 @@ class Impulse(Observation):
     unit = "N s"
     of_positions = False
 
-    def __init__(
-        self, scene: Scene, *, solid: int | str = 0, axis: int = 0, times: Sequence[float] | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, *, solid: int | str = 0, axis: int = 0, times: Numbers = None) -> None:
         super().__init__(scene, times)
         names = solid_names(scene)
         number = names.index(solid) if isinstance(solid, str) and solid in names else solid
         if isinstance(number, str) or not 0 <= number < len(names):
             expected = ", ".join(names) or "none, the scene has no solids"
             raise InputError(f"expected one of {expected}, or its number from 0, got {solid!r}", key="solid")
-        if not 0 <= axis < scene.dimension:
-            raise InputError(f"expected an index below {scene.dimension}, got {axis}", key="axis")
+        require(0 <= axis < scene.dimension, "axis", f"an index from 0 and below {scene.dimension}", axis)
         self.solid, self.axis = number, axis
 
     @property

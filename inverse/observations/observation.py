@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import measures
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, brackets
 
 Values = NDArray[np.float64]
 """An observation: M numbers in their unit, shape [M]."""
+
+Numbers = Sequence[float] | None
+"""As settings have them."""
 
 SCATTER_CELLS = 0.25
 """Standard deviation of a length from flow to flow, before an ensemble has measured it, in cells."""
@@ -41,7 +44,7 @@ class Rollout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class JointPart:
     """One of the observations that are compared together."""
 
     name: str
@@ -71,17 +74,16 @@ class Observation:
     of_positions: bool = True
     """Whether it follows from positions alone: what the surrogate predicts."""
 
-    def __init__(self, scene: Scene, times: Sequence[float] | None = None) -> None:
+    def __init__(self, scene: Scene, times: Numbers = None) -> None:
         """The operator for flows of `scene`. Raises InputError, which names the key of the settings."""
         self.scene = scene
-        self.parts: tuple[Part, ...] = (Part(name=self.kind, observation=self, numbers=slice(None)),)
+        self.parts: tuple[JointPart, ...] = (JointPart(name=self.kind, observation=self, numbers=slice(None)),)
         if times is None:
             return
         self.times = np.array(times)
         beyond = self.times[(self.times < 0.0) | (self.times > scene.duration * (1.0 + 1e-9))]
-        if len(beyond):
-            message = f"expected times in [0, {scene.duration:g}] s, which the scene lasts, got {beyond[0]:g}"
-            raise InputError(message, key="times")
+        expected = f"times in [0, {scene.duration:g}] s, which the scene lasts"
+        require(len(beyond) == 0, "times", expected, ", ".join(f"{time:g}" for time in beyond))
 
     @property
     def count(self) -> int:
@@ -169,7 +171,7 @@ class Joint(Observation):
     label = "several observations"
     unit = "standard deviations"
 
-    def __init__(self, parts: Sequence[Part], scale: Values, prior: Values) -> None:
+    def __init__(self, parts: Sequence[JointPart], scale: Values, prior: Values) -> None:
         """scale, prior: of each number, in its unit, both of shape [M]."""
         self.parts, self.scale, self.prior = tuple(parts), scale, prior
         self.of_positions = all(part.observation.of_positions for part in parts)

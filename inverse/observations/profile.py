@@ -10,7 +10,6 @@ both profiles alike. A row is the height at one x, the model's a mean over its s
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -21,14 +20,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import measures
-from datasets.errors import InputError, naming
+from datasets.errors import naming, require
 from datasets.geometry.ground import elevation
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.measured_profile import Heights, MeasuredProfile, checked_profile
-from inverse.observations.observation import Observation, Values, at_times
+from inverse.observations.observation import Numbers, Observation, Values, at_times
 from inverse.observations.settings import LengthUnit, TabulatedSettings, read_columns
 from inverse.observations.target import Target
 
@@ -55,20 +54,13 @@ class Profile(Observation):
     label = "the height profile"
 
     def __init__(
-        self,
-        scene: Scene,
-        spacing: float = SPACING,
-        *,
-        times: Sequence[float] | None = None,
-        rows: NDArray[np.float64] | None = None,
+        self, scene: Scene, spacing: float = SPACING, *, times: Numbers = None, rows: Values | None = None
     ) -> None:
         """rows: where alone heights are known [m], ascending, [R]; they go on to the walls; else the model's."""
         super().__init__(scene, times)
         length = scene.domain.size[0]
-        if not 0.0 < spacing <= length / 2:
-            raise InputError(f"expected a length in (0, {length / 2:g}] m, got {spacing}", key="spacing")
-        if self.times is not None and len(self.times) != 1:
-            raise InputError(f"expected one time for each profile, got {len(self.times)}", key="times")
+        require(0.0 < spacing <= length / 2, "spacing", f"a length in (0, {length / 2:g}] m", spacing)
+        require(times is None or len(times) == 1, "times", "one time for each profile", len(times or ()))
         self.fine = self.stations = measures.profile_stations(scene, spacing)
         if rows is not None:
             self.stations = to_the_wall(rows, length)
@@ -161,7 +153,7 @@ class ProfileSettings(TabulatedSettings):
 
     operator_type = Profile
 
-    def operator(self, scene: Scene, rows: NDArray[np.float64] | None = None) -> Profile:
+    def operator(self, scene: Scene, rows: Values | None = None) -> Profile:
         """See `ObservationSettings.operator`; rows: see `Profile`."""
         kind = Profile if self.heights is Heights.EQUIVALENT else SurfaceProfile
         return kind(scene, self.spacing, times=self.times, rows=rows)

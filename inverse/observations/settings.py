@@ -79,12 +79,11 @@ class ObservationSettings(Record):
         """The numbers that stand in the settings themselves, shape [M]. Raises InputError for impossible ones."""
         ((key, given),) = self.given.items()
         values = np.atleast_1d(np.array(given))
-        if len(values) != operator.count:
-            raise InputError(f"expected {operator.count} numbers, got {len(values)}", key=key)
+        require(len(values) == operator.count, key, f"{operator.count} numbers", len(values))
         low, high = operator.limits
-        if np.any((values < low) | (values > high)):
-            between = " to ".join(str(np.asarray(end).tolist()) for end in operator.limits)
-            raise InputError(f"expected {between} {operator.unit or '(a share)'}, got {values.tolist()}", key=key)
+        between = " to ".join(str(np.asarray(end).tolist()) for end in operator.limits)
+        possible = bool(np.all((low <= values) & (values <= high)))
+        require(possible, key, f"{between} {operator.unit or '(a share)'}", values.tolist())
         return values
 
     def compared(self, operator: Observation, values: Values) -> Target:

@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from datasets.trajectory import Trajectory
 from inverse.observations.errors import Covariance
 from inverse.observations.measured_profile import MeasuredProfile
-from inverse.observations.observation import Joint, Observation, Part, Values
+from inverse.observations.observation import Joint, JointPart, Observation, Values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ def joined(targets: Sequence[Target], names: Sequence[str]) -> Target:
         return targets[0]
     ends = np.cumsum([0, *(len(each.values) for each in targets)]).tolist()
     parts = [
-        Part(name=name, observation=each.observation, numbers=slice(first, end))
+        JointPart(name=name, observation=each.observation, numbers=slice(first, end))
         for name, each, first, end in zip(names, targets, ends[:-1], ends[1:], strict=True)
     ]
     prior = np.concatenate([each.observation.prior_scatter(each.values) for each in targets])

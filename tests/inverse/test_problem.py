@@ -80,7 +80,8 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
     ("old", "new", "key"),
     [
         ('kind = "front"', 'knid = "front"', "knid"),
-        ('kind = "front"', 'kind = "fornt"', "observations[0].kind"),
+        ('kind = "front"', 'kind = "fornt"', "observations[0].kind: expected one of front, runout, "),
+        ("value", "valeu", "observations[0].valeu: expected a known key, did you mean 'value'?"),
         ("value = 0.55", "", "observations[0]"),
         ("value = 0.55", "value = 0.55\ntwin = true", "observations[0].twin"),
         ("value = 0.55", "value = 1.55", "observations[0].value"),
@@ -106,7 +107,7 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
         ("[target]", "[[target", "problem.toml"),
         ('"friction_deg"', '"baffles[0].x"', "unknowns[0].name"),
         ("value = 0.55", "values = [0.5, 0.1]", "observations[0].values"),
-        ('kind = "front"', 'kind = "front"\nline = 0.5', "observations[0].line"),
+        ('kind = "front"', 'kind = "front"\nline = 0.5', "line: expected it with kind passed alone, not with front"),
         ('kind = "front"', 'kind = "toe"', "observations[0].value"),
         ("[target]", '[optimiser]\nmethod = "newton"\n[target]', "optimiser.method"),
     ],

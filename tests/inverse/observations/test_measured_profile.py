@@ -66,6 +66,13 @@ def test_a_profile_is_the_same_target_however_it_is_written(
     np.testing.assert_allclose(target_of(measured(tmp_path, x, height, **settings)).values, plain.values, atol=1e-6)
 
 
+def test_a_table_is_read_once(tmp_path: Path) -> None:
+    problem = measured(tmp_path)
+    (operator,) = problem.operators
+    (tmp_path / "profile.csv").unlink()
+    assert target_of(problem).observation is operator
+
+
 @pytest.mark.parametrize(
     ("x", "height", "settings", "message"),
     [
