@@ -84,7 +84,7 @@ def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
     def read(table: Any) -> T:
         if not isinstance(table, dict):
             raise InputError(f"expected a table, got {table!r}")
-        keys = {kind: [each.name for each in fields(record)] for kind, record in kinds.items()}  # type: ignore[arg-type]
+        keys = {kind: ["kind", *(each.name for each in fields(record))] for kind, record in kinds.items()}  # type: ignore[arg-type]
         users = {name: [kind for kind in kinds if name in keys[kind]] for name in table}
         for name in table:
             if not users[name]:
@@ -97,7 +97,7 @@ def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
         for name in table:
             if kind not in users[name]:
                 raise InputError(f"expected it with kind {' or '.join(users[name])} alone, not with {kind}", key=name)
-        return from_mapping(kinds[kind], table)
+        return from_mapping(kinds[kind], {name: value for name, value in table.items() if name != "kind"})
 
     return PlainValidator(read, json_schema_input_type=dict[str, Any])
 

@@ -101,20 +101,11 @@ def test_what_is_allowed_is_no_breach() -> None:
 
 
 def import_graph(root: Path) -> networkx.DiGraph:
-    """Which file imports which, at the top or later; what only a type checker reads does not count."""
+    """Which file imports which: at the top, later, or for a type checker alone."""
     names = {".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): path for path in MODULES}
     graph = networkx.DiGraph()
     for name, path in names.items():
-        tree = ast.parse(path.read_text())
-        checked = {
-            id(node)
-            for block in ast.walk(tree)
-            if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
-            for node in ast.walk(block)
-        }
-        for node in ast.walk(tree):
-            if id(node) in checked:
-                continue
+        for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 targets = [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:

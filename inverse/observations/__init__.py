@@ -21,6 +21,6 @@ from inverse.observations.settings import ObservationSettings as ObservationSett
 
 _DEPOSIT = (FrontSettings, RunoutSettings, ToeSettings, DepositSettings, PassedSettings, OutlineSettings)
 KINDS: dict[str, type[ObservationSettings]] = {
-    settings.kind: settings for settings in (*_DEPOSIT, ProfileSettings, GaugesSettings, ImpulseSettings)
+    settings.operator_type.kind: settings for settings in (*_DEPOSIT, ProfileSettings, GaugesSettings, ImpulseSettings)
 }
 """The settings of every kind of observation by its name in TOML."""

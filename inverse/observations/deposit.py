@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 import scipy.optimize
@@ -50,7 +50,6 @@ class Front(Observation):
 class FrontSettings(TabulatedSettings):
     """Of `Front`; the table has time and front."""
 
-    kind: Literal["front"] = "front"
     value: float | None = None
     """In the end [m]."""
     values: tuple[float, ...] | None = None
@@ -89,7 +88,6 @@ class Runout(Observation):
 class RunoutSettings(ObservationSettings):
     """Of `Runout`."""
 
-    kind: Literal["runout"] = "runout"
     value: float | None = None
     """[m]."""
 
@@ -141,7 +139,6 @@ class Toe(Observation):
 class ToeSettings(ObservationSettings):
     """Of `Toe`."""
 
-    kind: Literal["toe"] = "toe"
     values: tuple[float, ...] | None = None
     """Its coordinates [m]."""
 
@@ -182,7 +179,6 @@ class Passed(Observation):
 class PassedSettings(ObservationSettings):
     """Of `Passed`."""
 
-    kind: Literal["passed"] = "passed"
     value: float | None = None
     """A share [-]."""
     line: float
@@ -228,8 +224,6 @@ class Deposit(Observation):
 class DepositSettings(ObservationSettings):
     """Of `Deposit`, whose numbers are those of a twin or a trajectory."""
 
-    kind: Literal["deposit"] = "deposit"
-
     operator_type = Deposit
 
 
@@ -273,7 +267,6 @@ class Outline(Observation):
 class OutlineSettings(TabulatedSettings):
     """Of `Outline`; the table has x and z of its vertices."""
 
-    kind: Literal["outline"] = "outline"
     values: tuple[float, ...] | None = None
     """Extent [m] in each of `directions_deg`."""
     directions_deg: tuple[float, ...] | None = None

@@ -1,7 +1,7 @@
 """What instruments record: heights at gauges, and the impulse on a solid, in the end or at times of their own."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -75,7 +75,6 @@ class Gauges(Observation):
 class GaugesSettings(TabulatedSettings):
     """Of `Gauges`; the table has x, height and maybe time."""
 
-    kind: Literal["height"] = "height"
     values: tuple[float, ...] | None = None
     """A height [m] for each of `x`, or for each of these at each of `times`."""
     x: tuple[float, ...] | None = None
@@ -145,7 +144,6 @@ class Impulse(Observation):
 class ImpulseSettings(TabulatedSettings):
     """Of `Impulse`; the table has time and impulse."""
 
-    kind: Literal["impulse"] = "impulse"
     value: float | None = None
     """In the end [N s], in 2D per metre of width."""
     values: tuple[float, ...] | None = None

@@ -134,38 +134,21 @@ def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
 
     An end at which the deposit goes on is extrapolated along its last rows, towards larger x only downwards.
     """
-    first = extrapolated(x[0], height[0], slope_of(x[:ALONG], height[:ALONG]), x[1] - x[0], height.max())
-    slope = slope_of(x[-ALONG:], height[-ALONG:])
-    last = extrapolated(length - x[-1], height[-1], -min(slope, 0.0), x[-1] - x[-2], height.max())
-    for end, last_x, value, wall in ((first, x[0], height[0], 0.0), (last, x[-1], height[-1], length)):
-        if end is None:
+    rows = [*zip(x, height, strict=True)]
+    for wall, side in ((0.0, 1), (length, -1)):
+        inwards, heights = x[::side], height[::side]
+        gap, last_x, last = side * (inwards[0] - wall), inwards[0], heights[0]
+        if last <= EDGE * height.max() or gap <= 0.0:
+            continue
+        off = inwards[:ALONG] - inwards[:ALONG].mean()
+        fall = side * float(off @ heights[:ALONG] / (off @ off))
+        fall = fall if side > 0 else max(fall, 0.0)
+        step = min(gap, last / fall) if fall > 0.0 else gap
+        if step > FURTHEST * abs(inwards[1] - last_x) * (1.0 + 1e-9):
             raise InputError(
                 f"expected rows as far as the wall at x = {wall:g} m or the edge of the deposit, the profile ends at "
-                f"x = {last_x:g} m with a height of {value:g} m"
+                f"x = {last_x:g} m with a height of {last:g} m"
             )
-    before = [(x[0] - step, h) for step, h in first or []]
-    beyond = [(x[-1] + step, h) for step, h in last or []]
-    rows = np.array([*before, *zip(x, height, strict=True), *beyond])
-    return MeasuredProfile(x=rows[:, 0], height=rows[:, 1])
-
-
-def slope_of(x: Floats, height: Floats) -> float:
-    """Least-squares slope [-] of a few rows [m]."""
-    off = x - x.mean()
-    return float(off @ height / (off @ off))
-
-
-def extrapolated(
-    gap: float, height: float, fall: float, spacing: float, largest: float
-) -> list[tuple[float, float]] | None:
-    """Rows (distance from the last one, height) [m] at an end `gap` [m] from its wall; None where it is too far.
-
-    height: of the last row [m]; fall: slope of the height towards the wall, downwards positive [-]; spacing: of the
-    last rows [m]; largest: height of the deposit [m].
-    """
-    if height <= EDGE * largest or gap <= 0.0:
-        return []
-    step = min(gap, height / fall) if fall > 0.0 else gap
-    if step > FURTHEST * spacing * (1.0 + 1e-9):
-        return None
-    return [(step, max(0.0, height - fall * step))]
+        rows.insert(0 if side > 0 else len(rows), (last_x - side * step, max(0.0, last - fall * step)))
+    ends = np.array(rows)
+    return MeasuredProfile(x=ends[:, 0], height=ends[:, 1])

@@ -12,7 +12,6 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -139,7 +138,6 @@ class SurfaceProfile(Profile):
 class ProfileSettings(TabulatedSettings):
     """Of `Profile`; the table has x and height."""
 
-    kind: Literal["profile"] = "profile"
     heights: Heights = Heights.EQUIVALENT
     """What the heights are."""
     spacing: float = SPACING

@@ -41,8 +41,6 @@ class LengthUnit(StrEnum):
 class ObservationSettings(Record):
     """What is measured and how well; of a kind also where and when, and what came out. Raises InputError."""
 
-    kind: str
-    """A key of `inverse.observations.KINDS`."""
     name: str | None = None
     """As it is called in reports; its kind where absent."""
     noise: float | str = 0.0
@@ -59,6 +57,11 @@ class ObservationSettings(Record):
     def operator(self, scene: Scene) -> Observation:
         """The operator for flows of `scene`. Raises InputError, which names the key."""
         return self.operator_type(scene, **{key: getattr(self, key) for key in self.options})
+
+    @property
+    def kind(self) -> str:
+        """A key of `inverse.observations.KINDS`."""
+        return self.operator_type.kind
 
     @property
     def sources(self) -> list[str]:
