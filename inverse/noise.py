@@ -178,8 +178,8 @@ def fit(
         if errors.dependent is None:
             square += float(rest @ rest)
         else:
-            noise = errors.over(np.sqrt(total))
-            square += float(np.sum(noise.matrix**2)) + 2.0 * float(np.trace(noise.combined(flows.T)))
+            noise = errors.over(np.sqrt(total)).matrix
+            square += float(np.sum(noise**2)) + 2.0 * float(np.sum((flows @ noise) * flows))
     else:
         lower = np.linalg.cholesky(np.diag(total + FLOOR * (total.max() + float(np.diag(bias).max()))) + bias)
         rest = np.maximum(variance - (flows**2).sum(axis=0), 0.0)

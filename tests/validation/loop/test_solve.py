@@ -163,7 +163,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     found = case.solve(tmp_path / "first")
     # Saved elsewhere: complete.
     out = tmp_path / "saved"
-    found.save(out)
+    save(found, out)
     result = json.loads((out / "result.json").read_text())
     assert result.keys() == RESULT_KEYS
     (answer,) = result["answers"]
