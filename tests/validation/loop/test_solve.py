@@ -210,7 +210,7 @@ def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> 
     assert abs(twin.unknowns["friction_deg"] - 24.0) < 0.5
     # 16 mm in a slope of 16 mm a degree.
     assert 0.8 < abs(measured.unknowns["friction_deg"] - 24.0) < measured.certainty["friction_deg"] < 4.0
-    measured.save(tmp_path / "seen")
+    save(measured, tmp_path / "seen")
     assert "cells " in (tmp_path / "seen" / "report.md").read_text()
     # By runs on half the cells, which change half as much as all of it.
     assert measured.answers[0].fit.cells == pytest.approx(0.02 * true, rel=0.2)
