@@ -37,6 +37,16 @@ def naming(path: Path, key: str = "") -> Iterator[None]:
         raise error if error.where else error.at(str(path), key) from None
 
 
+@contextmanager
+def keyed(key: str) -> Iterator[None]:
+    """A mistake that the block finds, with `key` before its own key where it names no file."""
+    try:
+        yield
+    except InputError as error:
+        inner = f"{key}.{error.key}".removesuffix(".")
+        raise error if error.where else InputError(error.message, key=inner) from None
+
+
 def require(ok: bool, key: str, expected: str, got: object) -> None:
     """Raise InputError where `ok` does not hold of `key`."""
     if not ok:

@@ -6,12 +6,13 @@ pydantic checks keys and types of a file; bounds hold for records made in Python
 import difflib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cache
+from itertools import chain
 from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, PlainValidator, TypeAdapter, ValidationError
 
 from datasets.errors import InputError, OutOfRange, require
 from datasets.files import line_of
@@ -108,13 +109,46 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
             schema = adapter.json_schema()
             parts = [schema, *schema.get("$defs", {}).values()]
             known = [name for part in parts for name in part.get("properties", {})]
-            near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
-            hint = f", did you mean {near[0]!r}?" if near else ""
-            raise InputError(f"expected a known key{hint}", key=path) from None
+            raise InputError(unknown_key(str(first["loc"][-1]), known), key=path) from None
         if first["type"] == "missing":
             raise InputError("expected a value, the key is missing", key=path) from None
         expected = first["msg"].removeprefix("Input should be ")
         raise InputError(f"expected {expected}, got {first['input']!r}", key=path) from None
+
+
+def unknown_key(name: str, known: Sequence[str]) -> str:
+    """What is expected in place of a key that is none of the known ones."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return "expected a known key" + (f", did you mean {near[0]!r}?" if near else "")
+
+
+def one_of(kinds: Mapping[str, type[T]]) -> PlainValidator:
+    """What reads a table with the key `kind` into the record of this kind: a union by `kind`.
+
+    >>> observations: tuple[Annotated[ObservationSettings, one_of(KINDS)], ...]
+
+    A key of another kind is an error that says of which.
+    """
+
+    def read(table: Any) -> T:
+        if not isinstance(table, dict):
+            raise InputError(f"expected a table, got {table!r}")
+        keys = {kind: ["kind", *(each.name for each in fields(record))] for kind, record in kinds.items()}  # type: ignore[arg-type]
+        users = {name: [kind for kind in kinds if name in keys[kind]] for name in table}
+        for name in table:
+            if not users[name]:
+                raise InputError(unknown_key(name, [*chain(*keys.values())]), key=name)
+        if "kind" not in table:
+            raise InputError("expected a value, the key is missing", key="kind")
+        kind = table["kind"]
+        if kind not in kinds:
+            raise InputError(f"expected one of {', '.join(kinds)}, got {kind!r}", key="kind")
+        for name in table:
+            if kind not in users[name]:
+                raise InputError(f"expected it with kind {' or '.join(users[name])} alone, not with {kind}", key=name)
+        return from_mapping(kinds[kind], {name: value for name, value in table.items() if name != "kind"})
+
+    return PlainValidator(read, json_schema_input_type=dict[str, Any])
 
 
 def changed(record: Record) -> dict[str, Any]:

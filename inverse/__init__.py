@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from inverse.parameters import Parameter as Parameter
     from inverse.parameters.prior import Correlation as Correlation
     from inverse.parameters.prior import Prior as Prior
+    from inverse.pictures import plot as plot
     from inverse.problem import Problem as Problem
     from inverse.problem import read_problem as read_problem
     from inverse.result import Result as Result
-    from inverse.settings import ObservationSettings as ObservationSettings
+    from inverse.saving import save as save
     from inverse.settings import TargetSettings as TargetSettings
 
 _MODULES = {
     "Correlation": "inverse.parameters.prior",
-    "ObservationSettings": "inverse.settings",
     "Parameter": "inverse.parameters",
     "Prior": "inverse.parameters.prior",
     "Problem": "inverse.problem",
@@ -35,7 +35,9 @@ _MODULES = {
     "TargetSettings": "inverse.settings",
     "adapt": "inverse.adaptation",
     "invert": "inverse.inversion",
+    "plot": "inverse.pictures",
     "read_problem": "inverse.problem",
+    "save": "inverse.saving",
 }
 
 __all__ = [*_MODULES]

@@ -38,8 +38,9 @@ from datasets.particles import initial_volumes
 from datasets.processes import processors
 from datasets.scene import Scene
 from datasets.trajectory import brackets
+from inverse.answer import Answer, MpmRun, Purpose, judge
+from inverse.field_posterior import FieldPosterior
 from inverse.forward.adjoint import derivatives
-from inverse.found import Answer, FoundField, MpmRun, Purpose, judge
 from inverse.noise import Scatter, fit, shrunk
 from inverse.observations import Observation, Rollout
 from inverse.parameters.field import BAND
@@ -74,7 +75,7 @@ def of_fields(problem: Problem) -> Result:
     began, used = time.perf_counter(), time.process_time()
     target = read_target(problem, simulate)
     flow = WhiteFlow(problem, target.observation)
-    measured = target.errors_of(np.eye(len(target.values)))
+    measured = target.errors.matrix
     iterations, seed = problem.optimiser.max_iterations, problem.scene.seed
     rng, start = np.random.default_rng(seed), np.zeros(flow.size)
     runs = flow.scattered(start)
@@ -92,8 +93,8 @@ def of_fields(problem: Problem) -> Result:
     scene = flow.scene_at(posterior.mean, problem.scatter_seeds[-1] + 1)
     (shown,) = simulate_many([scene])
     values = flow.values(posterior.mean)
-    spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.own] ** 2).sum(axis=1), 0.0))
-    ends = [ndtr(posterior.mean[flow.own] + sign * BAND * spread) for sign in (1.0, -1.0)]
+    spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.of_numbers] ** 2).sum(axis=1), 0.0))
+    ends = [ndtr(posterior.mean[flow.of_numbers] + sign * BAND * spread) for sign in (1.0, -1.0)]
     check = MpmRun(purpose=Purpose.CHECK, parameters=values, trajectory=shown, target=target, file="check.npz")
     expected = target.observation.prior_scatter(target.values)
     scatter = Scatter(deviations=runs - runs.mean(axis=0), freedom=len(runs) - 1, expected=expected)
@@ -104,7 +105,7 @@ def of_fields(problem: Problem) -> Result:
         fit=fit(target, check.observation[None], scatter, parameters=posterior.informative),
     )
     flow.bar.close()
-    fields = found_fields(flow, posterior)
+    fields = field_posteriors(flow, posterior)
     unknowns = sum(int(each.unknown.inside.sum()) for each in fields) + len(problem.numbers)
     notes = [
         f"{unknowns} values from {len(target.values)} numbers: {posterior.informative} directions in which the "
@@ -135,17 +136,17 @@ def of_fields(problem: Problem) -> Result:
     )
 
 
-def found_fields(flow: "WhiteFlow", posterior: "Gaussian") -> list[FoundField]:
+def field_posteriors(flow: "WhiteFlow", posterior: "Gaussian") -> list[FieldPosterior]:
     """Each field with its widths at the nodes."""
     problem, draws = flow.problem, posterior.draws(DRAWS)
     truths = [None] * len(problem.fields) if not problem.target.twin else problem.true_fields
-    found = []
+    posteriors = []
     for unknown, part, latent, truth in zip(
         problem.fields, flow.parts, flow.latents(posterior.mean), truths, strict=True
     ):
         removed = (unknown.prior.field(posterior.removed[part]) ** 2).sum(axis=1)
-        found.append(
-            FoundField(
+        posteriors.append(
+            FieldPosterior(
                 unknown=unknown,
                 latent=latent,
                 width=np.sqrt(np.maximum(unknown.prior.deviation**2 - removed, 0.0)),
@@ -153,7 +154,7 @@ def found_fields(flow: "WhiteFlow", posterior: "Gaussian") -> list[FoundField]:
                 truth=None if truth is None else truth.at(unknown.grid.positions),
             )
         )
-    return found
+    return posteriors
 
 
 class WhiteFlow:
@@ -166,12 +167,12 @@ class WhiteFlow:
         """MPM runs and reverse passes so far."""
         self.bar = tqdm(desc="adjoint", unit="run", leave=False, disable=None)
         ends = np.cumsum([0, *(each.prior.size for each in problem.fields), len(problem.numbers)])
-        *self.parts, self.own = [slice(int(first), int(end)) for first, end in pairwise(ends)]
+        *self.parts, self.of_numbers = [slice(int(first), int(end)) for first, end in pairwise(ends)]
         """Which white numbers are those of each field; of all numbers."""
         self.size = int(ends[-1])
         scene = problem.scene
-        own = [part.observation.times for part in observation.parts if part.observation.times is not None]
-        times = np.concatenate([[scene.duration], *own])
+        observed = [part.observation.times for part in observation.parts if part.observation.times is not None]
+        times = np.concatenate([[scene.duration], *observed])
         before, share = brackets(np.arange(scene.frames, dtype=np.float64) * scene.frame_dt, times)
         self.frames = sorted({*before.tolist(), *(before + np.ceil(share).astype(np.int64)).tolist()})
         """Frames that the observation looks at, and the last."""
@@ -182,7 +183,7 @@ class WhiteFlow:
 
     def values(self, white: Floats) -> Floats:
         """The numbers, shape [U]."""
-        return self.problem.box.at(ndtr(white[self.own]))
+        return self.problem.box.at(ndtr(white[self.of_numbers]))
 
     def scene_at(self, white: Floats, seed: int) -> Scene:
         """The scene at white numbers [W] with a jitter seed."""
@@ -192,13 +193,13 @@ class WhiteFlow:
     def observe(self, points: Sequence[Floats], seeds: Sequence[int]) -> Floats:
         """The observed numbers [points, M] of runs at white numbers [W], each with its jitter seed."""
         scenes = [self.scene_at(each, seed) for each, seed in zip(points, seeds, strict=True)]
-        together, found = 2 * processors(), []
+        together, numbers = 2 * processors(), []
         for first in range(0, len(scenes), together):
             runs = simulate_many(scenes[first : first + together])
-            found += [self.observation.observe(run) for run in runs]
+            numbers += [self.observation.observe(run) for run in runs]
             self.bar.update(len(runs))
         self.runs += len(scenes)
-        return np.stack(found)
+        return np.stack(numbers)
 
     def scattered(self, white: Floats) -> Floats:
         """The observed numbers [n, M] of runs at white numbers [W] that differ in their jitter seed."""
@@ -211,30 +212,30 @@ class WhiteFlow:
 
     def jacobian(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
         """Derivatives [r, W] of `combinations` [r, M] of the numbers at white numbers [W], mean over jitter seeds."""
-        found = np.zeros((len(combinations), self.size))
+        jacobian = np.zeros((len(combinations), self.size))
         for first in range(0, len(seeds), processors()):
             scenes = [steady(self.scene_at(white, seed)) for seed in seeds[first : first + processors()]]
             tape = Tape(scenes, self.frames, precision="f32", memory_mib=MEMORY_MIB, outputs=len(combinations))
             adjoints = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
-            together = [[FlowAdjoints(own[number]) for own in adjoints] for number in range(len(combinations))]
+            together = [[FlowAdjoints(flow[number]) for flow in adjoints] for number in range(len(combinations))]
             for row, gradients in enumerate(pull_back_all(tape, together)):
                 for gradient in gradients:
-                    found[row] += self.pulled_back(gradient, white) / len(seeds)
+                    jacobian[row] += self.pulled_back(gradient, white) / len(seeds)
             self.runs += len(scenes)
             self.reverses += len(scenes) * len(combinations)
             self.bar.update(len(scenes) * (1 + len(combinations)))
-        return found
+        return jacobian
 
     def pulled_back(self, gradient: Gradient, white: Floats) -> Floats:
         """Derivatives with respect to the white numbers [W] from those with respect to what a run begins with."""
-        found = np.zeros(self.size)
+        adjoint = np.zeros(self.size)
         for unknown, latent, part in zip(self.problem.fields, self.latents(white), self.parts, strict=True):
-            found[part] = unknown.prior.white(unknown.at_nodes(gradient, latent))
+            adjoint[part] = unknown.prior.white(unknown.at_nodes(gradient, latent))
         if self.problem.numbers:
-            density = np.exp(-0.5 * white[self.own] ** 2) / np.sqrt(2.0 * np.pi)
+            density = np.exp(-0.5 * white[self.of_numbers] ** 2) / np.sqrt(2.0 * np.pi)
             slopes = derivatives(gradient, self.problem.kinds, self.values(white), self.problem.scene)
-            found[self.own] = slopes * self.problem.box.range * density
-        return found
+            adjoint[self.of_numbers] = slopes * self.problem.box.range * density
+        return adjoint
 
     def adjoints(self, tape: Tape, index: int, combinations: Floats) -> Floats:
         """Derivatives of the combinations [r, M] with respect to the observed positions, shape [r, T, N, D]."""
@@ -329,14 +330,14 @@ class Objective:
             step = 1.0
             while True:
                 tried = white + step * (proposed - white)
-                found, iterate = self.evaluated(tried, step)
+                shown, iterate = self.evaluated(tried, step)
                 decrease = self.iterates[-1]["objective"] - iterate["objective"]
                 if decrease > DECREASE * gain(jacobian, residual, white, tried - white):
                     break
                 if step <= SHORTEST:
                     return Gaussian(white, jacobian, promised)
                 step *= 0.5
-            white, numbers = tried, found
+            white, numbers = tried, shown
             self.iterates.append(iterate)
 
 

@@ -9,49 +9,47 @@ writes it.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 
 from datasets.files import replacing
-from inverse.found import MAX_NUMBERS
+from inverse.answer import MAX_NUMBERS
 from inverse.posterior import Matrix
 from inverse.posterior.posterior import Posterior
 from inverse.posterior.sampling import systematic
 from inverse.posterior.settings import CONSTANTS
-
-if TYPE_CHECKING:
-    from inverse.result import Result
+from inverse.result import Result
 
 CHAINS = ("chain", "draw")
 
 
-def write(result: "Result", path: Path) -> None:
+def write(result: Result, path: Path) -> None:
     """Write `posterior.nc`: S equally weighted samples, by systematic resampling, in order of their populations."""
-    found, problem = result.posterior, result.problem
-    assert found is not None, "an optimiser has no samples"
+    posterior, problem = result.posterior, result.problem
+    assert posterior is not None, "an optimiser has no samples"
     rng = np.random.default_rng(problem.optimiser.seed)
-    points = found.samples.points[systematic(found.samples.weights, len(found.samples.points), rng)]
+    points = posterior.samples.points[systematic(posterior.samples.weights, len(posterior.samples.points), rng)]
     shares = rng.random(points.shape)
     prior = shares if problem.prior is None else problem.prior.at(shares)
     units = [kind.unit for kind in problem.kinds]
     numbers = {
-        name: dict(zip(problem.names, zip(np.moveaxis(problem.box.at(own), -1, 0), units, strict=True), strict=True))
-        for name, own in (("posterior", chains(points)), ("prior", prior[None]))
+        name: dict(zip(problem.names, zip(np.moveaxis(problem.box.at(shares), -1, 0), units, strict=True), strict=True))
+        for name, shares in (("posterior", chains(points)), ("prior", prior[None]))
     }
     with replacing(path) as part, h5py.File(part, "w", track_order=True) as file:
         for name, variables in numbers.items():
             fill(file.create_group(name, track_order=True), variables, CHAINS)
         raw, values = result.target.observation.raw, result.target.values
-        if len(values) > MAX_NUMBERS or len(found.reduction.mean) != len(values):
+        if len(values) > MAX_NUMBERS or len(posterior.reduction.mean) != len(values):
             return
-        shown = {"posterior_predictive": chains(raw(predictive(found, points, rng))), "observed_data": raw(values)}
-        for name, own in shown.items():
+        shown = {"posterior_predictive": chains(raw(predictive(posterior, points, rng))), "observed_data": raw(values)}
+        for name, samples in shown.items():
             parts = {
-                each.name: (own[..., each.numbers], each.observation.unit) for each in result.target.observation.parts
+                part.name: (samples[..., part.numbers], part.observation.unit)
+                for part in result.target.observation.parts
             }
-            fill(file.create_group(name, track_order=True), parts, CHAINS if own.ndim > 1 else ())
+            fill(file.create_group(name, track_order=True), parts, CHAINS if samples.ndim > 1 else ())
 
 
 def chains(samples: Matrix) -> Matrix:
@@ -59,17 +57,20 @@ def chains(samples: Matrix) -> Matrix:
     return samples.reshape(CONSTANTS.populations, -1, *samples.shape[1:])
 
 
-def predictive(found: Posterior, points: Matrix, rng: np.random.Generator) -> Matrix:
+def predictive(posterior: Posterior, points: Matrix, rng: np.random.Generator) -> Matrix:
     """What further flows at points [S, U] would show when measured, by the emulator's mean and all errors, [S, M]."""
-    residual, fixed, variance = found.likelihood.residual(points)
+    residual, fixed, variance = posterior.likelihood.residual(points)
     lower = np.linalg.cholesky(fixed + variance[:, :, None] * np.eye(len(fixed)))
-    freedom = found.likelihood.freedom
+    freedom = posterior.likelihood.freedom
     scale = np.sqrt(freedom / rng.chisquare(freedom, len(points)))
     errors = scale[:, None] * np.einsum("sij,sj->si", lower, rng.standard_normal(residual.shape))
     # Errors across the components: noise and scatter of the weighted numbers, of variance 1 each.
-    basis, across = found.reduction.basis, rng.standard_normal((len(points), len(found.reduction.mean)))
+    basis, across = posterior.reduction.basis, rng.standard_normal((len(points), len(posterior.reduction.mean)))
     across -= (across @ basis) @ basis.T
-    return found.reduction.numbers(found.likelihood.target - residual + errors) + across / found.reduction.weights
+    return (
+        posterior.reduction.numbers(posterior.likelihood.target - residual + errors)
+        + across / posterior.reduction.weights
+    )
 
 
 def fill(group: h5py.Group, variables: Mapping[str, tuple[Matrix, str]], first: tuple[str, ...]) -> None:

@@ -8,14 +8,16 @@ from datasets.errors import InputError
 from datasets.files import make_folder
 from gns import card, checkpoint
 from gns.library import model_path, shipped
+from inverse.answer import Answer, Verdict
 from inverse.forward.gns import GnsForward, band_of, require_predicted
 from inverse.forward.mpm import MpmForward
-from inverse.found import Answer, Verdict
+from inverse.observations.target import Target
 from inverse.optimise import ROUGH, inverted
 from inverse.problem import Problem
 from inverse.result import Result
+from inverse.saving import save
 from inverse.settings import ForwardModel, Surrogate
-from inverse.target import Target, read_each, read_target
+from inverse.target import read_target
 from mpm import simulate, simulate_many
 
 
@@ -32,7 +34,7 @@ def invert(
     out: folder for `result.json`, `report.md` and pictures. Fields are found by the MPM's adjoint, with their
     posterior. Raises InputError for a combination that there is none of, WorkFailed where a run blows up.
     """
-    read_each(problem)
+    _ = problem.operators
     if out is not None:
         make_folder(Path(out))
     if problem.fields:
@@ -46,7 +48,7 @@ def invert(
         target = read_target(problem, simulate)
         result = of_numbers(problem, target, forward_model(problem, target, forward, model))
     if out is not None:
-        result.save(out)
+        save(result, out)
     return result
 
 

@@ -5,7 +5,7 @@
 | symbol | variable | meaning |
 |---|---|---|
 | r | `residual` | the mean of k runs of the MPM less the observation, M numbers |
-| n | `noise` | standard deviation by errors of the measurement (`Target.deviation`) |
+| n | `noise` | standard deviation by errors of the measurement (`Target.errors`) |
 | c | `scatter` | that of one flow, over the jitter seeds: the observation is one, the mean of k runs scatters by 1/k |
 | d | `cells` | what the cells of the MPM change, where the observation is no flow on the same |
 | b, D | `biases` | its unknown factor, smooth within an observation o, integrated over: one error, no noise |
@@ -33,7 +33,7 @@ from scipy.stats import f, norm
 
 from datasets.field import Floats
 from datasets.measures import rms
-from inverse.target import Target
+from inverse.observations.target import Target
 
 SMOOTH = 0.3
 """Correlation length of the error of the cells where no run has shown its shape, over the numbers of an observation.
@@ -66,7 +66,7 @@ class Scatter:
     def of_runs(cls, points: Floats, numbers: Floats, expected: Floats) -> "Scatter":
         """By runs at points [n, U] that show `numbers` [n, M]: those that share their point with others."""
         _, label, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
-        means = np.stack([numbers[label == each].mean(axis=0) for each in range(len(count))])
+        means = np.stack([numbers[label == place].mean(axis=0) for place in range(len(count))])
         repeated = (count > 1)[label]
         return cls(deviations=(numbers - means[label])[repeated], freedom=int((count - 1).sum()), expected=expected)
 
@@ -138,15 +138,15 @@ def biases(target: Target, cells: Floats, extrapolated: float) -> Floats:
     extrapolated: share e of d that no run has shown, of which half has the shape of d and half any smooth one, as large
     as d around each number: cells change no front before it has moved, and what they leave unknown of it is no more.
     """
-    found = (1.0 - 0.5 * extrapolated) * np.outer(cells, cells)
+    covariance = (1.0 - 0.5 * extrapolated) * np.outer(cells, cells)
     for part in target.observation.parts:
-        own = np.arange(len(cells))[part.numbers]
-        apart = (own[:, None] - own) / max(1.0, SMOOTH * len(own))
+        numbers = np.arange(len(cells))[part.numbers]
+        apart = (numbers[:, None] - numbers) / max(1.0, SMOOTH * len(numbers))
         alike = np.exp(-0.5 * apart**2)
-        around = np.sqrt(alike @ cells[own] ** 2 / alike.sum(axis=1))
+        around = np.sqrt(alike @ cells[numbers] ** 2 / alike.sum(axis=1))
         # Each observation has a factor of its own.
-        found[np.ix_(own, own)] += 0.5 * extrapolated * alike * np.outer(around, around)
-    return found
+        covariance[np.ix_(numbers, numbers)] += 0.5 * extrapolated * alike * np.outer(around, around)
+    return covariance
 
 
 def fit(
@@ -165,8 +165,9 @@ def fit(
     number is judged by itself (`outlying`).
     """
     share, residual = 1.0 + 1.0 / len(shown), shown.mean(axis=0) - target.values
-    own, variance = target.deviation**2, share * scatter.variance
-    total, free = np.maximum(own + variance, 1e-300), max(1, scatter.freedom)
+    errors, variance = target.errors, share * scatter.variance
+    independent = errors.deviation**2
+    total, free = np.maximum(independent + variance, 1e-300), max(1, scatter.freedom)
     bias = None if cells is None else biases(target, cells, extrapolated)
     size, flows = len(residual), scatter.deviations * math.sqrt(share / free)
     if cells is None or bias is None:
@@ -174,19 +175,18 @@ def fit(
         # |R|_F^2 of R = (N + F^T F) / total without the matrix of a whole deposit.
         rest = np.maximum(1.0 - (flows**2).sum(axis=0), 0.0)
         square = float(np.sum((flows @ flows.T) ** 2) + 2.0 * rest @ (flows**2).sum(axis=0))
-        if target.covariance is None:
+        if errors.dependent is None:
             square += float(rest @ rest)
         else:
-            known = target.covariance / np.sqrt(np.outer(total, total))
-            square += float(np.sum(known**2)) + 2.0 * float(np.sum((flows @ known) * flows))
+            noise = errors.over(np.sqrt(total)).matrix
+            square += float(np.sum(noise**2)) + 2.0 * float(np.sum((flows @ noise) * flows))
     else:
         lower = np.linalg.cholesky(np.diag(total + FLOOR * (total.max() + float(np.diag(bias).max()))) + bias)
-        noise = np.diag(own) if target.covariance is None else target.covariance
         rest = np.maximum(variance - (flows**2).sum(axis=0), 0.0)
-        half = solve_triangular(lower, noise + flows.T @ flows + np.diag(rest) + bias, lower=True)
+        half = solve_triangular(lower, errors.matrix + flows.T @ flows + np.diag(rest) + bias, lower=True)
         square = float(np.sum(solve_triangular(lower, half.T, lower=True) ** 2))
         whitened = solve_triangular(lower, residual, lower=True)
-        own = own + cells**2
+        independent = independent + cells**2
     predicted = None
     if slopes is not None:
         # Parameters in fractions of their ranges have the variance 1/12.
@@ -194,10 +194,10 @@ def fit(
     first = float(np.clip(size**2 / max(square, 1.0), 1.0, size))
     # Those with which the scatter is known, and with what its prior adds; many where nothing but the prior is.
     counted = scatter.freedom + PRIOR_FREEDOM if scatter.freedom else 1e6
-    second = counted * (1.0 + float(own.sum()) / max(float(variance.sum()), 1e-300)) ** 2
+    second = counted * (1.0 + float(independent.sum()) / max(float(variance.sum()), 1e-300)) ** 2
     return Fit(
         residual=rms(residual),
-        noise=rms(target.deviation),
+        noise=rms(errors.deviation),
         scatter=rms(np.sqrt(scatter.variance)),
         cells=0.0 if cells is None else rms(cells),
         ratio=math.sqrt(float(np.mean(whitened**2))),

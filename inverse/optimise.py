@@ -6,7 +6,7 @@
 |---|---|---|
 | v | `points` | parameters in fractions of their ranges, shape [s, U] |
 | y | `numbers` | what the forward model predicts, m numbers, shape [s, m] |
-| N, S | `Target.covariance` | errors of the measurement, scatter of one flow of the MPM |
+| N, S | `Target.errors` | errors of the measurement, scatter of one flow of the MPM |
 | E | - | error of a surrogate by its band (`inverse.forward.gns`) |
 | J | - | dy/dv by an emulator of all predictions so far |
 | p, P | `Problem.prior` | a stated prior over the uniform one, and the inverse of its covariance |
@@ -37,6 +37,8 @@ from scipy.stats import chi2
 
 from inverse.forward import Differentiable, Forward
 from inverse.observations import Values
+from inverse.observations.errors import Covariance
+from inverse.observations.target import Target
 from inverse.posterior import Matrix
 from inverse.posterior.answers import Part, parts
 from inverse.posterior.emulator import fewest_runs, fitted
@@ -44,7 +46,6 @@ from inverse.posterior.posterior import Posterior, Region, next_points, posterio
 from inverse.posterior.reduction import reduction
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
-from inverse.target import Target
 
 FIRST, PER_UNKNOWN = 6, 4
 """Predictions that fill the box, the problem's start among them."""
@@ -148,8 +149,7 @@ class Inversion:
     @cached_property
     def precision(self) -> Matrix:
         """C^-1, shape [m, m]."""
-        assert self.target.covariance is not None, "`as_predicted` makes it"
-        return np.asarray(np.linalg.inv(self.target.covariance))
+        return np.asarray(np.linalg.inv(self.target.errors.matrix))
 
     @property
     def fall(self) -> float:
@@ -261,12 +261,9 @@ def filled(state: Inversion, rng: np.random.Generator) -> Inversion:
 
 def as_predicted(forward: Forward, target: Target, scatter: Values, errors: Matrix) -> Target:
     """What the surrogate predicts of `target`, with the errors that it may be off by."""
-    own = target.covariance
-    if own is None:
-        own = np.diag(forward.select(target.deviation) ** 2)
-    covariance = own + np.diag(forward.select(scatter) ** 2) + errors.T @ errors
-    values, deviation = forward.select(target.values), np.sqrt(np.diag(covariance))
-    return dataclasses.replace(target, values=values, deviation=deviation, covariance=covariance)
+    index = forward.select(np.arange(len(target.values), dtype=np.float64)).astype(np.int64)
+    covariance = target.errors.some(index).matrix + np.diag(scatter[index] ** 2) + errors.T @ errors
+    return dataclasses.replace(target, values=target.values[index], errors=Covariance.of(covariance))
 
 
 def misfits(residual: Matrix, precision: Matrix) -> Values:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import matplotlib
 
@@ -22,14 +22,11 @@ from datasets import files, measures
 from datasets.field import Floats
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
-from inverse.found import FoundField
+from inverse.field_posterior import FieldPosterior
 from inverse.observations.deposit import Passed, Toe
 from inverse.observations.profile import Profile
 from inverse.parameters.field import LABELS
-from inverse.settings import ObservationSettings
-
-if TYPE_CHECKING:
-    from inverse.result import Result
+from inverse.result import Result
 
 Deposit = NDArray[np.floating]
 COLOURS = {"target": "#222222", "surrogate": "#d95f02", "MPM": "#1b6ca8"}
@@ -62,18 +59,27 @@ BINS = 40
 ANSWER = "tab:red"
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a picture."""
-    with files.replacing(path) as part:
-        figure.savefig(part, dpi=RESOLUTION)
-    plt.close(figure)
+@matplotlib.rc_context(STYLE)  # type: ignore[arg-type]
+def write(result: Result, folder: Path) -> list[str]:
+    """Write every picture of a result into `folder`, and return the names of the files."""
+    figures = {"deposit.png": plot(result)}
+    if len(result.problem.numbers) > 2:
+        figures["unknowns.png"] = unknowns(result)
+    figures |= {f"{each.stem}.png": field(each) for each in result.fields}
+    if result.posterior is not None:
+        figures["posterior.png"] = posterior(result)
+    for name, figure in figures.items():
+        with files.replacing(folder / name) as part:
+            figure.savefig(part, dpi=RESOLUTION)
+        plt.close(figure)
+    return [*figures]
 
 
 @matplotlib.rc_context(STYLE)  # type: ignore[arg-type]
-def deposits(found: "Result") -> Figure:
+def plot(result: Result) -> Figure:
     """The deposits of the target and of the answer, each by itself, and their height profiles over each other."""
-    scene, scenes, target = found.problem.scene, standings(found), found.target.deposit
-    shown = ({} if target is None else {"target": target}) | {found.forward: found.deposit}
+    scene, scenes, target = result.problem.scene, standings(result), result.target.deposit
+    shown = ({} if target is None else {"target": target}) | {result.forward: result.deposit}
     top = 1.08 * max(float(deposit[:, 1].max()) for deposit in shown.values())
     flat = (top if scene.dimension == 2 else scene.domain.size[2]) / scene.domain.size[0]
     # Of the height of a panel a part is its title and the names of its axis.
@@ -84,22 +90,22 @@ def deposits(found: "Result") -> Figure:
         # The baffles that were in the way of this deposit are filled.
         filled = "truth" if name == "target" and "truth" in scenes else "found"
         paint(axis, deposit, COLOURS[name], scenes, filled, top)
-        axis.set_title(f"{name}: {mark(axis, found, deposit, COLOURS[name])}")
-    profiles(axes[-1], found, shown, scenes["found"])
+        axis.set_title(f"{name}: {mark(axis, result, deposit, COLOURS[name])}")
+    profiles(axes[-1], result, shown, scenes["found"])
     if scene.dimension == 3:
         bar = figure.colorbar(ScalarMappable(Normalize(0.0, top), HEIGHTS), ax=list(axes[:-1]), shrink=0.6, aspect=30)
         bar.set_label("height [m]")
     drawn = [axis.get_legend_handles_labels() for axis in axes[:-1]]
     if labels := {label: handle for handles, names in drawn for handle, label in zip(handles, names, strict=True)}:
         figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=len(labels))
-    figure.suptitle(f"{found.problem.name}: {found.verdict}")
+    figure.suptitle(f"{result.problem.name}: {result.verdict}")
     return figure
 
 
-def standings(found: "Result") -> dict[str, Scene]:
+def standings(result: Result) -> dict[str, Scene]:
     """The scene with its baffles as they were at the start, as found and, where it is known, as in truth."""
-    problem, truth = found.problem, found.target.truth
-    scenes = {"start": problem.scene_at(problem.initial), "found": problem.scene_at(found.answer)}
+    problem, truth = result.problem, result.target.truth
+    scenes = {"start": problem.scene_at(problem.initial), "found": problem.scene_at(result.answer)}
     if truth:
         scenes["truth"] = problem.scene_at(np.array([truth[name] for name in problem.names]))
     # One that never moved is drawn once.
@@ -129,28 +135,28 @@ def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene]
     axis.set(xlabel="x [m]", ylabel=f"{'xyz'[across]} [m]")
 
 
-def mark(axis: Axes, found: "Result", deposit: Deposit, colour: str) -> str:
+def mark(axis: Axes, result: Result, deposit: Deposit, colour: str) -> str:
     """Mark on a picture of a deposit what was observed of it, and say it in a few words."""
-    observation, across = found.target.observation, deposit.shape[1] - 1
+    observation, across = result.target.observation, deposit.shape[1] - 1
     if isinstance(observation, Passed):
         axis.axvline(observation.line, color=LINE, linestyle="--", linewidth=1.2, zorder=5, label="line")
     elif isinstance(observation, Toe):
-        own, target = observation.exact(deposit), found.target.values
+        toe, target = observation.exact(deposit), result.target.values
         style: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markersize": 8, "zorder": 5}
-        axis.plot(own[0], own[across], "o", color=colour, label="toe of this deposit", **style)
+        axis.plot(toe[0], toe[across], "o", color=colour, label="toe of this deposit", **style)
         axis.plot(target[0], target[across], "k+", markersize=13, markeredgewidth=2, zorder=6, label="target toe")
     else:
-        front = measures.front(deposit, particle_volumes(found.problem.scene, len(deposit)))
+        front = measures.front(deposit, particle_volumes(result.problem.scene, len(deposit)))
         axis.axvline(front, color=colour, linewidth=0.9)
         return f"front at {front:.4f} m"
     return f"{observation.kind} {observation.text(observation.exact(deposit))}"
 
 
-def profiles(axis: Axes, found: "Result", shown: Mapping[str, Deposit], scene: Scene) -> None:
+def profiles(axis: Axes, result: Result, shown: Mapping[str, Deposit], scene: Scene) -> None:
     """The height profiles of all deposits, and what is known of a target."""
-    target, domain = found.target, scene.domain
+    target, domain = result.target, scene.domain
     spacing = min(2.0 * domain.cell, 0.5 * domain.size[0])
-    profile = Profile(ObservationSettings(kind="profile", spacing=spacing), scene)
+    profile = Profile(scene, spacing)
     for name, deposit in shown.items():
         style = "-" if name == "target" else "--" if name == "surrogate" else "-."
         axis.plot(profile.stations, profile.heights(deposit), style, color=COLOURS[name], label=name, linewidth=1.4)
@@ -166,35 +172,35 @@ def profiles(axis: Axes, found: "Result", shown: Mapping[str, Deposit], scene: S
     axis.legend()
 
 
-def draw_unknowns(path: Path, found: "Result") -> None:
+def unknowns(result: Result) -> Figure:
     """Every number side by side, a panel for each unit: start, found with its interval, truth."""
-    units, truth = list(dict.fromkeys(kind.unit for kind in found.problem.kinds)), found.target.truth
+    units, truth = list(dict.fromkeys(kind.unit for kind in result.problem.kinds)), result.target.truth
     size = (WIDTH, 0.4 + 3.2 * len(units))
     figure, grid = plt.subplots(len(units), 1, figsize=size, layout="constrained", squeeze=False)
     for unit, axis in zip(units, grid[:, 0], strict=True):
-        own = [index for index, each in enumerate(found.problem.numbers) if each.kind.unit == unit]
-        every, x = [found.problem.numbers[index] for index in own], np.arange(len(own))
+        indices = [index for index, each in enumerate(result.problem.numbers) if each.kind.unit == unit]
+        every, x = [result.problem.numbers[index] for index in indices], np.arange(len(indices))
         if truth:
             # Steps as wide as their columns: the profile of the truth over the layers.
             axis.hlines([truth[each.name] for each in every], x - 0.4, x + 0.4, color="black", label="truth")
         starts = [each.start for each in every]
         axis.plot(x - 0.2, starts, "_", color="#888888", markersize=9, markeredgewidth=1.5, label="start")
-        for number, answer in enumerate(found.answers):
+        for number, answer in enumerate(result.answers):
             label = "" if number else "found, with its interval (95 %)"
             style = {"fmt": "o", "color": COLOURS["MPM"], "capsize": 4, "label": label}
-            value, ends = answer.parameters[own], answer.interval[:, own]
+            value, ends = answer.parameters[indices], answer.interval[:, indices]
             wide = np.maximum([value - ends[0], ends[1] - value], 0.0)
             axis.errorbar(x + 0.1 + 0.15 * number, value, yerr=wide, **style)
         axis.set_xticks(x, [each.name.replace(".", "\n") for each in every])
-        axis.set(xlim=(-0.6, len(own) - 0.4), ylabel=f"[{unit}]")
+        axis.set(xlim=(-0.6, len(indices) - 0.4), ylabel=f"[{unit}]")
         axis.grid(axis="y", color="#e5e5e5")
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    save(figure, path)
+    return figure
 
 
-def draw_posterior(path: Path, found: "Result") -> None:
+def posterior(result: Result) -> Figure:
     """Prior and posterior of every number and, of a few, the samples of every pair."""
-    count = len(found.problem.numbers)
+    count = len(result.problem.numbers)
     pairs = count <= PAIRS
     rows, columns = (count, count) if pairs else (-(-count // 4), 4)
     side = min(WIDTH, 3.2 * count + 1.0)
@@ -206,39 +212,39 @@ def draw_posterior(path: Path, found: "Result") -> None:
         if index >= count or (pairs and column > row):
             pane.axis("off")
         elif pairs and column < row:
-            pair(pane, found, column, row)
+            pair(pane, result, column, row)
         else:
-            marginal(pane, found, index)
+            marginal(pane, result, index)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(handles))
-    save(figure, path)
+    return figure
 
 
-def marginal(axis: Axes, found: "Result", index: int) -> None:
+def marginal(axis: Axes, result: Result, index: int) -> None:
     """Prior and posterior of one number."""
-    assert found.posterior is not None, "an optimiser has none"
-    each, truth, weights = found.problem.numbers[index], found.target.truth or {}, found.posterior.samples.weights
+    assert result.posterior is not None, "an optimiser has none"
+    each, truth, weights = result.problem.numbers[index], result.target.truth or {}, result.posterior.samples.weights
     style: dict[str, Any] = {"bins": BINS, "range": each.bounds, "density": True, "color": COLOURS["MPM"]}
-    axis.hist(found.samples[:, index], weights=weights, label="posterior", **style)
+    axis.hist(result.samples[:, index], weights=weights, label="posterior", **style)
     line: dict[str, Any] = {"color": "#888888", "linestyle": ":", "linewidth": 1.0, "label": "prior"}
     if each.prior is None:
         axis.axhline(1.0 / each.range, **line)
     else:
         values = np.linspace(*each.bounds, 201)
         axis.plot(values, np.exp(each.marginal.log_density(values)) / each.range, **line)
-    for number, answer in enumerate(found.answers):
+    for number, answer in enumerate(result.answers):
         axis.axvline(answer.parameters[index], color=ANSWER, linewidth=0.8, label="" if number else "answer")
     if each.name in truth:
         axis.axvline(truth[each.name], color="black", linestyle="--", linewidth=1.0, label="truth")
     axis.set(xlim=each.bounds, yticks=[], xlabel=f"{each.name} [{each.kind.unit}]")
 
 
-def pair(axis: Axes, found: "Result", first: int, second: int) -> None:
+def pair(axis: Axes, result: Result, first: int, second: int) -> None:
     """The samples of two numbers."""
-    across, up = (found.problem.numbers[index] for index in (first, second))
-    truth, samples = found.target.truth or {}, found.samples
+    across, up = (result.problem.numbers[index] for index in (first, second))
+    truth, samples = result.target.truth or {}, result.samples
     axis.scatter(samples[:, first], samples[:, second], s=2.0, alpha=0.3, color=COLOURS["MPM"], linewidths=0)
-    for answer in found.answers:
+    for answer in result.answers:
         axis.plot(answer.parameters[first], answer.parameters[second], "x", color=ANSWER)
     if across.name in truth:
         axis.plot(truth[across.name], truth[up.name], "+", color="black", markersize=10)
@@ -246,49 +252,48 @@ def pair(axis: Axes, found: "Result", first: int, second: int) -> None:
     axis.set(xlabel=f"{across.name} [{across.kind.unit}]", ylabel=f"{up.name} [{up.kind.unit}]")
 
 
-def draw_field(path: Path, found: FoundField) -> None:
+def field(posterior: FieldPosterior) -> Figure:
     """A field over the body, from the side, in 3D on the middle plane across z; over one axis a curve with its band."""
-    grid = found.unknown.grid
+    grid = posterior.unknown.grid
     varying = [axis for axis in range(min(2, len(grid.nodes))) if grid.nodes[axis] > 1]
-    label = f"{LABELS[found.unknown.settings.quantity]} [{found.unknown.unit}]"
+    label = f"{LABELS[posterior.unknown.settings.quantity]} [{posterior.unknown.unit}]"
     if len(varying) < 2:
-        draw_curve(path, found, varying[0] if varying else 0, label)
-        return
-    arrays = found.arrays
-    seen = [arrays[name][found.unknown.inside] for name in ("mean", "truth") if name in arrays]
+        return curve(posterior, varying[0] if varying else 0, label)
+    arrays = posterior.arrays
+    seen = [arrays[name][posterior.unknown.inside] for name in ("mean", "truth") if name in arrays]
     between = (float(np.min(seen)), float(np.max(seen)))
     panels: list[tuple[str, Floats, tuple[float, float], str]] = [
         (f"most probable: {label}", arrays["mean"], between, "viridis"),
         (f"standard deviation: {label}", arrays["deviation"], (0.0, float(arrays["prior_deviation"].max())), "magma_r"),
         ("share of the prior's variance removed [-]", arrays["removed"], (0.0, 1.0), "Greens"),
     ]
-    if found.truth is not None:
-        panels.insert(0, (f"truth: {label}", found.truth, between, "viridis"))
+    if posterior.truth is not None:
+        panels.insert(0, (f"truth: {label}", posterior.truth, between, "viridis"))
     flat = float(np.ptp(grid.axes[1]) / np.ptp(grid.axes[0]))
     height = float(np.clip(0.4 * WIDTH * flat, 0.8, 4.0)) + 0.9
     figure, axes = plt.subplots(2, 2, figsize=(WIDTH, 2.0 * height), layout="constrained")
     for axis, (title, values, limits, colours) in zip(axes.ravel(), panels, strict=False):
-        pane = np.where(found.unknown.inside, values, np.nan).reshape(grid.nodes)
+        pane = np.where(posterior.unknown.inside, values, np.nan).reshape(grid.nodes)
         pane = pane if pane.ndim == 2 else pane[:, :, grid.nodes[2] // 2]
         image = axis.pcolormesh(*grid.axes[:2], pane.T, shading="nearest", cmap=colours, vmin=limits[0], vmax=limits[1])
         figure.colorbar(image, ax=axis, shrink=0.9)
         axis.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=title)
     for axis in axes.ravel()[len(panels) :]:
         axis.set_visible(False)
-    save(figure, path)
+    return figure
 
 
-def draw_curve(path: Path, found: FoundField, axis: int, label: str) -> None:
+def curve(posterior: FieldPosterior, axis: int, label: str) -> Figure:
     """A field that varies along one axis."""
     figure, panel = plt.subplots(figsize=(0.6 * WIDTH, 3.0), layout="constrained")
-    grid = found.unknown.grid
+    grid = posterior.unknown.grid
     lines = np.moveaxis(np.arange(grid.count).reshape(grid.nodes), axis, 0)
     along, first = grid.axes[axis], lines.reshape(len(lines), -1)[:, 0]
-    line = {name: values[first] for name, values in found.arrays.items()}
+    line = {name: values[first] for name, values in posterior.arrays.items()}
     panel.fill_between(along, line["lower"], line["upper"], alpha=0.3, color=COLOURS["MPM"], label="95 %")
     panel.plot(along, line["mean"], color=COLOURS["MPM"], label="most probable")
     if "truth" in line:
         panel.plot(along, line["truth"], color=COLOURS["target"], label="truth")
     panel.set(xlabel=f"{'xyz'[axis]} [m]", ylabel=label)
     panel.legend()
-    save(figure, path)
+    return figure

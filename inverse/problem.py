@@ -6,23 +6,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from datasets.errors import InputError, naming
-from datasets.field import Field
+from datasets.errors import InputError, keyed, naming, require
+from datasets.field import FRICTION, Field
 from datasets.files import read_toml
 from datasets.library import SCENES, find, read_scene
 from datasets.particles import released_volume
-from datasets.records import Record, from_mapping
+from datasets.records import Record, from_mapping, one_of
 from datasets.scene import Scene
-from inverse import checks
+from inverse.observations import KINDS, Observation, ObservationSettings
+from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_parameters
+from inverse.parameters.bounds import check_parameters, check_scene
 from inverse.parameters.field import UnknownField
-from inverse.parameters.prior import Correlation, JointPrior
-from inverse.settings import LoopSettings, ObservationSettings, OptimiserSettings, Surrogate, TargetSettings
+from inverse.parameters.prior import Correlation, JointPrior, Marginal
+from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings, require_integer
 
 PROBLEMS = Path(__file__).parent / "problems"
+FEWEST_RUNS = 5
+"""MPM runs besides one for each unknown: a trend, its error, and one at the answer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +36,7 @@ class _File(Record):
 
     scene: str
     unknowns: tuple[Parameter, ...]
-    observations: tuple[ObservationSettings, ...]
+    observations: tuple[Annotated[ObservationSettings, one_of(KINDS)], ...]
     correlations: tuple[Correlation, ...] = ()
     target: TargetSettings = field(default_factory=TargetSettings)
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
@@ -72,7 +77,7 @@ class Problem:
     ...     name="my column",
     ...     scene=read_scene("column-tall-42"),
     ...     parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
-    ...     observations=(ObservationSettings(kind="front", value=0.55, noise=0.005),),
+    ...     observations=(FrontSettings(value=0.55, noise=0.005),),
     ... )
     """
 
@@ -97,7 +102,15 @@ class Problem:
     surrogate: Surrogate = Surrogate.AUTO
 
     def __post_init__(self) -> None:
-        checks.check(self)
+        check_parameters(self.scene, self.parameters)
+        # It refuses correlations that are none.
+        _ = self.prior
+        self._check_observations()
+        self._check_target()
+        unknowns = len(self.parameters)
+        require_integer("loop.mpm_runs", self.loop.budget(unknowns), unknowns + FEWEST_RUNS)
+        if any(each.is_field for each in self.parameters):
+            self._check_fields()
 
     @property
     def numbers(self) -> list[Parameter]:
@@ -107,14 +120,12 @@ class Problem:
     @cached_property
     def fields(self) -> list[UnknownField]:
         """Those that are fields, with their nodes and priors. Raises InputError, which names the key."""
-        found = []
-        for index, each in enumerate(self.parameters):
-            if each.is_field:
-                try:
-                    found.append(UnknownField(each, self.scene))
-                except InputError as error:
-                    raise InputError(error.message, key=f"unknowns[{index}].{error.key}") from None
-        return found
+        fields = []
+        for index, parameter in enumerate(self.parameters):
+            if parameter.is_field:
+                with keyed(f"unknowns[{index}]"):
+                    fields.append(UnknownField(parameter, self.scene))
+        return fields
 
     @property
     def names(self) -> list[str]:
@@ -132,11 +143,16 @@ class Problem:
         lower, upper = np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T
         return Bounds(lower, upper)
 
+    @property
+    def marginals(self) -> dict[str, Marginal]:
+        """The prior of each number by its name."""
+        return {each.name: each.marginal for each in self.numbers}
+
     @cached_property
     def prior(self) -> JointPrior | None:
         """The stated prior of the numbers; None where it is uniform between the bounds. Raises InputError."""
         stated = [each for each in self.numbers if each.prior is not None and each.prior.kind != "uniform"]
-        return JointPrior(self.numbers, self.correlations) if stated or self.correlations else None
+        return JointPrior(self.marginals, self.correlations) if stated or self.correlations else None
 
     @property
     def prior_widths(self) -> Vector:
@@ -162,10 +178,26 @@ class Problem:
         return {name: float(value) for name, value in zip(self.names, values, strict=True)}
 
     @cached_property
+    def measured(self) -> list[Target]:
+        """What the observations bring themselves, each table read once. Raises InputError, which names key or table."""
+        targets = []
+        for index, settings in enumerate(self.observations):
+            with keyed(f"observations[{index}]"):
+                targets.append(settings.read(self.scene, self.folder, self.released))
+        return targets
+
+    @cached_property
+    def operators(self) -> list[Observation]:
+        """The operator of each observation. Raises InputError, which names key or table."""
+        if self.target.measured:
+            return [each.observation for each in self.measured]
+        return [each.operator(self.scene) for each in self.observations]
+
+    @cached_property
     def true_fields(self) -> list[Field]:
         """The fields of a twin: the scene's own."""
-        own = {(each.quantity, each.mass): each for each in self.scene.fields}
-        return [own[each.settings.quantity, each.settings.mass] for each in self.fields]
+        true = {(each.quantity, each.mass): each for each in self.scene.fields}
+        return [true[each.settings.quantity, each.settings.mass] for each in self.fields]
 
     @property
     def twin_scene(self) -> Scene:
@@ -197,6 +229,68 @@ class Problem:
             return None
         return released_volume(self.scene) / math.prod(self.scene.domain.size[2:])
 
+    def _check_observations(self) -> None:
+        """Raise InputError for observations that cannot be made of a flow of the scene, or compared with each other."""
+        require(len(self.observations) > 0, "observations", "at least one observation", "none")
+        for index, settings in enumerate(self.observations):
+            with keyed(f"observations[{index}]"):
+                alone = len(self.observations) == 1 or not settings.operator_type.every_particle
+                require(alone, "kind", "an observation of few numbers beside others", repr(settings.kind))
+                given = settings.given
+                if "csv" not in given:
+                    operator = settings.operator(self.scene)
+                    if given:
+                        settings.stated(operator)
+                if self.target.measured and not given:
+                    stands = " or ".join(settings.sources) or "a trajectory"
+                    message = f"expected what was measured for {settings.kind}: {stands}"
+                    raise InputError(f"{message}; or twin or a trajectory in [target]")
+                other = self.target.measured or not given
+                require(other, "", "no numbers beside those of [target]", " and ".join(given))
+        kind = self.observations[0].kind
+        if self.observations[0].operator_type.every_particle:
+            for number in self.numbers:
+                expected = f"another kind: with {number.name} the number of particles changes"
+                require(not number.kind.changes_volume, "observations[0].kind", expected, kind)
+            other = self.target.cell is None
+            require(other, "target.cell", "an observation other than of every particle", kind)
+
+    def _check_target(self) -> None:
+        """Raise InputError for a twin that cannot be made."""
+        with keyed("target"):
+            self.target.check(self.scene)
+        numbers, truth = {each.name: each for each in self.numbers}, self.target.truth
+        for name in truth:
+            require(name in numbers, f"target.truth.{name}", f"one of the unknowns {', '.join(numbers)}", name)
+        if truth:
+            check_scene(self.scene, [numbers[name] for name in truth], list(truth.values()), "target.truth")
+
+    def _check_fields(self) -> None:
+        """Raise InputError for fields that the adjoint cannot find, or a twin without their truth."""
+        true_fields = {(each.quantity, each.mass) for each in self.scene.fields}
+        indices = [index for index, each in enumerate(self.parameters) if each.is_field]
+        for index, unknown in zip(indices, self.fields, strict=True):
+            settings = unknown.settings
+            with keyed(f"unknowns[{index}]"):
+                unknown.check_bounds(self.scene)
+                true = not self.target.twin or (settings.quantity, settings.mass) in true_fields
+                require(true, "name", f"a scene with a field of {unknown.name} as the truth", "none")
+            if settings.quantity == FRICTION:
+                expected = "a body without initial stress, whose yield depends on an unknown friction"
+                for number, mass in enumerate(self.scene.masses):
+                    require(mass.k0 is None, f"scene.masses[{number}].k0", expected, mass.k0)
+        for index, parameter in enumerate(self.parameters):
+            require(parameter.prior is None, f"unknowns[{index}].prior", "none beside a field", "one")
+        require(not self.correlations, "correlations", "none beside a field", "some")
+        for index, observation in enumerate(self.observations):
+            operator = observation.operator_type
+            jointly = operator.of_positions and not operator.every_particle
+            expected = "an observation of positions of few numbers"
+            require(jointly, f"observations[{index}].kind", expected, observation.kind)
+        expected = f"none of the {len(self.seeds)} seeds from {self.seeds[0]} on, which the search has"
+        other = self.target.seed not in self.seeds or not self.target.twin
+        require(other, "target.seed", expected, self.target.seed)
+
 
 def read_problem(name: str) -> Problem:
     """Read the problem at a path or of a shipped name. Raises InputError, which names the file and the key.
@@ -209,5 +303,5 @@ def read_problem(name: str) -> Problem:
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         beside = path.parent / file.scene
         scene = read_scene(str(beside) if file.scene.endswith(".toml") else str(find(file.scene, SCENES, "scene")))
-        own = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
-        return Problem(parameters=own.pop("unknowns"), **own)
+        keys = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
+        return Problem(parameters=keys.pop("unknowns"), **keys)

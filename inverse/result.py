@@ -1,29 +1,24 @@
-"""The result of an inversion, and everything that it leaves in a folder."""
+"""The result of an inversion, and what `result.json` has of it."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.files import make_folder, replacing, write_json
-from datasets.library import write_scene
 from datasets.records import changed
 from datasets.scene import Scene
-from inverse.found import UNIFORM, Answer, Combination, FoundField, MpmRun, Verdict, peak_memory_mib, plain
+from inverse.answer import UNIFORM, Answer, Combination, MpmRun, Verdict, peak_memory_mib, plain
+from inverse.field_posterior import FieldPosterior
 from inverse.observations import Values
+from inverse.observations.target import Target
 from inverse.parameters import Vector
 from inverse.posterior.answers import half_widths
 from inverse.posterior.posterior import Posterior
 from inverse.problem import Problem
-from inverse.target import Target
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +28,6 @@ class Result:
     >>> result = solve("friction-tall-42")
     >>> result.verdict, result.unknowns, result.interval
     (<Verdict.CONFIRMED: 'confirmed'>, {'friction_deg': 41.6...}, {'friction_deg': [40.7..., 42.5...]})
-    >>> result.plot().savefig("found.png")
     """
 
     problem: Problem
@@ -54,7 +48,7 @@ class Result:
     """Of numbers, over the whole box."""
     further: dict[str, float] = field(default_factory=dict)
     """Where the answer is ambiguous: the measurements of a deposit that would decide most, with their information."""
-    fields: tuple[FoundField, ...] = ()
+    fields: tuple[FieldPosterior, ...] = ()
     notes: tuple[str, ...] = ()
     """What else is to be known of the uncertainty, in sentences."""
     surrogate: dict[str, Any] | None = None
@@ -104,15 +98,15 @@ class Result:
     @property
     def run_count(self) -> int:
         """Every run of the MPM: of the search, at answers, on other cells, of a coarse surrogate, a twin's own flow."""
-        own = len(self.mpm_runs) + self.record.get("coarse_runs", 0) + int(self.problem.target.twin)
-        return int(self.record.get("flows", own))
+        runs = len(self.mpm_runs) + self.record.get("coarse_runs", 0) + int(self.problem.target.twin)
+        return int(self.record.get("flows", runs))
 
     @property
     def error_pct(self) -> dict[str, float]:
         """Relative errors that are known: of each number in a twin experiment, of the front where the MPM ran."""
         truth = self.target.truth or {}
-        found = self.problem.named(self.answer)
-        errors = {name: 100.0 * abs(found[name] - true) / abs(true) for name, true in truth.items() if true != 0.0}
+        values = self.problem.named(self.answer)
+        errors = {name: 100.0 * abs(values[name] - true) / abs(true) for name, true in truth.items() if true != 0.0}
         if self.answers[0].checks and math.isfinite(self.target.front):
             errors["front"] = 100.0 * abs(float(np.mean([each.front_error for each in self.answers[0].checks])))
         return errors
@@ -170,7 +164,7 @@ class Result:
             }
             for each in self.answers
         ]
-        found: dict[str, Any] = {
+        keys: dict[str, Any] = {
             "problem": problem.name,
             "verdict": self.verdict.value,
             "unknowns": self.unknowns,
@@ -190,55 +184,27 @@ class Result:
             "peak_memory_mib": peak_memory_mib(),
         }
         if math.isfinite(self.target.front):
-            found["observation"]["front"] = self.target.front
+            keys["observation"]["front"] = self.target.front
         if (profile := self.target.profile) is not None:
-            found["observation"]["profile"] = {"x": profile.x.tolist(), "height": profile.height.tolist()}
+            keys["observation"]["profile"] = {"x": profile.x.tolist(), "height": profile.height.tolist()}
         if fit := first.fit:
-            keys = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
-            found |= {"check": {key: getattr(fit, key) for key in keys}, "discrepancy": fit.applied}
-            found["check"] |= {
+            names = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
+            keys |= {"check": {name: getattr(fit, name) for name in names}, "discrepancy": fit.applied}
+            keys["check"] |= {
                 "outliers": {str(index): off for index, off in fit.outliers.items()},
                 "probability": fit.probability,
             }
         if self.posterior is not None:
             samples = self.posterior.samples
-            found["combinations"] = [
+            keys["combinations"] = [
                 {"weights": each.weights, "half_width": each.half_width, "identifiable": each.identifiable}
                 for each in self.combinations
             ]
             sampling = {"difference": samples.difference, "acceptance": samples.acceptance}
-            found["sampling"] = sampling | {"log_evidence": samples.evidence}
+            keys["sampling"] = sampling | {"log_evidence": samples.evidence}
         if problem.prior is not None:
-            found["prior"] = {each.name: changed(each.prior) for each in problem.numbers if each.prior is not None}
-            found["correlations"] = [changed(each) for each in problem.correlations]
+            keys["prior"] = {each.name: changed(each.prior) for each in problem.numbers if each.prior is not None}
+            keys["correlations"] = [changed(each) for each in problem.correlations]
         if self.fields:
-            found["fields"] = [each.as_json() for each in self.fields]
-        return found | self.record
-
-    def save(self, folder: Path | str) -> None:
-        """Write `result.json`, `posterior.npz`, `posterior.nc`, `report.md`, pictures and missing MPM runs."""
-        from inverse import inference_data, report  # matplotlib takes a second to load
-
-        folder = Path(folder)
-        make_folder(folder)
-        for each in self.mpm_runs:
-            if each.file and not (folder / each.file).exists():
-                each.trajectory.save(folder / each.file)
-        if self.posterior is not None:
-            names, weights = np.array(self.problem.names, dtype=np.str_), self.posterior.samples.weights
-            with replacing(folder / "posterior.npz") as part:
-                np.savez_compressed(part, names=names, samples=self.samples, weights=weights)
-            inference_data.write(self, folder / "posterior.nc")
-        if self.fields:
-            arrays = {f"{k}_{key}": own for k, found in enumerate(self.fields) for key, own in found.saved.items()}
-            with replacing(folder / "field.npz") as part:
-                np.savez(part, **arrays)  # type: ignore[arg-type]
-            write_scene(self.scene, folder / "scene.toml")
-        write_json(folder / "result.json", self.as_json())
-        report.write(self, folder, f"{self.command} {self.problem.asked or self.problem.name} --out {folder}")
-
-    def plot(self) -> "Figure":
-        """The deposits observed and found, and their profiles."""
-        from inverse import pictures
-
-        return pictures.deposits(self)
+            keys["fields"] = [each.as_json() for each in self.fields]
+        return keys | self.record

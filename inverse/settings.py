@@ -1,36 +1,14 @@
 """What stands in a problem's file: its sections as they are read from TOML, strictly."""
 
-import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from datasets.errors import InputError
-from datasets.records import Record, fraction
+from datasets.errors import InputError, require
+from datasets.records import Record
+from datasets.scene import Scene
 
-
-class LengthUnit(StrEnum):
-    """In what a length was measured."""
-
-    METRE = "m"
-    CENTIMETRE = "cm"
-    MILLIMETRE = "mm"
-    FOOT = "ft"
-
-    @property
-    def metres(self) -> float:
-        """Its length [m]."""
-        return {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}[self.value]
-
-
-class Heights(StrEnum):
-    """What the heights of a measured profile are."""
-
-    EQUIVALENT = "equivalent"
-    """Of the released volume at its initial density, over the length and the width."""
-    SURFACE = "surface"
-    """Of the deposit's surface above the ground, which may be looser than what was released."""
-    ELEVATION = "elevation"
-    """Of the deposit's surface above the datum, over terrain: the ground beneath it is taken off (2D)."""
+MOST = 1_000_000
+"""Of runs, draws and iterations: more would take years, and memory that no machine has."""
 
 
 class ForwardModel(StrEnum):
@@ -58,48 +36,6 @@ class Surrogate(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObservationSettings(Record):
-    """What is measured, where and when, how well, and what came out unless a twin or a trajectory says that."""
-
-    kind: str
-    """A key of `inverse.observations.KINDS`."""
-    name: str | None = None
-    """As it is called in reports; its kind where absent."""
-    value: float | None = None
-    """The one number, in the unit of its kind: m, N s (in 2D per metre of width), a share -."""
-    values: tuple[float, ...] | None = None
-    """The numbers: of a toe its coordinates, of others one for each of `x` or `times`."""
-    csv: str | None = None
-    """A table: x, height of a profile or gauges, there maybe time; time, front; time, impulse; x, z of an outline."""
-    noise: float | str = 0.0
-    """Standard deviation of each number, of a profile of each height: in their unit, or a percentage such as "3%"."""
-    unit: LengthUnit = LengthUnit.METRE
-    """Of the lengths in a `csv`."""
-    datum: float = 0.0
-    """Height of the floor in a `csv` of heights [`unit`]."""
-    heights: Heights = Heights.EQUIVALENT
-    """What the heights of a profile are."""
-    spacing: float = 0.02
-    """Distance between the stations of a profile [m]; half width over which a gauge takes the mean height."""
-    line: float | None = None
-    """The x beyond which a particle has passed [m]."""
-    width: float | None = None
-    """Length over which the share that passed is smoothed for gradients [m]; a cell of the scene where absent."""
-    x: tuple[float, ...] | None = None
-    """Of gauges [m], where they are not in a `csv`."""
-    z: float | None = None
-    """Of gauges in 3D [m]; where absent they take the mean across the flow."""
-    times: tuple[float, ...] | None = None
-    """When [s] after the start, where that is not in a `csv`; where absent, in the end."""
-    solid: int | str = 0
-    """Which solid an impulse is on, by its name or its number: the baffles, from 0, then the other solids."""
-    axis: int = 0
-    """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
-    directions_deg: tuple[float, ...] | None = None
-    """Of an outline, from +x towards +z; every 22.5 degrees where absent."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class TargetSettings(Record):
     """Where the observed numbers come from: the observations themselves unless this says otherwise."""
 
@@ -114,23 +50,29 @@ class TargetSettings(Record):
     trajectory: str | None = None
     """A trajectory (NPZ) that was observed."""
 
+    def __post_init__(self) -> None:
+        both = self.twin and self.trajectory is not None
+        require(not both, "", "one of twin = true and trajectory", "twin and trajectory")
+        require(self.twin or not self.truth, "truth", "twin = true beside a truth", "none")
+        require(self.twin or self.cell is None, "cell", "twin = true beside cells of the twin", "none")
+
     @property
     def measured(self) -> bool:
         """Whether the observations bring their own numbers."""
         return not self.twin and self.trajectory is None
 
-
-def noise_of(noise: float | str) -> tuple[float, float]:
-    """A stated noise as (share of each number [-], standard deviation in their unit). Raises InputError."""
-    if isinstance(noise, str):
-        text = noise.strip()
-        share = fraction(text) if text.endswith("%") else math.nan
-        if not 0.0 < share < 1.0:
-            raise InputError(f"expected a number or a percentage such as 3%, got {text!r}", key="noise")
-        return share, 0.0
-    if noise < 0.0:
-        raise InputError(f"expected a standard deviation of at least 0, got {noise:g}", key="noise")
-    return 0.0, noise
+    def check(self, scene: Scene) -> None:
+        """Raise InputError for a twin that is a flow of the inversion's own, or on cells that do not fit."""
+        if not self.twin:
+            return
+        other = self.seed >= 0 and self.seed != scene.seed
+        require(other, "seed", f"a seed of at least 0 and other than the scene's {scene.seed}", self.seed)
+        if self.cell is not None:
+            try:
+                scene.with_cell(self.cell)
+            except InputError as error:
+                message = f"expected cells of which the box is a whole number, but {error}"
+                raise InputError(message, key="cell") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,6 +88,12 @@ class OptimiserSettings(Record):
     ensemble: int = 24
     """Of fields: runs that measure the scatter from jitter seed to jitter seed, and as many draws of the prior."""
 
+    def __post_init__(self) -> None:
+        require_integer("seed", self.seed, 0, 2**62)
+        require_integer("max_iterations", self.max_iterations, 1)
+        require_integer("seeds", self.seeds, 1)
+        require_integer("ensemble", self.ensemble, 4)
+
 
 @dataclass(frozen=True, kw_only=True)
 class LoopSettings(Record):
@@ -160,3 +108,9 @@ class LoopSettings(Record):
     def budget(self, unknowns: int) -> int:
         """Most MPM runs for so many unknowns."""
         return 40 + 12 * unknowns if self.mpm_runs is None else self.mpm_runs
+
+
+def require_integer(key: str, number: int, least: int, most: int = MOST) -> None:
+    """Raise InputError for a number that is not between the two."""
+    require(number >= least, key, f"an integer of at least {least}", number)
+    require(number <= most, key, f"an integer of at most {most}", number)

@@ -1,10 +1,11 @@
 """Validation: the loop in which the MPM confirms or refuses an inversion, experiments, and benchmarks.
 
+from inverse import plot
 from validation import solve
 
 result = solve("friction-tall-42", "out/loop")
 print(result.verdict, result.unknowns, result.interval)
-result.plot().savefig("found.png")
+plot(result).savefig("found.png")
 """
 
 from importlib import import_module

@@ -9,8 +9,10 @@ import numpy as np
 
 from datasets import measures
 from datasets.command_line import run
+from inverse.observations import FrontSettings
 from inverse.problem import read_problem
-from inverse.settings import ObservationSettings, Surrogate, TargetSettings
+from inverse.saving import save
+from inverse.settings import Surrogate, TargetSettings
 from mpm import LAST, simulate
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
@@ -49,7 +51,7 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
         name="demo",
         asked="demo",
         scene=stated.scene.with_friction_deg(parameter.start),
-        observations=(ObservationSettings(kind="front", value=front),),
+        observations=(FrontSettings(value=front),),
         target=TargetSettings(),
         surrogate=Surrogate.GNS,
     )
@@ -57,7 +59,7 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
 
     target = replace(result.target, deposit=flow.positions[-1], truth={parameter.name: truth_deg})
     result = replace(result, target=target)
-    result.save(out)
+    save(result, out)
     print_outcome(result, out)
 
 

@@ -32,7 +32,6 @@ from gns.unroll import step_activation_bytes, unroll
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Vector, in_order
 from inverse.problem import Problem
-from inverse.target import read_each
 
 MEMORY_GIB = 2.0
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
@@ -193,9 +192,9 @@ def require_predicted(problem: Problem) -> None:
         if not each.kind.predicted:
             message = f"expected an input of the surrogate, {each.name} is none"
             raise InputError(message, where=problem.name, key=f"unknowns[{index}]")
-    for index, measured in enumerate(read_each(problem)):
-        if not measured.observation.of_positions:
-            message = f"expected what follows from positions, no surrogate predicts {measured.observation.label}"
+    for index, operator in enumerate(problem.operators):
+        if not operator.of_positions:
+            message = f"expected what follows from positions, no surrogate predicts {operator.label}"
             raise InputError(message, where=problem.name, key=f"observations[{index}]")
 
 

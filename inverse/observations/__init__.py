@@ -1,26 +1,26 @@
 """Observation operators: what is measured of a flow.
 
->>> from inverse.observations import build
->>> from inverse.settings import ObservationSettings
->>> front = build(ObservationSettings(kind="front"), scene)
+>>> from inverse.observations import FrontSettings
+>>> front = FrontSettings(noise="1%").operator(scene)
 >>> front.observe(trajectory)
 """
 
-from datasets.scene import Scene
-from inverse.observations.deposit import Deposit, Front, Outline, Passed, Runout, Toe
-from inverse.observations.gauges import Gauges, Impulse
-from inverse.observations.observation import Observation, Rollout, Values
-from inverse.observations.profile import Profile
-from inverse.settings import ObservationSettings
+from inverse.observations.deposit import DepositSettings as DepositSettings
+from inverse.observations.deposit import FrontSettings as FrontSettings
+from inverse.observations.deposit import OutlineSettings as OutlineSettings
+from inverse.observations.deposit import PassedSettings as PassedSettings
+from inverse.observations.deposit import RunoutSettings as RunoutSettings
+from inverse.observations.deposit import ToeSettings as ToeSettings
+from inverse.observations.gauges import GaugesSettings as GaugesSettings
+from inverse.observations.gauges import ImpulseSettings as ImpulseSettings
+from inverse.observations.observation import Observation as Observation
+from inverse.observations.observation import Rollout as Rollout
+from inverse.observations.observation import Values as Values
+from inverse.observations.profile import ProfileSettings as ProfileSettings
+from inverse.observations.settings import ObservationSettings as ObservationSettings
 
-__all__ = ["KINDS", "Observation", "Rollout", "Values", "build"]
-
-KINDS: dict[str, type[Observation]] = {
-    each.kind: each for each in (Front, Runout, Profile, Toe, Deposit, Passed, Gauges, Impulse, Outline)
+_DEPOSIT = (FrontSettings, RunoutSettings, ToeSettings, DepositSettings, PassedSettings, OutlineSettings)
+KINDS: dict[str, type[ObservationSettings]] = {
+    settings.operator_type.kind: settings for settings in (*_DEPOSIT, ProfileSettings, GaugesSettings, ImpulseSettings)
 }
-"""Every kind of observation by its name in TOML."""
-
-
-def build(settings: ObservationSettings, scene: Scene) -> Observation:
-    """The observation operator that `settings` describe, for flows of `scene`. Raises InputError."""
-    return KINDS[settings.kind](settings, scene)
+"""The settings of every kind of observation by its name in TOML."""

@@ -1,5 +1,7 @@
 """Where a flow came to rest: front, runout, toe, the share beyond a line, every particle, the outline."""
 
+from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -9,12 +11,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import measures
-from datasets.errors import InputError
+from datasets.errors import naming, require
+from datasets.field import Floats
 from datasets.particles import mass_centroids, mass_volumes, particle_volumes
 from datasets.scene import Scene
-from inverse.observations.measured import Context, read_columns, require_inside
-from inverse.observations.observation import Measurement, Observation, Values, fitted_tail
-from inverse.settings import ObservationSettings
+from inverse.observations.measured_profile import require_inside
+from inverse.observations.observation import Numbers, Observation, Values, fitted_tail
+from inverse.observations.settings import LengthUnit, ObservationSettings, TabulatedSettings, read_columns
+from inverse.observations.target import Target
 
 SHARE_SCATTER = 0.005
 """Standard deviation of a share from flow to flow [-], before an ensemble has measured it."""
@@ -27,12 +31,9 @@ class Front(Observation):
 
     kind = "front"
     label = "the front, the x that 99.5 % of the volume is behind"
-    sources = ("value", "values", "csv")
-    options = ("times", "unit")
-    columns: ClassVar = {"time": "times", "front": "values"}
 
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
-        super().__init__(settings, scene)
+    def __init__(self, scene: Scene, times: Numbers = None) -> None:
+        super().__init__(scene, times)
         self.limits = (0.0, scene.domain.size[0])
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
@@ -45,14 +46,34 @@ class Front(Observation):
         return float(values[-1])
 
 
+@dataclass(frozen=True, kw_only=True)
+class FrontSettings(TabulatedSettings):
+    """Of `Front`; the table has time and front."""
+
+    value: float | None = None
+    """In the end [m]."""
+    values: tuple[float, ...] | None = None
+    """One [m] for each of `times`."""
+    times: tuple[float, ...] | None = None
+    """When [s] after the start; where absent, in the end."""
+    unit: LengthUnit = LengthUnit.METRE
+    """Of the front in a table."""
+
+    operator_type, options = Front, ("times",)
+    columns: ClassVar = {"time": "times", "front": "values"}
+
+    def converted(self, name: str, column: Floats) -> Floats:
+        return column * self.unit.metres if name == "front" else column
+
+
 class Runout(Observation):
     """The largest x; smoothly its mean under weights exp(x / width), the width a quarter of a cell."""
 
     kind = "runout"
     label = "the runout, the largest x of the deposit"
 
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
-        super().__init__(settings, scene)
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
         self.limits, self.width = (0.0, scene.domain.size[0]), 0.25 * scene.domain.cell
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
@@ -61,6 +82,16 @@ class Runout(Observation):
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         x = positions[:, 0].double()
         return (torch.softmax(x / self.width, 0) * x).sum().reshape(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunoutSettings(ObservationSettings):
+    """Of `Runout`."""
+
+    value: float | None = None
+    """[m]."""
+
+    operator_type = Runout
 
 
 class Toe(Observation):
@@ -73,10 +104,9 @@ class Toe(Observation):
 
     kind = "toe"
     label = "the toe, the centroid of the furthest 10 % of the particles"
-    sources = ("values",)
 
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
-        super().__init__(settings, scene)
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
         self.width, self.components = 0.5 * scene.domain.cell, scene.dimension
         self.limits = (0.0, np.array(scene.domain.size))
 
@@ -90,19 +120,29 @@ class Toe(Observation):
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         points, share = positions.double(), volumes.double() / volumes.double().sum()
         x = points[:, 0]
-        known, weights = x.detach(), share.detach()
-        low, high = float(known.min()) - 40.0 * self.width, float(known.max()) + 40.0 * self.width
+        fixed, weights = x.detach(), share.detach()
+        low, high = float(fixed.min()) - 40.0 * self.width, float(fixed.max()) + 40.0 * self.width
 
         def surplus(threshold: float) -> float:
-            return float(weights @ torch.sigmoid((known - threshold) / self.width)) - measures.TOE_FRACTION
+            return float(weights @ torch.sigmoid((fixed - threshold) / self.width)) - measures.TOE_FRACTION
 
-        found = scipy.optimize.brentq(surplus, low, high, xtol=1e-14, rtol=1e-14)
-        belongs = torch.sigmoid((x - found) / self.width)
+        root = scipy.optimize.brentq(surplus, low, high, xtol=1e-14, rtol=1e-14)
+        belongs = torch.sigmoid((x - root) / self.width)
         # A step of Newton's at the root changes its value by rounding alone and gives it its gradient.
         slope = (weights @ (belongs * (1.0 - belongs)).detach()) / self.width
-        threshold = found + (share @ belongs - measures.TOE_FRACTION) / slope
+        threshold = root + (share @ belongs - measures.TOE_FRACTION) / slope
         weight = share * torch.sigmoid((x - threshold) / self.width)
         return (weight / weight.sum()) @ points
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToeSettings(ObservationSettings):
+    """Of `Toe`."""
+
+    values: tuple[float, ...] | None = None
+    """Its coordinates [m]."""
+
+    operator_type = Toe
 
 
 class Passed(Observation):
@@ -111,16 +151,13 @@ class Passed(Observation):
     kind = "passed"
     label = "the share of the material that came to rest beyond the line"
     unit = ""
-    options = ("line", "width")
     limits = (0.0, 1.0)
 
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
-        super().__init__(settings, scene)
-        length, line, width = scene.domain.size[0], settings.line, settings.width
-        if line is None or not 0.0 < line < length:
-            raise InputError(f"expected a length in (0, {length:g}) m, got {line}", key="line")
-        if width is not None and not 0.0 < width <= length:
-            raise InputError(f"expected a length in (0, {length:g}] m, got {width}", key="width")
+    def __init__(self, scene: Scene, line: float, width: float | None = None) -> None:
+        super().__init__(scene)
+        length = scene.domain.size[0]
+        require(0.0 < line < length, "line", f"a length in (0, {length:g}) m", line)
+        require(width is None or 0.0 < width <= length, "width", f"a length in (0, {length:g}] m", width)
         self.line, self.width = line, width or scene.domain.cell
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
@@ -138,6 +175,20 @@ class Passed(Observation):
         return f"{100.0 * values[0]:.2f} % beyond {self.line:g} m"
 
 
+@dataclass(frozen=True, kw_only=True)
+class PassedSettings(ObservationSettings):
+    """Of `Passed`."""
+
+    value: float | None = None
+    """A share [-]."""
+    line: float
+    """The x beyond which a particle has passed [m]."""
+    width: float | None = None
+    """Length over which the share is smoothed for gradients [m]; a cell of the scene where absent."""
+
+    operator_type, options = Passed, ("line", "width")
+
+
 class Deposit(Observation):
     """The final position of every particle, N D numbers, of a surrogate those that it follows.
 
@@ -146,11 +197,10 @@ class Deposit(Observation):
 
     kind = "deposit"
     label = "the final position of every particle of the deposit"
-    sources = ()
     every_particle = True
 
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
-        super().__init__(settings, scene)
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
         self.components = scene.dimension
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
@@ -170,6 +220,13 @@ class Deposit(Observation):
         return f"{len(values) // self.components} particles"
 
 
+@dataclass(frozen=True, kw_only=True)
+class DepositSettings(ObservationSettings):
+    """Of `Deposit`, whose numbers are those of a twin or a trajectory."""
+
+    operator_type = Deposit
+
+
 class Outline(Observation):
     """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan.
 
@@ -178,28 +235,15 @@ class Outline(Observation):
 
     kind = "outline"
     label = "the outline of the deposit in plan"
-    sources = ("csv", "values")
-    options = ("directions_deg", "unit")
 
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
-        super().__init__(settings, scene)
-        if scene.dimension != 3:
-            raise InputError("expected a scene in 3D for an outline", key="kind")
-        named = settings.directions_deg
-        angles = np.deg2rad(DIRECTIONS_DEG if named is None else np.array(named))
+    def __init__(self, scene: Scene, directions_deg: Numbers = None) -> None:
+        super().__init__(scene)
+        require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
+        angles = np.deg2rad(DIRECTIONS_DEG if directions_deg is None else np.array(directions_deg))
         self.directions = np.stack([np.cos(angles), np.sin(angles)])
         """From +x towards +z, shape [2, M]."""
         volumes = mass_volumes(scene)
         self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]
-
-    @classmethod
-    def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
-        if settings.csv is None:
-            return super().read(settings, context)
-        observation, columns = cls(settings, context.scene), read_columns(context.folder / settings.csv, ("x", "z"))
-        vertices = np.stack(list(columns.values()), axis=1) * settings.unit.metres
-        require_inside(vertices[:, 0], context.scene.domain.size[0])
-        return observation.measured(settings, observation.of_line(vertices))
 
     @property
     def count(self) -> int:
@@ -208,12 +252,35 @@ class Outline(Observation):
     def exact(self, positions: NDArray[np.floating]) -> Values:
         extent = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions
         volumes = particle_volumes(self.scene, len(positions))
-        return np.array([measures.front(each[:, None], volumes) for each in extent.T])
+        return np.array([measures.front(along[:, None], volumes) for along in extent.T])
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         extent = (positions[:, [0, 2]].double() - torch.from_numpy(self.centre)) @ torch.from_numpy(self.directions)
-        return torch.stack([fitted_tail(each, volumes) for each in extent.T])
+        return torch.stack([fitted_tail(along, volumes) for along in extent.T])
 
     def of_line(self, vertices: NDArray[np.float64]) -> Values:
         """Of a measured outline, vertices x and z [m], shape [V, 2], in any order; shape [M]."""
         return np.asarray(((vertices - self.centre) @ self.directions).max(axis=0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutlineSettings(TabulatedSettings):
+    """Of `Outline`; the table has x and z of its vertices."""
+
+    values: tuple[float, ...] | None = None
+    """Extent [m] in each of `directions_deg`."""
+    directions_deg: tuple[float, ...] | None = None
+    """From +x towards +z; every 22.5 degrees where absent."""
+    unit: LengthUnit = LengthUnit.METRE
+    """Of the lengths in a table."""
+
+    operator_type, options = Outline, ("directions_deg",)
+
+    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+        if self.csv is None:
+            return super().read(scene, folder, released)
+        operator, path = Outline(scene, self.directions_deg), folder / self.csv
+        vertices = np.stack([*read_columns(path, ("x", "z")).values()], axis=1) * self.unit.metres
+        with naming(path):
+            require_inside(vertices[:, 0], scene.domain.size[0])
+        return self.compared(operator, operator.of_line(vertices))

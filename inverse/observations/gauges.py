@@ -1,18 +1,22 @@
 """What instruments record: heights at gauges, and the impulse on a solid, in the end or at times of their own."""
 
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
+from datasets.field import Floats
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
-from inverse.observations.measured import require_inside
-from inverse.observations.observation import Observation, Rollout, Values, at_times
-from inverse.settings import ObservationSettings
+from inverse.observations.measured_profile import require_inside
+from inverse.observations.observation import Numbers, Observation, Rollout, Values, at_times
+from inverse.observations.settings import LengthUnit, TabulatedSettings
 
+SPACING = 0.02
+"""Half width over which a gauge takes the mean height [m]."""
 IMPULSE_SCATTER = 0.05
 """Standard deviation of an impulse from flow to flow over its value, until an ensemble has measured it."""
 
@@ -28,23 +32,19 @@ class Gauges(Observation):
 
     kind = "height"
     label = "the height at gauges"
-    sources = ("csv", "values")
-    options = ("x", "z", "times", "spacing", "unit", "datum")
-    columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
-    optional = ("time",)
 
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
-        super().__init__(settings, scene)
-        if settings.x is None:
-            raise InputError("expected the x [m] of the gauges", key="x")
-        self.x = require_inside(np.array(settings.x), scene.domain.size[0])
+    def __init__(
+        self, scene: Scene, x: Numbers, *, times: Numbers = None, z: float | None = None, spacing: float = SPACING
+    ) -> None:
+        super().__init__(scene, times)
+        require(x is not None, "x", "the x [m] of the gauges", "none")
+        self.x = require_inside(np.array(x), scene.domain.size[0])
         if self.times is not None and len(self.times) != len(self.x):
             # Every gauge at every time, one gauge after the other.
             self.x, self.times = np.repeat(self.x, len(self.times)), np.tile(self.times, len(self.x))
-        z = settings.z
-        if z is not None and (scene.dimension != 3 or not 0.0 <= z <= scene.domain.size[2]):
-            raise InputError(f"expected a z inside a box in 3D, got {z:g}", key="z")
-        self.z, self.spacing = z, settings.spacing
+        inside = z is None or (scene.dimension == 3 and 0.0 <= z <= scene.domain.size[2])
+        require(inside, "z", "a z inside a box in 3D", z)
+        self.z, self.spacing = z, spacing
         self.area = hat_area(self.x, self.spacing, scene.domain.size[0])
         if scene.dimension == 3:
             width = scene.domain.size[2]
@@ -71,27 +71,52 @@ class Gauges(Observation):
         return (volumes.double() @ share) / torch.from_numpy(self.area)
 
 
+@dataclass(frozen=True, kw_only=True)
+class GaugesSettings(TabulatedSettings):
+    """Of `Gauges`; the table has x, height and maybe time."""
+
+    values: tuple[float, ...] | None = None
+    """A height [m] for each of `x`, or for each of these at each of `times`."""
+    x: tuple[float, ...] | None = None
+    """Of the gauges [m], where they are not in a table."""
+    z: float | None = None
+    """Of the gauges in 3D [m]; where absent they take the mean across the flow."""
+    times: tuple[float, ...] | None = None
+    """When [s] after the start; where absent, in the end."""
+    spacing: float = SPACING
+    """Half width over which a gauge takes the mean height [m]."""
+    unit: LengthUnit = LengthUnit.METRE
+    """Of the lengths in a table."""
+    datum: float = 0.0
+    """Height of the floor in a table [`unit`]."""
+
+    operator_type, options = Gauges, ("x", "z", "times", "spacing")
+    columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
+    optional = ("time",)
+
+    def converted(self, name: str, column: Floats) -> Floats:
+        if name == "time":
+            return column
+        return (column - (self.datum if name == "height" else 0.0)) * self.unit.metres
+
+
 class Impulse(Observation):
     """The momentum that the flow has transferred to a solid along an axis, in 2D per metre of width."""
 
     kind = "impulse"
     label = "the impulse on a solid"
     unit = "N s"
-    sources = ("value", "csv", "values")
-    options = ("solid", "axis", "times")
-    columns: ClassVar = {"time": "times", "impulse": "values"}
     of_positions = False
 
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
-        super().__init__(settings, scene)
-        names, asked = solid_names(scene), settings.solid
-        number = names.index(asked) if isinstance(asked, str) and asked in names else asked
+    def __init__(self, scene: Scene, *, solid: int | str = 0, axis: int = 0, times: Numbers = None) -> None:
+        super().__init__(scene, times)
+        names = solid_names(scene)
+        number = names.index(solid) if isinstance(solid, str) and solid in names else solid
         if isinstance(number, str) or not 0 <= number < len(names):
-            known = ", ".join(names) or "none, the scene has no solids"
-            raise InputError(f"expected one of {known}, or its number from 0, got {asked!r}", key="solid")
-        if not 0 <= settings.axis < scene.dimension:
-            raise InputError(f"expected an index below {scene.dimension}, got {settings.axis}", key="axis")
-        self.solid, self.axis = number, settings.axis
+            expected = ", ".join(names) or "none, the scene has no solids"
+            raise InputError(f"expected one of {expected}, or its number from 0, got {solid!r}", key="solid")
+        require(0 <= axis < scene.dimension, "axis", f"an index from 0 and below {scene.dimension}", axis)
+        self.solid, self.axis = number, axis
 
     @property
     def over_time(self) -> bool:
@@ -101,18 +126,37 @@ class Impulse(Observation):
         return np.asarray(self.of_series(trajectory.solid_impulse, trajectory.time))
 
     def predict(self, rollout: Rollout) -> Tensor:
-        found: Tensor = self.of_series(rollout.impulses, rollout.times)
-        return found
+        numbers: Tensor = self.of_series(rollout.impulses, rollout.times)
+        return numbers
 
     def of_series(self, impulses: Any, time: Values) -> Any:
         """The numbers [M] of all impulses [T, solids, D] over `time` [s]. Raises InputError where there is none."""
         if impulses is None or self.solid >= impulses.shape[1]:
             raise InputError(f"expected a run that recorded the impulse on solid {self.solid}, it did not")
-        own = impulses[:, self.solid, self.axis]
-        return own[-1:] if self.times is None else at_times(lambda value: value, own, time, self.times)
+        impulse = impulses[:, self.solid, self.axis]
+        return impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, time, self.times)
 
     def prior_scatter(self, values: Values) -> Values:
         return np.asarray(IMPULSE_SCATTER * np.maximum(np.abs(values), 0.1 * np.abs(values).max()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImpulseSettings(TabulatedSettings):
+    """Of `Impulse`; the table has time and impulse."""
+
+    value: float | None = None
+    """In the end [N s], in 2D per metre of width."""
+    values: tuple[float, ...] | None = None
+    """One for each of `times`."""
+    solid: int | str = 0
+    """Which solid, by its name or its number: the baffles, from 0, then the other solids."""
+    axis: int = 0
+    """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
+    times: tuple[float, ...] | None = None
+    """When [s] after the start; where absent, in the end."""
+
+    operator_type, options = Impulse, ("solid", "axis", "times")
+    columns: ClassVar = {"time": "times", "impulse": "values"}
 
 
 def hat_area(x: Values, spacing: float, length: float) -> Values:

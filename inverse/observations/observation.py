@@ -1,6 +1,6 @@
 """What an observation operator is: M numbers of a flow, exactly for verdicts and smoothly for gradients.
 
-A new kind is a class and a line in `inverse.observations.KINDS`.
+A new kind is an operator, its settings beside it, and a line in `inverse.observations.KINDS`.
 """
 
 import math
@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import measures
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, brackets
-from inverse.observations.measured import Context, MeasuredProfile, tabulated
-from inverse.posterior import Matrix
-from inverse.settings import ObservationSettings, noise_of
 
 Values = NDArray[np.float64]
 """An observation: M numbers in their unit, shape [M]."""
+
+Numbers = Sequence[float] | None
+"""As settings have them."""
 
 SCATTER_CELLS = 0.25
 """Standard deviation of a length from flow to flow, before an ensemble has measured it, in cells."""
@@ -44,24 +44,7 @@ class Rollout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measurement:
-    """An operator and what was measured with it."""
-
-    observation: "Observation"
-    values: Values
-    """Shape [M]; 0 of a flow that has not been simulated yet."""
-    deviation: Values
-    """Standard deviation of each number, shape [M]."""
-    covariance: Matrix | None = None
-    """Where the errors depend on each other, shape [M, M]."""
-    profile: MeasuredProfile | None = None
-    """Where heights of a profile have errors."""
-    roughness: float = 1.0
-    """By how much these scatter more than their stated noise, which is counted."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Part:
+class JointPart:
     """One of the observations that are compared together."""
 
     name: str
@@ -80,14 +63,6 @@ class Observation:
     """As reports call it."""
     unit: ClassVar[str] = "m"
     """Of the numbers; empty for a share."""
-    sources: ClassVar[tuple[str, ...]] = ("value",)
-    """Keys under which its numbers may stand."""
-    options: ClassVar[tuple[str, ...]] = ()
-    """Keys of its settings besides `kind`, `name`, `noise` and those of its numbers."""
-    columns: ClassVar[dict[str, str]] = {}
-    """Of a `csv`: its columns, and the key of the settings that each stands for."""
-    optional: ClassVar[tuple[str, ...]] = ()
-    """Those of them that may be absent."""
     limits: tuple[Any, Any] = (-math.inf, math.inf)
     """Between which its numbers are possible."""
     every_particle: ClassVar[bool] = False
@@ -99,52 +74,20 @@ class Observation:
     of_positions: bool = True
     """Whether it follows from positions alone: what the surrogate predicts."""
 
-    def __init__(self, settings: ObservationSettings, scene: Scene) -> None:
+    def __init__(self, scene: Scene, times: Numbers = None) -> None:
         """The operator for flows of `scene`. Raises InputError, which names the key of the settings."""
         self.scene = scene
-        self.parts: tuple[Part, ...] = (Part(name=self.kind, observation=self, numbers=slice(None)),)
-        if settings.times is None:
+        self.parts: tuple[JointPart, ...] = (JointPart(name=self.kind, observation=self, numbers=slice(None)),)
+        if times is None:
             return
-        self.times = np.array(settings.times)
+        self.times = np.array(times)
         beyond = self.times[(self.times < 0.0) | (self.times > scene.duration * (1.0 + 1e-9))]
-        if len(beyond):
-            message = f"expected times in [0, {scene.duration:g}] s, which the scene lasts, got {beyond[0]:g}"
-            raise InputError(message, key="times")
-
-    @classmethod
-    def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
-        """The operator and its numbers. Raises InputError, which names the key or the file."""
-        if settings.csv is not None:
-            settings = tabulated(settings, context, cls.columns, cls.optional)
-        observation = cls(settings, context.scene)
-        values = observation.stated(settings)
-        if values is None and context.run is not None:
-            values = observation.observe(context.run)
-        return observation.measured(settings, values)
-
-    def measured(self, settings: ObservationSettings, values: Values | None) -> Measurement:
-        """`values` [M] with errors that are independent of each other."""
-        share, noise = noise_of(settings.noise)
-        values = np.zeros(1) if values is None else values
-        return Measurement(observation=self, values=values, deviation=np.hypot(share * values, noise))
-
-    def stated(self, settings: ObservationSettings) -> Values | None:
-        """The numbers that stand in the settings themselves, shape [M]. Raises InputError for impossible ones."""
-        key = "values" if settings.value is None else "value"
-        given = settings.values if settings.value is None else (settings.value,)
-        if given is None:
-            return None
-        if len(given) != self.count:
-            raise InputError(f"expected {self.count} numbers, got {len(given)}", key=key)
-        values = np.array(given)
-        if np.any((values < self.limits[0]) | (values > self.limits[1])):
-            between = " to ".join(str(np.asarray(end).tolist()) for end in self.limits)
-            raise InputError(f"expected {between} {self.unit or '(a share)'}, got {values.tolist()}", key=key)
-        return values
+        expected = f"times in [0, {scene.duration:g}] s, which the scene lasts"
+        require(len(beyond) == 0, "times", expected, ", ".join(f"{time:g}" for time in beyond))
 
     @property
     def count(self) -> int:
-        """M, of numbers that stand in the settings."""
+        """M, of numbers that were measured."""
         return 1 if self.times is None else len(self.times)
 
     @property
@@ -163,8 +106,8 @@ class Observation:
         smooth = partial(self.smooth, volumes=rollout.volumes)
         if self.times is None:
             return smooth(rollout.positions[-1])
-        found: Tensor = self.gathered(at_times(smooth, rollout.positions, rollout.times, self.times))
-        return found
+        numbers: Tensor = self.gathered(at_times(smooth, rollout.positions, rollout.times, self.times))
+        return numbers
 
     def gathered(self, rows: Any) -> Any:
         """The numbers [M] from those at each of the times [T, ...]."""
@@ -228,7 +171,7 @@ class Joint(Observation):
     label = "several observations"
     unit = "standard deviations"
 
-    def __init__(self, parts: Sequence[Part], scale: Values, prior: Values) -> None:
+    def __init__(self, parts: Sequence[JointPart], scale: Values, prior: Values) -> None:
         """scale, prior: of each number, in its unit, both of shape [M]."""
         self.parts, self.scale, self.prior = tuple(parts), scale, prior
         self.of_positions = all(part.observation.of_positions for part in parts)

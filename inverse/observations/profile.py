@@ -8,7 +8,10 @@ both profiles alike. A row is the height at one x, the model's a mean over its s
 `REPRESENTATION` of a cell, comes on top of the noise of each height.
 """
 
+import dataclasses
 import math
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -16,18 +19,23 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import measures
-from datasets.errors import InputError
+from datasets.errors import naming, require
 from datasets.geometry.ground import elevation
 from datasets.particles import particle_volumes
 from datasets.scene import Scene
-from inverse.observations.measured import Context, MeasuredProfile, profile_of
-from inverse.observations.observation import Measurement, Observation, Values, at_times
-from inverse.settings import Heights, ObservationSettings, noise_of
+from datasets.trajectory import Trajectory
+from inverse.observations.errors import Covariance, Noise
+from inverse.observations.measured_profile import Heights, MeasuredProfile, checked_profile
+from inverse.observations.observation import Numbers, Observation, Values, at_times
+from inverse.observations.settings import LengthUnit, TabulatedSettings, read_columns
+from inverse.observations.target import Target
 
 SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
 """Shares of a profile's area: the middles of twenty equal parts, and the front."""
 REPRESENTATION = 0.25
 """Standard deviation of a height at one x from the model's mean around it, in cells."""
+SPACING = 0.02
+"""Distance between the stations [m]."""
 DRAWS = 400
 """Of noise on the heights, by which the covariance of the observation is known to 7 %."""
 
@@ -43,44 +51,21 @@ class Profile(Observation):
 
     kind = "profile"
     label = "the height profile"
-    sources = ("csv",)
-    options = ("spacing", "unit", "datum", "heights", "times")
 
-    def __init__(self, settings: ObservationSettings, scene: Scene, rows: NDArray[np.float64] | None = None) -> None:
+    def __init__(
+        self, scene: Scene, spacing: float = SPACING, *, times: Numbers = None, rows: Values | None = None
+    ) -> None:
         """rows: where alone heights are known [m], ascending, [R]; they go on to the walls; else the model's."""
-        super().__init__(settings, scene)
-        length, spacing = scene.domain.size[0], settings.spacing
-        if not 0.0 < spacing <= length / 2:
-            raise InputError(f"expected a length in (0, {length / 2:g}] m, got {spacing}", key="spacing")
-        if self.times is not None and len(self.times) != 1:
-            raise InputError(f"expected one time for each profile, got {len(self.times)}", key="times")
+        super().__init__(scene, times)
+        length = scene.domain.size[0]
+        require(0.0 < spacing <= length / 2, "spacing", f"a length in (0, {length / 2:g}] m", spacing)
+        require(times is None or len(times) == 1, "times", "one time for each profile", len(times or ()))
         self.fine = self.stations = measures.profile_stations(scene, spacing)
         if rows is not None:
             self.stations = to_the_wall(rows, length)
         units = np.eye(len(self.fine))
-        self.sampling = np.stack([np.interp(self.stations, self.fine, each) for each in units], axis=1)
+        self.sampling = np.stack([np.interp(self.stations, self.fine, unit) for unit in units], axis=1)
         self.width = math.prod(scene.domain.size[2:])
-
-    @classmethod
-    def read(cls, settings: ObservationSettings, context: Context) -> Measurement:
-        scene, run = context.scene, context.run
-        made = cls if settings.heights is Heights.EQUIVALENT else SurfaceProfile
-        if settings.csv is not None:
-            profile = profile_of(settings, context)
-            operator = made(settings, scene, profile.x)
-            return operator.sampled(settings, operator.of_heights(profile.at(operator.stations)), profile)
-        operator = cls(settings, scene)
-        # The noise of a simulated profile is that of its heights; one without any is compared as it is.
-        if settings.noise == 0.0 and made is not SurfaceProfile:
-            return operator.measured(settings, None if run is None else operator.observe(run))
-        operator = made(settings, scene, operator.stations)
-        if run is None:
-            return operator.measured(settings, None)
-        seen = run.positions[-1]
-        if operator.times is not None:
-            seen = at_times(lambda positions: positions, run.positions, run.time, operator.times)[0]
-        profile = MeasuredProfile(x=operator.stations, height=operator.heights(seen))
-        return operator.sampled(settings, operator.observe(run), profile)
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
@@ -123,25 +108,6 @@ class Profile(Observation):
     def front(self, values: Values) -> float:
         return float(values[-1])
 
-    def sampled(self, settings: ObservationSettings, values: Values, profile: MeasuredProfile) -> Measurement:
-        """`values` [M] with stated errors of the heights and of representation, more where rows scatter more."""
-        share, noise = noise_of(settings.noise)
-        stated = profile.deviation(share=share, noise=math.hypot(noise, REPRESENTATION * self.scene.domain.cell))
-        roughness = profile.roughness(stated)
-        draws = np.random.default_rng(0).standard_normal((DRAWS, len(profile.x)))
-        heights = np.maximum(profile.height + roughness * stated * draws, 0.0)
-        numbers = [self.of_heights(np.interp(self.stations, profile.x, each, left=0.0, right=0.0)) for each in heights]
-        off = np.stack(numbers) - np.mean(numbers, axis=0)
-        covariance = np.asarray(off.T @ off / (DRAWS - 1.0))
-        return Measurement(
-            observation=self,
-            values=values,
-            deviation=np.sqrt(np.diag(covariance)),
-            covariance=covariance,
-            profile=profile,
-            roughness=roughness,
-        )
-
     def text(self, values: Values) -> str:
         return f"mean x {values.mean():.4f} m, 99.5 % within {values[-1]:.4f} m"
 
@@ -166,6 +132,66 @@ class SurfaceProfile(Profile):
         top = np.zeros(rows * math.prod(widths))
         np.maximum.at(top, index, positions[:, 1] - base)
         return np.asarray(self.sampling @ top.reshape(rows, -1).mean(axis=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfileSettings(TabulatedSettings):
+    """Of `Profile`; the table has x and height."""
+
+    heights: Heights = Heights.EQUIVALENT
+    """What the heights are."""
+    spacing: float = SPACING
+    """Distance between the stations [m]."""
+    times: tuple[float, ...] | None = None
+    """When [s] after the start, one time; where absent, in the end."""
+    unit: LengthUnit = LengthUnit.METRE
+    """Of the lengths in a table."""
+    datum: float = 0.0
+    """Height of the floor in a table [`unit`]."""
+
+    operator_type = Profile
+
+    def operator(self, scene: Scene, rows: Values | None = None) -> Profile:
+        """See `ObservationSettings.operator`; rows: see `Profile`."""
+        kind = Profile if self.heights is Heights.EQUIVALENT else SurfaceProfile
+        return kind(scene, self.spacing, times=self.times, rows=rows)
+
+    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+        path = folder / str(self.csv)
+        x, height = read_columns(path, ("x", "height")).values()
+        metres = self.unit.metres
+        with naming(path):
+            profile = checked_profile(x * metres, (height - self.datum) * metres, scene, self.heights, released)
+        operator = self.operator(scene, profile.x)
+        return self.sampled(operator, operator.of_heights(profile.at(operator.stations)), profile)
+
+    def of_run(self, scene: Scene, run: Trajectory) -> Target:
+        """See `ObservationSettings.of_run`; the noise is that of the heights."""
+        operator = self.operator(scene)
+        values = operator.observe(run)
+        # One without any noise is compared as it is.
+        if self.noise == 0.0 and self.heights is Heights.EQUIVALENT:
+            return self.compared(operator, values)
+        positions = run.positions[-1]
+        if operator.times is not None:
+            positions = at_times(lambda frame: frame, run.positions, run.time, operator.times)[0]
+        profile = MeasuredProfile(x=operator.stations, height=operator.heights(positions))
+        return self.sampled(operator, values, profile)
+
+    def sampled(self, operator: Profile, values: Values, profile: MeasuredProfile) -> Target:
+        """`values` [M] with stated errors of the heights and of representation, more where rows scatter more."""
+        noise = Noise.stated(self.noise)
+        represented = math.hypot(noise.deviation, REPRESENTATION * operator.scene.domain.cell)
+        stated = profile.deviation(dataclasses.replace(noise, deviation=represented))
+        roughness = profile.roughness(stated)
+        draws = np.random.default_rng(0).standard_normal((DRAWS, len(profile.x)))
+        heights = np.maximum(profile.height + roughness * stated * draws, 0.0)
+        numbers = [
+            operator.of_heights(MeasuredProfile(x=profile.x, height=row).at(operator.stations)) for row in heights
+        ]
+        off = np.stack(numbers) - np.mean(numbers, axis=0)
+        errors = Covariance.of(np.asarray(off.T @ off / (DRAWS - 1.0)))
+        return Target(observation=operator, values=values, errors=errors, profile=profile, roughness=roughness)
 
 
 def to_the_wall(rows: NDArray[np.float64], length: float) -> NDArray[np.float64]:

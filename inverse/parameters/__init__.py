@@ -17,7 +17,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from datasets.errors import InputError
+from datasets.errors import InputError, keyed, require
 from datasets.records import Record
 from datasets.scene import Scene
 from inverse.parameters import inputs
@@ -139,6 +139,31 @@ class Parameter(Record):
     """Of a field: standard deviation of its prior at every node [deg or m/s]."""
     length: float | tuple[float, ...] | None = None
     """Of a field: correlation length [m], or one along each axis; at this distance the correlation is 0.14 in 2D."""
+
+    def check(self, scene: Scene) -> None:
+        """Raise InputError, which names the key, for one that `scene` has not, or whose keys do not go together."""
+        of_field, of_number = ("mean", "deviation", "length"), ("initial", "prior")
+        start = () if self.prior is not None else ("initial",)
+        for key in of_field if self.is_field else (*start, "lower", "upper"):
+            require(getattr(self, key) is not None, key, "a value", "none, the key is missing")
+        for key in of_number if self.is_field else of_field:
+            kind = "number" if self.is_field else "field, which has a spacing"
+            require(getattr(self, key) is None, key, f"it of a {kind}, alone", getattr(self, key))
+        if self.is_field:
+            return
+        try:
+            self.kind.check(scene)
+        except InputError as error:
+            message = error.message
+            if message.startswith("expected one of"):
+                message = f"expected one of {', '.join(known_names(scene))}, which the scene has, got {self.name!r}"
+            raise InputError(message, key="name") from None
+        lower, upper = self.bounds
+        require(lower < upper, "upper", f"a value above {lower:g}", upper)
+        if self.prior is not None:
+            with keyed("prior"):
+                self.prior.check(lower, upper)
+        require(lower <= self.start <= upper, "initial", f"a value in [{lower:g}, {upper:g}]", self.start)
 
     @property
     def is_field(self) -> bool:

@@ -21,6 +21,7 @@ with M the mass and G_a the stiffness along axis a: a field from white noise w, 
 operator continues by a correlation length beyond the field; S takes its nodes and scales each to the stated deviation.
 """
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from functools import cached_property, reduce
@@ -33,7 +34,7 @@ from scipy.optimize import brentq
 from scipy.sparse.linalg import splu
 from scipy.special import expit, logit
 
-from datasets.errors import require
+from datasets.errors import InputError, require
 from datasets.field import FRICTION, VELOCITIES, Field, Floats, Grid
 from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
@@ -101,6 +102,17 @@ class UnknownField:
         own = np.full(len(particles.mass), True) if settings.mass is None else particles.mass == settings.mass
         self.inside: NDArray[np.bool_] = self.grid.weights(particles.positions).T @ own.astype(np.float64) > 0.0
         """Which nodes some particle lies beside, shape [K]."""
+
+    def check_bounds(self, scene: Scene) -> None:
+        """Raise InputError, which names the key, for a bound at which `scene` could not be simulated."""
+        others = tuple(each for each in scene.fields if each.quantity != self.settings.quantity)
+        for key, bound in (("lower", self.settings.lower), ("upper", self.settings.upper)):
+            try:
+                if bound is not None:
+                    dataclasses.replace(scene, fields=(*others, self.uniform(bound)))
+            except InputError as error:
+                message = f"expected a bound at which the scene can be simulated, but {error}"
+                raise InputError(message, key=key) from None
 
     @property
     def name(self) -> str:

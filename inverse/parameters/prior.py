@@ -10,10 +10,10 @@ distribution models with prescribed marginals and covariances, Probab. Eng. Mech
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -22,9 +22,6 @@ from scipy.special import ndtr, ndtri
 from datasets.errors import require
 from datasets.records import Record
 from inverse.posterior import Matrix
-
-if TYPE_CHECKING:
-    from inverse.parameters import Parameter
 
 KINDS = {"uniform": (), "normal": ("mean", "deviation"), "lognormal": ("mean", "deviation"), "triangular": ("mode",)}
 """Kinds of priors, and the keys that each has."""
@@ -54,23 +51,23 @@ class Prior(Record):
     mode: float | None = None
     """Of a triangular one, whose density falls to 0 at both bounds."""
 
-    def check(self, lower: float, upper: float, key: str) -> None:
-        """Raise InputError, which names what stands under `key`, for a prior that is none between the bounds."""
-        require(self.kind in KINDS, f"{key}.kind", f"one of {', '.join(KINDS)}", repr(self.kind))
+    def check(self, lower: float, upper: float) -> None:
+        """Raise InputError, which names the key, for a prior that is none between the bounds."""
+        require(self.kind in KINDS, "kind", f"one of {', '.join(KINDS)}", repr(self.kind))
         for name in ("mean", "deviation", "mode"):
             value, needed = getattr(self, name), name in KINDS[self.kind]
-            require(not needed or value is not None, f"{key}.{name}", f"a value of a {self.kind} prior", "none")
-            require(needed or value is None, f"{key}.{name}", f"none of a {self.kind} prior", value)
+            require(not needed or value is not None, name, f"a value of a {self.kind} prior", "none")
+            require(needed or value is None, name, f"none of a {self.kind} prior", value)
         if self.deviation is not None:
-            require(self.deviation > 0.0, f"{key}.deviation", "a value above 0", self.deviation)
+            require(self.deviation > 0.0, "deviation", "a value above 0", self.deviation)
         if self.mode is not None:
-            require(lower <= self.mode <= upper, f"{key}.mode", f"a value in [{lower:g}, {upper:g}]", self.mode)
+            require(lower <= self.mode <= upper, "mode", f"a value in [{lower:g}, {upper:g}]", self.mode)
         if self.kind == "lognormal":
-            require(lower >= 0.0, f"{key}.kind", "a lower bound of at least 0 with lognormal", lower)
-            require((self.mean or 0.0) > 0.0, f"{key}.mean", "a value above 0", self.mean)
+            require(lower >= 0.0, "kind", "a lower bound of at least 0 with lognormal", lower)
+            require((self.mean or 0.0) > 0.0, "mean", "a value above 0", self.mean)
         mass = Marginal(law=self.law(lower, upper), lower=lower, upper=upper).mass
         message = f"a prior with a probability of at least {LEAST_MASS:g} between the bounds {lower:g} and {upper:g}"
-        require(mass >= LEAST_MASS, f"{key}.mean", message, f"{mass:.1g}")
+        require(mass >= LEAST_MASS, "mean", message, f"{mass:.1g}")
 
     def law(self, lower: float, upper: float) -> Any:
         """The distribution of SciPy; of two kinds it depends on the bounds."""
@@ -142,12 +139,12 @@ class Marginal:
 class JointPrior:
     """The prior of U numbers. Points are in fractions of their ranges, densities over the uniform one."""
 
-    def __init__(self, numbers: Sequence["Parameter"], correlations: Sequence[Correlation] = ()) -> None:
-        """Raises InputError, which names the key, for correlations that are none."""
-        self.marginals = [each.marginal for each in numbers]
+    def __init__(self, numbers: Mapping[str, Marginal], correlations: Sequence[Correlation] = ()) -> None:
+        """numbers: by name. Raises InputError, which names the key, for correlations that are none."""
+        self.marginals = [*numbers.values()]
         self.lower = np.array([each.lower for each in self.marginals])
         self.range = np.array([each.upper - each.lower for each in self.marginals])
-        names, self.correlation = [each.name for each in numbers], np.eye(len(numbers))
+        names, self.correlation = [*numbers], np.eye(len(numbers))
         for index, each in enumerate(correlations):
             key, (first, second) = f"correlations[{index}]", each.between
             for name in each.between:

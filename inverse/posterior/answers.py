@@ -69,16 +69,16 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
     shares = np.array([samples.weights[label[every] == each].sum() for each in range(number)])
     heaviest, *others = np.argsort(-shares)
     kept = [heaviest, *(each for each in others if shares[each] >= CONSTANTS.smallest_weight)]
-    found = []
+    regions = []
     for each in kept:
-        own = label[every] == each
-        inside, weights = samples.points[own], samples.weights[own] / shares[kept].sum()
+        belonging = label[every] == each
+        inside, weights = samples.points[belonging], samples.weights[belonging] / shares[kept].sum()
         share = weights / weights.sum()
         low, centre, high = quantiles(inside, share)
         if float(log_likelihood(centre[None])[0]) < threshold:
-            dense = inside[samples.log_likelihood[own] >= threshold]
+            dense = inside[samples.log_likelihood[belonging] >= threshold]
             centre = dense[int(np.argmin((((dense - centre) / scale) ** 2).sum(axis=1)))]
-        found.append(
+        regions.append(
             Part(
                 point=centre,
                 interval=np.stack([low, high]),
@@ -88,7 +88,7 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
                 threshold=threshold,
             )
         )
-    return found
+    return regions
 
 
 def quantiles(points: Matrix, share: Row) -> Matrix:

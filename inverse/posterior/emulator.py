@@ -179,8 +179,8 @@ class Emulator:
         leverage = ((functions @ leverages) * functions).sum(1)
         counted = np.flatnonzero(weights.max(axis=1) > NEGLIGIBLE)
         precision = 1.0 / (values + NUGGETS[counted, None])
-        own = prior[:, None] + leverage[:, None] * NUGGETS[counted] - contrasts**2 @ precision.T
-        spread = np.maximum(own, 0.0) @ (weights * variance)[counted]
+        unexplained = prior[:, None] + leverage[:, None] * NUGGETS[counted] - contrasts**2 @ precision.T
+        spread = np.maximum(unexplained, 0.0) @ (weights * variance)[counted]
         # The nuggets disagree about the mean as well.
         for index, each in zip(counted, precision, strict=True):
             spread += weights[index] * (contrasts @ (each[:, None] * roots - self._weights)) ** 2
@@ -272,19 +272,19 @@ def likeliest(log_likelihood: Callable[[NDArray[np.int64]], float], start: NDArr
     J. ACM 8 (1961) 212-229): the likelihood is flat at its top, where the last digits of its slopes decide where a
     descent ends; they differ from processor to processor, and with them would every sample and run that follow.
     """
-    found, value = start.copy(), log_likelihood(start)
+    best, value = start.copy(), log_likelihood(start)
     smallest, largest = (round(math.log(each) / LENGTH_STEPS[-1]) for each in (SHORTEST, LONGEST))
     for step in LENGTH_STEPS:
         width, improved = round(step / LENGTH_STEPS[-1]), True
         while improved:
             improved = False
-            for number, side in product(range(len(found)), (-width, width)):
-                tried = found.copy()
+            for number, side in product(range(len(best)), (-width, width)):
+                tried = best.copy()
                 tried[number] = min(max(tried[number] + side, smallest), largest)
                 other = log_likelihood(tried)
                 if other > value + SAME:
-                    found, value, improved = tried, other, True
-    return found
+                    best, value, improved = tried, other, True
+    return best
 
 
 def most_informative(

@@ -30,8 +30,8 @@ READING = 0.25
 def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> dict[str, float]:
     """What could be measured of a deposit, positions [m], shape [N, D]; extent: of the stations along x [m]."""
     toe, volumes = measures.toe(deposit), particle_volumes(scene, len(deposit))
-    found = {"the front": measures.front(deposit, volumes)}
-    found |= {f"{axis} of the toe": float(value) for axis, value in zip("xyz", toe, strict=False) if axis != "y"}
+    measured = {"the front": measures.front(deposit, volumes)}
+    measured |= {f"{axis} of the toe": float(value) for axis, value in zip("xyz", toe, strict=False) if axis != "y"}
     edges = [np.linspace(0.0, extent, STATIONS + 1)]
     edges += [np.linspace(0.0, width, ACROSS + 1) for width in scene.domain.size[2:]]
     plan = deposit[:, [0, 2][: len(edges)]]
@@ -39,8 +39,8 @@ def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> 
     for index in np.ndindex(heights.shape):
         middles = (0.5 * (each[number] + each[number + 1]) for each, number in zip(edges, index, strict=True))
         location = ", ".join(f"{axis} = {middle:.3g} m" for axis, middle in zip("xz", middles, strict=False))
-        found[f"the height around {location}"] = float(heights[index])
-    return found
+        measured[f"the height around {location}"] = float(heights[index])
+    return measured
 
 
 def information(
@@ -51,7 +51,7 @@ def information(
     shown: by name what runs at points [n, U] show, shape [n]; cell: of the grid [m].
     """
     where = samples.points[systematic(samples.weights, 400, rng)]
-    found = {}
+    gains = {}
     for name, numbers in shown.items():
         spread = float(numbers.std())
         if spread <= 1e-3 * cell:
@@ -59,5 +59,5 @@ def information(
         made = fitted(points, numbers[:, None] / spread, np.array([0.1]))
         varied = spread**2 * float(made.mean(where).var())
         noise = spread**2 * float(made.scatter[0, 0]) + (READING * cell) ** 2
-        found[name] = 0.5 * float(np.log1p(varied / noise))
-    return dict(sorted(found.items(), key=lambda each: -each[1]))
+        gains[name] = 0.5 * float(np.log1p(varied / noise))
+    return dict(sorted(gains.items(), key=lambda each: -each[1]))

@@ -33,12 +33,12 @@ from scipy.special import gammaln
 from scipy.stats import f, qmc
 
 from inverse.noise import biases
+from inverse.observations.target import Target
 from inverse.posterior import Matrix, Row
 from inverse.posterior.emulator import Emulator, Trend, fewest_runs, fitted, linear, most_informative, squared_distance
 from inverse.posterior.reduction import Reduction, reduction
 from inverse.posterior.sampling import Samples, sample, systematic
 from inverse.posterior.settings import CONSTANTS
-from inverse.target import Target
 
 OUTERMOST = 0.1
 """Share of a region's extent, within which a sample lies at its edge."""
@@ -167,11 +167,11 @@ class Likelihood:
 
     def in_regime(self, points: Matrix) -> Row:
         """Logarithm of the probability that points [S, U] are in the target's regime, and not excluded, shape [S]."""
-        found = np.zeros(len(points))
+        logarithm = np.zeros(len(points))
         for each in (self.regime, self.within):
             if each is not None:
-                found += each(points)
-        return found
+                logarithm += each(points)
+        return logarithm
 
     def residual(self, points: Matrix) -> tuple[Matrix, Matrix, Matrix]:
         """y* - m(v) [S, r], the fixed part of C(v) [r, r], and what is on its diagonal besides [S, r]."""
@@ -261,22 +261,22 @@ def posterior(
     reduced, emulator, expected, repeats = emulated(points[near], numbers[near], target, scatter, trends)
     regime, alike = None, regime_of(reduced(numbers), points, near, reduced(target.values))
     if alike is not None:
-        own = emulated(points[near & alike], numbers[near & alike], target, scatter, trends)
-        if own[1].uncertainty.mean() < CONSTANTS.other_regime * emulator.uncertainty[alike[near]].mean():
+        of_regime = emulated(points[near & alike], numbers[near & alike], target, scatter, trends)
+        if of_regime[1].uncertainty.mean() < CONSTANTS.other_regime * emulator.uncertainty[alike[near]].mean():
             regime = Regime(inside=points[alike], outside=points[~alike])
-            near, (reduced, emulator, expected, repeats) = near & alike, own
+            near, (reduced, emulator, expected, repeats) = near & alike, of_regime
     single = emulator.scatter + np.diag((CONSTANTS.smallest_scatter * reduced.expected_scatter) ** 2)
-    known = reduced.noise
+    errors = reduced.noise
     if discretisation is not None:
         scaled = reduced.basis * reduced.weights[:, None]
-        known = known + scaled.T @ biases(target, discretisation, extrapolated) @ scaled
-    ratio = float(np.trace(known) / max(float(np.trace(single)), 1e-300))
+        errors = errors + scaled.T @ biases(target, discretisation, extrapolated) @ scaled
+    ratio = float(np.trace(errors) / max(float(np.trace(single)), 1e-300))
     # Test of lack of fit (Draper & Smith, Applied regression analysis, 1998, section 2.1).
     explained = expected**2 * f.ppf(CONSTANTS.lack_of_fit, emulator.freedom, repeats + CONSTANTS.scatter_prior)
     likelihood = Likelihood(
         emulator=emulator,
         target=reduced(target.values),
-        fixed=factor**2 * (single + known),
+        fixed=factor**2 * (single + errors),
         freedom=emulator.freedom * (1.0 + ratio) ** 2,
         regime=regime,
         within=within,
@@ -344,13 +344,13 @@ def repeated_scatter(points: Matrix, components: Matrix, expected: Row) -> tuple
     return np.maximum(deviation, CONSTANTS.smallest_scatter * expected), freedom
 
 
-def next_points(found: Posterior, count: int, rng: np.random.Generator) -> Matrix:
+def next_points(posterior: Posterior, count: int, rng: np.random.Generator) -> Matrix:
     """Where further runs shrink the emulator's variance most, among plausible parameters, shape [count, U].
 
     Over all components, each by its scatter and noise. Of more than `few_parameters` evenly over the region: what lies
     between few samples of many dimensions is unknown otherwise.
     """
-    if found.samples.points.shape[1] > CONSTANTS.few_parameters:
-        return found.next_region.filled(count, rng)
-    candidates = np.unique(found.plausible.points[systematic(found.plausible.weights, 300, rng)], axis=0)
-    return candidates[most_informative(found.emulator, candidates, count, np.diag(found.likelihood.fixed))]
+    if posterior.samples.points.shape[1] > CONSTANTS.few_parameters:
+        return posterior.next_region.filled(count, rng)
+    candidates = np.unique(posterior.plausible.points[systematic(posterior.plausible.weights, 300, rng)], axis=0)
+    return candidates[most_informative(posterior.emulator, candidates, count, np.diag(posterior.likelihood.fixed))]

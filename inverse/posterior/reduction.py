@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from inverse.observations.target import Target
 from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
-from inverse.target import Target
 
 NEGLIGIBLE = 1e-8
 """Effect of a parameter on any number, over scatter and noise, that is rounding."""
@@ -69,7 +69,7 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
         basis=basis,
         components=components,
         expected_scatter=expected,
-        noise=target.errors_of(scaled),
+        noise=target.errors.combined(scaled),
     )
 
 
@@ -85,13 +85,13 @@ def cross_fitted(weighted: Matrix, points: Matrix, first: Matrix) -> Matrix:
     functions = np.concatenate([np.ones((len(points), 1)), points], axis=1)
     _, label = np.unique(points, axis=0, return_inverse=True)
     for each in range(int(label.max()) + 1):
-        own, others = np.flatnonzero(label == each), np.flatnonzero(label != each)
+        here, others = np.flatnonzero(label == each), np.flatnonzero(label != each)
         if np.linalg.matrix_rank(functions[others]) < functions.shape[1]:
             continue
         # The slopes are this times the other runs' numbers.
         slopes = np.linalg.pinv(functions[others])[1:]
         along = slopes @ components[others]
-        crossed[own] = products[np.ix_(own, others)] @ slopes.T @ np.linalg.pinv(along.T)
+        crossed[here] = products[np.ix_(here, others)] @ slopes.T @ np.linalg.pinv(along.T)
     return crossed
 
 

@@ -55,21 +55,21 @@ class Samples:
 
 def sample(log_likelihood: LogLikelihood, rng: np.random.Generator, *, low: Row, high: Row) -> Samples:
     """Samples of the posterior with a uniform prior between `low` and `high`, both of shape [U]."""
-    found = [population(log_likelihood, rng, low, high) for _ in range(CONSTANTS.populations)]
-    points = np.concatenate([each[0] for each in found])
-    evidences = np.array([each[2] for each in found])
+    populations = [population(log_likelihood, rng, low, high) for _ in range(CONSTANTS.populations)]
+    points = np.concatenate([each[0] for each in populations])
+    evidences = np.array([each[2] for each in populations])
     # Each population counts by its own estimate of the evidence.
     shares = np.exp(evidences - evidences.max())
-    weights = np.repeat(shares / shares.sum(), [len(each[0]) for each in found]) / CONSTANTS.samples
+    weights = np.repeat(shares / shares.sum(), [len(each[0]) for each in populations]) / CONSTANTS.samples
     spread = np.maximum(points.std(axis=0), 1e-12)
-    means = np.stack([each[0].mean(axis=0) for each in found])
+    means = np.stack([each[0].mean(axis=0) for each in populations])
     return Samples(
         points=points,
         weights=weights / weights.sum(),
-        log_likelihood=np.concatenate([each[1] for each in found]),
+        log_likelihood=np.concatenate([each[1] for each in populations]),
         evidence=float(np.log(shares.mean()) + evidences.max()),
         difference=float(np.max(np.ptp(means, axis=0) / spread)),
-        acceptance=min(each[3] for each in found),
+        acceptance=min(each[3] for each in populations),
     )
 
 
@@ -121,21 +121,21 @@ def moved(
     halves = (order[: size // 2], order[size // 2 :])
     accepted, tried = 0, 0
     for _ in range(CONSTANTS.max_sweeps):
-        for own, other in (halves, halves[::-1]):
-            first, second = rng.integers(len(other), size=(2, len(own)))
-            scale = np.where(rng.random(len(own)) < JUMP, 1.0, 2.38 / np.sqrt(2.0 * unknowns))
+        for half, other in (halves, halves[::-1]):
+            first, second = rng.integers(len(other), size=(2, len(half)))
+            scale = np.where(rng.random(len(half)) < JUMP, 1.0, 2.38 / np.sqrt(2.0 * unknowns))
             jitter = 1e-3 * points[other].std(axis=0) + 1e-9
             step = scale[:, None] * (points[other[first]] - points[other[second]])
-            proposed = points[own] + step + jitter * rng.standard_normal((len(own), unknowns))
+            proposed = points[half] + step + jitter * rng.standard_normal((len(half), unknowns))
             # Mirrored at a face, a step of correlated parameters would be likelier than the one back.
             inside = np.all((proposed >= 0.0) & (proposed <= 1.0), axis=1)
-            there = np.full(len(own), -np.inf)
+            there = np.full(len(half), -np.inf)
             if inside.any():
                 there[inside] = log_likelihood(proposed[inside])
-            moves = np.log(rng.random(len(own))) < exponent * (there - likelihood[own])
-            points[own[moves]], likelihood[own[moves]] = proposed[moves], there[moves]
+            moves = np.log(rng.random(len(half))) < exponent * (there - likelihood[half])
+            points[half[moves]], likelihood[half[moves]] = proposed[moves], there[moves]
             accepted += int(moves.sum())
-            tried += len(own)
+            tried += len(half)
         if accepted >= CONSTANTS.jumps * size:
             break
     return points, likelihood, accepted / tried

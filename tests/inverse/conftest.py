@@ -12,9 +12,10 @@ from datasets.material import Material
 from datasets.scene import Baffle, Mass, Scene, Solid
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
+from inverse.observations import KINDS
 from inverse.parameters import Parameter, kind
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, TargetSettings
+from inverse.settings import TargetSettings
 from tests.scenes import scene_of
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
@@ -84,13 +85,12 @@ def problem_of(flow: int | str, *names: str, observed: str = "deposit") -> Probl
     for name in names:
         value, half = kind(name).read(scene), WIDE[kind(name).unit]
         parameters.append(Parameter(name=name, initial=value, lower=value - half, upper=value + half))
-    line = 0.15 if observed == "passed" else None
     return Problem(
         name="small",
         folder=Path(),
         scene=scene,
         parameters=tuple(parameters),
-        observations=(ObservationSettings(kind=observed, line=line, spacing=0.02),),
+        observations=(KINDS[observed](**({"line": 0.15} if observed == "passed" else {})),),
         target=TargetSettings(twin=True),
     )
 

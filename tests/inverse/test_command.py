@@ -10,8 +10,9 @@ from datasets.command_line import run
 from datasets.library import read_scene
 from gns import checkpoint
 from gns.simulator import Simulator
-from inverse import ObservationSettings, Parameter, Problem, invert, read_problem
+from inverse import Parameter, Problem, invert, read_problem
 from inverse.__main__ import main
+from inverse.observations import ToeSettings
 
 SCENE = """
 duration = 0.08
@@ -105,7 +106,7 @@ def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
             Parameter(name="masses[0].velocity_x", initial=0.5, lower=0.0, upper=1.5),
             Parameter(name="baffles[0].height", initial=0.02, lower=0.01, upper=0.05),
         ),
-        observations=(ObservationSettings(kind="toe", values=(0.12, 0.01)),),
+        observations=(ToeSettings(values=(0.12, 0.01)),),
         optimiser=read.optimiser,
     )
     results = [invert(each, model=weights) for each in (read, built)]

@@ -12,8 +12,8 @@ from datasets.command_line import run
 from datasets.field import Grid
 from datasets.library import read_scene
 from inverse.__main__ import main
+from inverse.answer import Verdict
 from inverse.field_inversion import Objective, WhiteFlow, linear_mean
-from inverse.found import Verdict
 from inverse.inversion import invert
 from inverse.parameters.field import BAND, Prior
 from inverse.problem import read_problem

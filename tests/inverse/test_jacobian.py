@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from inverse.forward.gns import GnsForward
-from inverse.observations import build
-from inverse.settings import ObservationSettings
+from inverse.observations import KINDS
 
 MATERIAL = ("friction_deg", "cohesion", "masses[0].velocity_x")
 BAFFLE = ("baffles[0].x", "baffles[0].length", "baffles[0].height", "baffle_friction")
@@ -32,7 +31,7 @@ def step_of(name: str) -> float:
 def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: Any) -> SimpleNamespace:
     """One rollout that autograd looks through, from unknowns with a gradient (`point`), and two beside it for each."""
     problem = make_problem(request.param, *NAMES[request.param])
-    observation = build(problem.observations[0], problem.scene)
+    observation = problem.operators[0]
     forward = GnsForward(make_simulator(problem.scene.dimension), problem, observation)
     assert forward.kept_steps >= forward.initial.steps
     assert forward.initial.conditions.units.length != 1.0
@@ -52,8 +51,8 @@ def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: 
 
 @pytest.mark.parametrize("kind", ["front", "runout", "profile", "toe", "deposit", "passed"])
 def test_every_parameter_through_every_observation(rollouts: SimpleNamespace, kind: str) -> None:
-    settings = ObservationSettings(kind=kind, line=0.15 if kind == "passed" else None)
-    observation = build(settings, rollouts.problem.scene)
+    settings = KINDS[kind](**({"line": 0.15} if kind == "passed" else {}))
+    observation = settings.operator(rollouts.problem.scene)
     seen = observation.smooth(rollouts.deposit, rollouts.volumes)
     weights = torch.from_numpy(np.random.default_rng(3).normal(size=len(seen)))
     (by_ad,) = torch.autograd.grad(weights @ seen, rollouts.point, retain_graph=True)

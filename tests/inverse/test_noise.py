@@ -5,16 +5,16 @@ import pytest
 
 from datasets.field import Floats
 from inverse.noise import Scatter, fit
-from inverse.observations import build
+from inverse.observations import FrontSettings
+from inverse.observations.errors import Covariance
+from inverse.observations.target import Target
 from inverse.problem import read_problem
-from inverse.settings import ObservationSettings
-from inverse.target import Target
 
-FRONT = build(ObservationSettings(kind="front"), read_problem("friction-tall-42").scene)
+FRONT = FrontSettings().operator(read_problem("friction-tall-42").scene)
 
 
 def target_of(values: Floats, deviation: float) -> Target:
-    return Target(observation=FRONT, values=values, deviation=np.full(len(values), deviation))
+    return Target(observation=FRONT, values=values, errors=Covariance(np.full(len(values), deviation)))
 
 
 def scatter_of(rng: np.random.Generator, size: int, width: float, *, expected: float = 0.1) -> Scatter:
@@ -54,8 +54,8 @@ def test_errors_that_are_one_error_count_as_one_number() -> None:
     rng, size = np.random.default_rng(3), 20
     common = 0.04 * np.ones((size, size)) + 1e-6 * np.eye(size)
     values, scatter = np.full(size, 0.4), scatter_of(rng, size, 0.001, expected=0.001)
-    apart = Target(observation=FRONT, values=values, deviation=np.full(size, 0.2))
-    together = Target(observation=FRONT, values=values, deviation=np.full(size, 0.2), covariance=common)
+    apart = Target(observation=FRONT, values=values, errors=Covariance(np.full(size, 0.2)))
+    together = Target(observation=FRONT, values=values, errors=Covariance(np.full(size, 0.2), common))
     shown = np.zeros((4, size))
     assert not fit(apart, shown, scatter).inside
     assert fit(together, shown, scatter).inside

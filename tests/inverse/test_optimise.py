@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from datasets.field import Floats
-from inverse.observations import build
+from inverse.observations import ToeSettings
+from inverse.observations.errors import Covariance
+from inverse.observations.target import Target
 from inverse.optimise import Inversion, inverted
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings
-from inverse.target import Target
 
 NAMES = ("friction_deg", "masses[0].velocity_x")
 
@@ -55,8 +55,8 @@ class WithOneSlope(WithGradient):
 
 def inversion(problem: Problem, forward: Formula, truth: Floats) -> Inversion:
     (values,) = forward.observe([truth])
-    observation = build(ObservationSettings(kind="toe"), problem.scene)
-    target = Target(observation=observation, values=values, deviation=np.full(len(values), 1e-3))
+    observation = ToeSettings().operator(problem.scene)
+    target = Target(observation=observation, values=values, errors=Covariance(np.full(len(values), 1e-3)))
     forward.runs = 0
     return inverted(forward, problem, target, np.zeros(len(values)), rough=1.0)
 

@@ -10,11 +10,11 @@ from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from inverse.__main__ import main
-from inverse.observations import build
+from inverse.observations import KINDS
 from inverse.observations.profile import Profile
 from inverse.parameters import kind
 from inverse.problem import PROBLEMS, Problem, read_problem
-from inverse.settings import ObservationSettings, TargetSettings
+from inverse.settings import TargetSettings
 from inverse.target import read_target
 from tests.flows import flow_of
 from tests.refusals import refused_by
@@ -80,7 +80,8 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
     ("old", "new", "key"),
     [
         ('kind = "front"', 'knid = "front"', "knid"),
-        ('kind = "front"', 'kind = "fornt"', "observations[0].kind"),
+        ('kind = "front"', 'kind = "fornt"', "observations[0].kind: expected one of front, runout, "),
+        ("value", "valeu", "observations[0].valeu: expected a known key, did you mean 'value'?"),
         ("value = 0.55", "", "observations[0]"),
         ("value = 0.55", "value = 0.55\ntwin = true", "observations[0].twin"),
         ("value = 0.55", "value = 1.55", "observations[0].value"),
@@ -106,7 +107,7 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
         ("[target]", "[[target", "problem.toml"),
         ('"friction_deg"', '"baffles[0].x"', "unknowns[0].name"),
         ("value = 0.55", "values = [0.5, 0.1]", "observations[0].values"),
-        ('kind = "front"', 'kind = "front"\nline = 0.5', "observations[0].line"),
+        ('kind = "front"', 'kind = "front"\nline = 0.5', "line: expected it with kind passed alone, not with front"),
         ('kind = "front"', 'kind = "toe"', "observations[0].value"),
         ("[target]", '[optimiser]\nmethod = "newton"\n[target]', "optimiser.method"),
     ],
@@ -128,7 +129,7 @@ def test_a_deposit_requires_the_particles_of_its_scene(tmp_path: Path) -> None:
 
 
 def small(kind: str, folder: Path, target: TargetSettings | None = None, **measured: str) -> Problem:
-    problem, settings = read_problem("friction-tall-42"), ObservationSettings(kind=kind, **measured)  # type: ignore[arg-type]
+    problem, settings = read_problem("friction-tall-42"), KINDS[kind](**measured)  # type: ignore[arg-type]
     return dataclasses.replace(problem, observations=(settings,), folder=folder, target=target or TargetSettings())
 
 
@@ -154,7 +155,7 @@ def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
     problem = small("profile", tmp_path, TargetSettings(trajectory="seen.npz"))
     seen = fall(problem.scene)
     seen.save(tmp_path / "seen.npz")
-    observation = build(problem.observations[0], problem.scene)
+    observation = problem.operators[0]
     assert isinstance(observation, Profile)
     target = read_target(problem, fall)
     assert target.truth is None

@@ -21,11 +21,12 @@ from tqdm import tqdm
 from datasets.errors import InputError
 from datasets.files import read_json, write_json
 from datasets.records import Record, from_mapping
+from inverse.observations.target import Target
 from inverse.parameters.prior import Correlation, Prior
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.settings import Surrogate, TargetSettings
-from inverse.target import Target, read_target
+from inverse.target import read_target
 from mpm import simulate_many
 from mpm.cluster import connected
 from validation.loop.solve import run, solve
@@ -53,7 +54,7 @@ class Family:
     """Name or path of a problem, whose scene, numbers and observation the twins have."""
     _: KW_ONLY
     noise: float | str | None = None
-    """Of each observed number, as in `inverse.settings.ObservationSettings`; unless given the problem's own."""
+    """Of each observed number, as in `inverse.observations.ObservationSettings`; unless given the problem's own."""
     cell: float | None = None
     """Cells of the inversion [m]; unless given those of the problem."""
     finer: float | None = None

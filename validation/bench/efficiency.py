@@ -26,10 +26,10 @@ from inverse.forward import Differentiable, Forward
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
 from inverse.forward.mpm import MpmForward
-from inverse.observations import Values
+from inverse.observations import DepositSettings, Values
 from inverse.parameters import Parameter, Vector
 from inverse.problem import Problem, read_problem
-from inverse.settings import ObservationSettings, TargetSettings
+from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import simulate, simulate_many
 from validation.report.page import GNS, MPM, Page, Row
@@ -164,7 +164,7 @@ def blocks_problem(unknowns: int) -> Problem:
             )
             for index, mass in enumerate(scene.masses)
         ),
-        observations=(ObservationSettings(kind="deposit"),),
+        observations=(DepositSettings(),),
         target=TargetSettings(twin=True),
     )
 

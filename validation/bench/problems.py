@@ -14,7 +14,7 @@ from datasets.errors import InputError, WorkFailed
 from datasets.files import read_json, read_toml, write_text
 from datasets.records import Record, from_mapping
 from gns import library
-from inverse.found import Verdict
+from inverse.answer import Verdict
 from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate
 from validation.report.page import GNS, MPM, Page, Row, between

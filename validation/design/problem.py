@@ -14,20 +14,21 @@ from scipy import stats
 from scipy.stats import qmc
 
 from datasets.arrays import read_arrays
-from datasets.errors import naming, require
+from datasets.errors import keyed, naming, require
 from datasets.files import read_toml, reading
 from datasets.forces import forces_of
 from datasets.library import SCENES, find, read_scene, scene_from
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, solid_names
-from inverse.checks import MOST, check_bounds, check_number
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, with_kinds
+from inverse.parameters.bounds import check_bounds
 from inverse.parameters.prior import Correlation, JointPrior, Prior
 from inverse.posterior import Matrix, Row
 from inverse.posterior.sampling import systematic
 from inverse.problem import Bounds
+from inverse.settings import MOST
 
 DESIGNS = Path(__file__).parent / "problems"
 FORCE_SCATTER = 0.1
@@ -161,14 +162,15 @@ class DesignProblem(_Keys):
 
     def __post_init__(self) -> None:
         groups = {"variables": self.variables, "uncertain": self.uncertain}
-        keyed = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
+        by_key = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
         names = [each.name for each in self.numbers]
         for group, own in groups.items():
             require(len(own) > 0, group, "at least one number", "none")
-        for key, each in keyed.items():
-            require(names.count(each.name) == 1, f"{key}.name", "each number once", f"{each.name!r} twice")
-            check_number(self.scene, each.parameter, key)
-        check_bounds(self.scene, {key: each.parameter for key, each in keyed.items()}, "variables")
+        for key, each in by_key.items():
+            with keyed(key):
+                require(names.count(each.name) == 1, "name", "each number once", f"{each.name!r} twice")
+                each.parameter.check(self.scene)
+        check_bounds(self.scene, {key: each.parameter for key, each in by_key.items()}, "variables")
         _ = self.prior
         self.limit.check(self.scene)
         known = names[: len(self.variables)]
@@ -203,7 +205,7 @@ class DesignProblem(_Keys):
     def prior(self) -> JointPrior | None:
         """Of the uncertain numbers but those of a posterior. Raises InputError, which names the key."""
         alone = [each.parameter for each in self.uncertain[: len(self.uncertain) - self.joint]]
-        return JointPrior(alone, self.correlations) if alone else None
+        return JointPrior({each.name: each.marginal for each in alone}, self.correlations) if alone else None
 
     @property
     def unit(self) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from inverse.found import MpmRun, Purpose
+from inverse.answer import MpmRun, Purpose
 from inverse.observations import Values
 from inverse.optimise import Inversion
 from inverse.parameters import Vector

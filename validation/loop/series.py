@@ -22,9 +22,9 @@ from tabulate import tabulate
 from datasets.errors import InputError, WorkFailed, naming
 from datasets.files import make_folder, write_json, write_text
 from datasets.trajectory import SUFFIXES, Trajectory
+from inverse.answer import Verdict
 from inverse.forward import Simulate
-from inverse.found import Verdict
-from inverse.observations import KINDS
+from inverse.observations.settings import TabulatedSettings
 from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
 from inverse.target import read_target
@@ -90,13 +90,14 @@ def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
 def of_deposit(problem: Problem, path: Path) -> Problem:
     """The problem with the deposit in a file as its target, and jitter seeds of its own."""
     target, observations = TargetSettings(trajectory=str(path.absolute())), problem.observations
-    unmeasured = [replace(each, value=None, values=None, csv=None) for each in observations]
+    unmeasured = [each.without_numbers() for each in observations]
     if path.suffix == ".csv":
-        if len(observations) > 1 or "csv" not in KINDS[observations[0].kind].sources:
+        (settings, *others) = unmeasured
+        if others or not isinstance(settings, TabulatedSettings):
             message = f"expected a trajectory: the problem observes {', '.join(each.kind for each in observations)}"
             raise InputError(message)
         target = TargetSettings()
-        unmeasured = [replace(unmeasured[0], csv=str(path.absolute()))]
+        unmeasured = [replace(settings, csv=str(path.absolute()))]
     seed = int(np.random.SeedSequence([problem.scene.seed, zlib.crc32(path.stem.encode())]).generate_state(1)[0])
     return replace(
         problem, name=path.stem, scene=replace(problem.scene, seed=seed), observations=tuple(unmeasured), target=target

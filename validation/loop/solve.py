@@ -15,16 +15,17 @@ from datasets import measures
 from datasets.lock import locked
 from datasets.trajectory import Trajectory
 from inverse.adaptation import deposits as adapted_runs
+from inverse.answer import MpmRun, Purpose, Verdict
 from inverse.forward import Simulate
 from inverse.forward.mpm import MpmForward
-from inverse.found import MpmRun, Purpose, Verdict
 from inverse.optimise import ROUGH, Inversion, inverted
 from inverse.parameters import Vector
 from inverse.posterior.information import information, measurements
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
-from inverse.target import read_each, read_target
+from inverse.saving import save
+from inverse.target import read_target
 from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
 from validation.loop.search import Search, first, searched
@@ -50,23 +51,24 @@ def solve(
 ) -> Result:
     """Find all parameters that `problem` allows, each answer confirmed or refused by the MPM.
 
+    >>> from inverse import plot
     >>> from validation import solve
     >>> result = solve("friction-tall-42", "out/loop")
     >>> print(result.verdict, result.unknowns, result.interval)
-    >>> result.plot().savefig("found.png")
+    >>> plot(result).savefig("found.png")
 
     problem: one built in Python, the path of a TOML file or the name of a shipped one. out: folder for `result.json`,
     `posterior.npz`, `report.md`, pictures and every MPM run, where an interrupted command goes on; without it nothing
-    is written (`Result.save` does so later). model: weights of the surrogate, those that ship where absent; of a folder
-    of `inverse.adapt` the runs are known too. simulate: in place of the MPM. known: runs of the MPM for other targets,
-    which inform the emulator and are no part of the budget. Raises InputError for a problem that cannot be solved as it
-    stands, WorkFailed where a run of the MPM blows up or another process writes into `out`.
+    is written (`inverse.save` does so later). model: weights of the surrogate, those that ship where absent; of a
+    folder of `inverse.adapt` the runs are known too. simulate: in place of the MPM. known: runs of the MPM for other
+    targets, which inform the emulator and are no part of the budget. Raises InputError for a problem that cannot be
+    solved as it stands, WorkFailed where a run of the MPM blows up or another process writes into `out`.
     """
     asked = read_problem(problem) if isinstance(problem, str) else problem
     with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
         result = _solve(asked, folder / RUNS, model, simulate, known)
         if out is not None:
-            result.save(out)
+            save(result, out)
     return result
 
 
@@ -76,7 +78,7 @@ def _solve(asked: Problem, folder: Path, model: Path | None, simulate: Simulate,
         from inverse.inversion import invert
 
         return invert(asked)
-    recorded = ALL if any(each.observation.over_time for each in read_each(asked)) else LAST
+    recorded = ALL if any(each.over_time for each in asked.operators) else LAST
     target = read_target(asked, lambda scene: RunStore(folder, simulate, label=TWIN)([scene], record=recorded)[0])
     made = [] if model is None or target.observation.over_time else adapted_runs(model, asked)
     task = Task(problem=asked, target=target, folder=folder, simulate=simulate)

@@ -22,17 +22,17 @@ from gns.initial import check
 from gns.library import model_path, shipped
 from gns.ranges import outside
 from gns.simulator import Simulator
+from inverse.answer import MpmRun, Purpose
 from inverse.forward import Forward
 from inverse.forward.gns import Flow, GnsForward, band_of
 from inverse.forward.mpm import MpmForward
-from inverse.found import MpmRun, Purpose
+from inverse.observations.target import Target
 from inverse.optimise import Inversion
 from inverse.posterior.emulator import fewest_runs
 from inverse.posterior.posterior import next_points
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.settings import Surrogate
-from inverse.target import Target
 from mpm.footprint import SPEED
 from mpm.resolution import particle_steps
 from validation.loop.search import Search

@@ -9,13 +9,13 @@ import numpy as np
 
 from datasets.errors import InputError
 from datasets.scene import Scene
+from inverse.answer import MpmRun, Purpose
 from inverse.forward import Simulate
-from inverse.found import MpmRun, Purpose
 from inverse.observations import Values
+from inverse.observations.target import Target
 from inverse.parameters import Vector
 from inverse.posterior import Matrix
 from inverse.problem import Bounds, Problem
-from inverse.target import Target
 from mpm import ALL, LAST, Recording, simulate_many
 from validation.runs import SHARE, RunStore
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from datasets.errors import InputError
-from inverse.found import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
+from inverse.answer import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, Verdict, judge
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
 from inverse.parameters import Vector

@@ -9,10 +9,10 @@ import torch
 from datasets.material import Material
 from datasets.scene import Baffle, Mass
 from inverse.forward.adjoint import AdjointForward, Run
-from inverse.observations import build
+from inverse.observations import ImpulseSettings
 from inverse.parameters import Parameter
 from inverse.problem import Problem
-from inverse.settings import ObservationSettings, TargetSettings
+from inverse.settings import TargetSettings
 from mpm import simulate, simulate_many
 from tests.scenes import scene_of
 
@@ -53,11 +53,11 @@ def test_a_layer_is_ten_lines() -> None:
 def test_the_impulse_on_a_baffle() -> None:
     """At two times, as a function of the friction angle and of a velocity."""
     scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.313, 0.0), size=(0.05, 0.127)),), duration=0.03)
-    settings, both = ObservationSettings(kind="impulse", times=(0.021, 0.03)), zip(BOTH, VALUES[:2], strict=True)
+    settings, both = ImpulseSettings(times=(0.021, 0.03)), zip(BOTH, VALUES[:2], strict=True)
     parameters = tuple(Parameter(name=name, initial=at, lower=0.5 * at, upper=1.5 * at) for name, at in both)
     target = TargetSettings(twin=True)
     problem = Problem(name="slide", scene=scene, parameters=parameters, observations=(settings,), target=target)
-    observation = build(settings, scene)
+    observation = settings.operator(scene)
     forward = AdjointForward(problem, observation, simulate_many, precision="f64", threads=1)
     exact = observation.observe(simulate(scene, precision="f64", threads=1))
     rows = torch.autograd.functional.jacobian(forward.predict, torch.tensor(VALUES[:2])).numpy()

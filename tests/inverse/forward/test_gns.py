@@ -11,10 +11,10 @@ from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.unroll import unroll
 from inverse.forward.gns import GnsForward
-from inverse.observations import Rollout, build
+from inverse.observations import FrontSettings, GaugesSettings, Rollout
 from inverse.parameters import Parameter
 from inverse.problem import Problem, read_problem
-from inverse.settings import ObservationSettings, TargetSettings
+from inverse.settings import TargetSettings
 from tests.scenes import scaled, scene_of
 
 
@@ -23,7 +23,7 @@ def problem() -> Problem:
     shipped = read_problem("friction-tall-42")
     column, material = Mass(lower=(0.0, 0.0), size=(0.06, 0.08)), shipped.scene.material
     scene = scene_of(column, size=(0.4, 0.2), cell=0.01, material=material, duration=0.15)
-    front = ObservationSettings(kind="front", value=0.1)
+    front = FrontSettings(value=0.1)
     return dataclasses.replace(shipped, scene=scene, observations=(front,), target=TargetSettings())
 
 
@@ -31,7 +31,7 @@ def forward_of(problem: Problem) -> GnsForward:
     torch.manual_seed(0)
     settings = ModelSettings(body_length=0.1, width=16, layers=2, rounds=1, grid_channels=8)
     scales = Normalisation(displacement_scale=0.003, acceleration_scale=0.01, friction_mean=0.6, friction_std=0.2)
-    observation = build(ObservationSettings(kind="front"), problem.scene)
+    observation = FrontSettings().operator(problem.scene)
     return GnsForward(Simulator(settings, scales), problem, observation)
 
 
@@ -53,9 +53,9 @@ def test_between_two_steps_particles_move_straight(problem: Problem) -> None:
     maker, share = forward_of(problem), 0.37
     steps = maker.initial.times
     time = (1.0 - share) * steps[3] + share * steps[4]
-    gauges = ObservationSettings(kind="height", x=(0.03, 0.06), times=(time,))
-    for settings in (ObservationSettings(kind="front", times=(time, steps[1])), gauges):
-        observation = build(settings, problem.scene)
+    gauges = GaugesSettings(x=(0.03, 0.06), times=(time,))
+    for settings in (FrontSettings(times=(time, steps[1])), gauges):
+        observation = settings.operator(problem.scene)
         forward = GnsForward(maker.simulator, problem, observation)
         seen = forward.predict(torch.tensor([30.0], dtype=torch.float64))
         initial = forward.entered(torch.tensor([30.0], dtype=torch.float64))

@@ -10,11 +10,11 @@ import torch
 from datasets.errors import InputError
 from datasets.scene import Baffle, Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.observations import Rollout, build
+from inverse.observations import FrontSettings, GaugesSettings, ObservationSettings, ProfileSettings, Rollout
 from inverse.observations.deposit import Outline
+from inverse.observations.gauges import Gauges, Impulse
 from inverse.observations.observation import Joint
 from inverse.problem import Problem, read_problem
-from inverse.settings import ObservationSettings
 from inverse.target import read_target
 from tests.flows import flow_of
 from tests.refusals import refused
@@ -125,7 +125,7 @@ SCENE = scene_of(
     Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.4), baffles=(Baffle(lower=(0.8, 0.0), size=(0.1, 0.1)),)
 )
 
-IMPULSE = build(ObservationSettings(kind="impulse"), SCENE)
+IMPULSE = Impulse(SCENE)
 
 
 def rolled(run: Trajectory) -> Rollout:
@@ -136,14 +136,14 @@ def rolled(run: Trajectory) -> Rollout:
 @pytest.mark.parametrize(
     "settings",
     [
-        ObservationSettings(kind="front", times=(0.05, 0.33, 1.0)),
-        ObservationSettings(kind="profile", times=(0.33,)),
-        ObservationSettings(kind="height", spacing=0.05, x=(0.0, 0.1, 0.3)),
-        ObservationSettings(kind="height", spacing=0.05, x=(0.1, 0.3), times=(0.12, 0.5)),
+        FrontSettings(times=(0.05, 0.33, 1.0)),
+        ProfileSettings(times=(0.33,)),
+        GaugesSettings(spacing=0.05, x=(0.0, 0.1, 0.3)),
+        GaugesSettings(spacing=0.05, x=(0.1, 0.3), times=(0.12, 0.5)),
     ],
 )
 def test_the_smooth_form_is_the_exact_one(settings: ObservationSettings) -> None:
-    run, observation = flow(SCENE), build(settings, SCENE)
+    run, observation = flow(SCENE), settings.operator(SCENE)
     assert observation.over_time == (settings.times is not None)
     exact = observation.observe(run)
     np.testing.assert_allclose(observation.predict(rolled(run)).numpy(), exact, atol=0.004)
@@ -156,7 +156,7 @@ def test_gauges_read_the_height_of_a_layer_up_to_the_walls() -> None:
     layer = rng.random((400, 2)) * [1.0, 0.08]
     layer[:, 0] = (np.arange(400) + 0.5) / 400
     run.positions[-1] = layer
-    gauges = build(ObservationSettings(kind="height", spacing=0.1, x=(0.0, 0.5, 0.99)), SCENE)
+    gauges = Gauges(SCENE, (0.0, 0.5, 0.99), spacing=0.1)
     np.testing.assert_allclose(gauges.observe(run), 0.08, rtol=0.01)
     # A run of another release than the scene's has its own.
     half = dataclasses.replace(run, volume=np.float32(0.5 * run.volumes))
@@ -166,7 +166,7 @@ def test_gauges_read_the_height_of_a_layer_up_to_the_walls() -> None:
 def test_the_impulse_is_that_of_the_solid() -> None:
     run = flow(SCENE, 101)
     np.testing.assert_allclose(IMPULSE.observe(run), [2.0])
-    twice = build(ObservationSettings(kind="impulse", times=(0.5, 0.123)), SCENE)
+    twice = Impulse(SCENE, times=(0.5, 0.123))
     np.testing.assert_allclose(twice.observe(run)[0], 0.5)
     for force in (IMPULSE, twice):
         assert not force.of_positions
@@ -178,7 +178,7 @@ def test_the_impulse_is_that_of_the_solid() -> None:
 
 def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
     scene = scene_of(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)), size=(1.0, 0.5, 1.0), cell=0.05)
-    outline = Outline(ObservationSettings(kind="outline", directions_deg=(0.0, 90.0, 180.0, 270.0)), scene)
+    outline = Outline(scene, (0.0, 90.0, 180.0, 270.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
     rim = np.stack([0.5 + 0.3 * np.cos(angle), np.zeros(4000), 0.5 + 0.2 * np.sin(angle)], axis=1)
     np.testing.assert_allclose(outline.exact(rim), [0.3, 0.2, 0.3, 0.2], rtol=0.001)

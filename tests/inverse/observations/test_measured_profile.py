@@ -10,11 +10,14 @@ from datasets.errors import InputError
 from datasets.measures import height_profile
 from datasets.particles import initial_particles
 from datasets.scene import Mass, Solid
-from inverse.observations.measured import Context, profile_of
+from inverse.observations import ProfileSettings
+from inverse.observations.measured_profile import Heights
 from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile
+from inverse.observations.settings import LengthUnit
+from inverse.observations.target import Target
 from inverse.problem import Problem, read_problem
-from inverse.settings import Heights, LengthUnit, ObservationSettings, TargetSettings
-from inverse.target import Target, read_each, read_target
+from inverse.settings import TargetSettings
+from inverse.target import read_target
 from tests.inverse.observations.test_joint import never
 from tests.scenes import scene_of
 
@@ -30,7 +33,7 @@ def measured(folder: Path, x: np.ndarray = X, height: np.ndarray = HEIGHT, **set
     problem = read_problem("friction-tall-42")
     return dataclasses.replace(
         problem,
-        observations=(ObservationSettings(kind="profile", csv="profile.csv", **settings),),  # type: ignore[arg-type]
+        observations=(ProfileSettings(csv="profile.csv", **settings),),  # type: ignore[arg-type]
         folder=folder,
         target=TargetSettings(),
     )
@@ -42,7 +45,7 @@ def target_of(problem: Problem) -> Target:
 
 def operator_of(problem: Problem) -> Profile:
     """The operator of a measured profile."""
-    operator = read_each(problem)[0].observation
+    operator = problem.operators[0]
     assert isinstance(operator, Profile)
     return operator
 
@@ -61,6 +64,13 @@ def test_a_profile_is_the_same_target_however_it_is_written(
 ) -> None:
     plain = target_of(measured(tmp_path))
     np.testing.assert_allclose(target_of(measured(tmp_path, x, height, **settings)).values, plain.values, atol=1e-6)
+
+
+def test_a_table_is_read_once(tmp_path: Path) -> None:
+    problem = measured(tmp_path)
+    (operator,) = problem.operators
+    (tmp_path / "profile.csv").unlink()
+    assert target_of(problem).observation is operator
 
 
 @pytest.mark.parametrize(
@@ -86,7 +96,6 @@ def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> Non
     problem = measured(tmp_path, noise="3%")
     observation = operator_of(problem)
     target = target_of(problem)
-    assert target.covariance is not None
     rng = np.random.default_rng(7)
     deviation = np.where(X < 0.43, np.hypot(0.03 * HEIGHT, REPRESENTATION * problem.scene.domain.cell), 0.0)
     seen = []
@@ -94,8 +103,8 @@ def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> Non
         heights = np.maximum(0.0, HEIGHT + deviation * rng.standard_normal(len(X)))
         seen.append(observation.of_heights(np.interp(observation.stations, X, heights, right=0.0)))
     drawn = np.cov(seen, rowvar=False)
-    np.testing.assert_allclose(np.sqrt(np.diag(target.covariance)), np.sqrt(np.diag(drawn)), rtol=0.15)
-    np.testing.assert_allclose(target.deviation**2, np.diag(target.covariance))
+    np.testing.assert_allclose(target.deviation, np.sqrt(np.diag(drawn)), rtol=0.15)
+    np.testing.assert_allclose(target.deviation**2, np.diag(target.errors.matrix))
 
 
 def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None:
@@ -111,7 +120,7 @@ def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None
     np.testing.assert_allclose(observation.heights(deposit), expected, atol=0.02)
     exact = observation.exact(deposit)
     np.testing.assert_allclose(exact, observation.of_heights(expected), atol=0.012)
-    equivalent = Profile(ObservationSettings(kind="profile"), observation.scene, rows)
+    equivalent = Profile(observation.scene, rows=rows)
     assert np.abs(equivalent.exact(deposit) - exact).max() > 0.02
 
 
@@ -145,7 +154,8 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights) -> No
     thickness = height_profile(wedge, start.volume, stations)
     rows = np.stack([stations, thickness], axis=1)
     np.savetxt(tmp_path / "profile.csv", rows, delimiter=",", header="x,height", comments="")
-    settings = ObservationSettings(kind="profile", csv="profile.csv", heights=heights)
-    profile = profile_of(settings, Context(scene=scene, folder=tmp_path, released=0.08))
+    settings = ProfileSettings(csv="profile.csv", heights=heights)
+    profile = settings.read(scene, tmp_path, 0.08).profile
+    assert profile is not None
     np.testing.assert_allclose(profile.at(stations), thickness, rtol=1e-8, atol=1e-9)
     assert np.trapezoid(profile.height, profile.x) == pytest.approx(0.08, rel=1e-8)

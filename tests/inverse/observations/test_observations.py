@@ -6,9 +6,8 @@ import torch
 
 from datasets import measures
 from datasets.scene import Mass
-from inverse.observations import Observation, build
+from inverse.observations import KINDS, Observation
 from inverse.observations.observation import fitted_tail
-from inverse.settings import ObservationSettings
 from tests.scenes import scene_of
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=0.01)
@@ -21,7 +20,7 @@ def deposit(points: int, seed: int = 0) -> np.ndarray:
 
 
 def made(kind: str) -> Observation:
-    return build(ObservationSettings(kind=kind, line=0.3 if kind == "passed" else None), SCENE)
+    return KINDS[kind](**({"line": 0.3} if kind == "passed" else {})).operator(SCENE)
 
 
 def test_the_fit_through_the_tail_is_that_of_arrays() -> None:

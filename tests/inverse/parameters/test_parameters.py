@@ -11,10 +11,9 @@ from datasets.errors import InputError
 from datasets.material import Material
 from datasets.particles import released_volume
 from datasets.scene import Baffle, Channel, Mass, Solid
-from inverse.checks import check_parameters
 from inverse.forward.gns import GnsForward
-from inverse.observations import build
 from inverse.parameters import Parameter, kind, with_parameters
+from inverse.parameters.bounds import check_parameters
 from inverse.problem import read_problem
 
 NAMES: dict[int | str, tuple[str, ...]] = {
@@ -51,7 +50,7 @@ def test_the_initial_state_is_that_of_the_scene(make_problem: Any, make_simulato
     names = NAMES[flow][::-1]
     problem = make_problem(flow, *names)
     simulator = make_simulator(problem.scene.dimension)
-    observation = build(problem.observations[0], problem.scene)
+    observation = problem.operators[0]
     values = np.array([kind(name).read(problem.scene) + MOVES[kind(name).unit] for name in names])
     scene = with_parameters(problem.scene, names, values)
     direct = GnsForward(simulator, dataclasses.replace(problem, scene=scene), observation).initial

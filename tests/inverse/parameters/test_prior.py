@@ -12,7 +12,8 @@ from scipy import stats
 
 from datasets.records import changed, from_mapping
 from inverse import Correlation, Parameter, Prior
-from inverse.found import Answer, Combination, unidentified
+from inverse.answer import Answer, Combination, unidentified
+from inverse.observations.errors import Covariance
 from inverse.optimise import inverted
 from inverse.parameters.prior import JointPrior
 from inverse.posterior import Matrix
@@ -47,12 +48,15 @@ def joint(first: float = 0.15, second: float = 0.2, coefficient: float = -0.5) -
         number(Prior(kind="normal", mean=mean, deviation=own), name, lower=0.0, upper=1.0)
         for name, mean, own in (("first", 0.4, first), ("second", 0.6, second))
     ]
-    return JointPrior(numbers, [Correlation(between=("first", "second"), coefficient=coefficient)])
+    return JointPrior(
+        {each.name: each.marginal for each in numbers},
+        [Correlation(between=("first", "second"), coefficient=coefficient)],
+    )
 
 
 @pytest.mark.parametrize("prior", [NORMAL, LOGNORMAL, TRIANGULAR, Prior(kind="uniform")], ids=lambda each: each.kind)
 def test_a_measurement_that_says_nothing_leaves_the_prior(prior: Prior) -> None:
-    stated, rng = JointPrior([number(prior)]), np.random.default_rng(0)
+    stated, rng = JointPrior({"friction_deg": number(prior).marginal}), np.random.default_rng(0)
     points = rng.random((30, 1))
     numbers = 1e-3 * points + rng.standard_normal((30, 1))
     found = posterior(points, numbers, target_of(np.zeros(1)), scatter=np.ones(1), rng=rng, prior=stated)
@@ -106,7 +110,7 @@ def test_a_linear_response_has_the_closed_form_too() -> None:
 @pytest.mark.parametrize("coefficient", [-0.5, 0.8])
 def test_normal_scores_have_the_stated_correlation(coefficient: float) -> None:
     pair = Correlation(between=("friction_deg", "cohesion"), coefficient=coefficient)
-    prior = JointPrior([number(TRIANGULAR), number(LOGNORMAL, "cohesion")], [pair])
+    prior = JointPrior({"friction_deg": number(TRIANGULAR).marginal, "cohesion": number(LOGNORMAL).marginal}, [pair])
     points = prior.at(np.random.default_rng(0).random((20_000, 2)))
     values = LOWER + (UPPER - LOWER) * points
     for index, kind in enumerate(("triangular", "lognormal")):
@@ -211,8 +215,8 @@ def test_a_wrong_prior_is_named(old: str, new: str, key: str, tmp_path: Path) ->
 
 
 def test_a_lognormal_velocity_below_0_and_pairs_that_contradict_each_other_are_refused() -> None:
-    assert refused(LOGNORMAL.check, -1.0, 5.0, "unknowns[0].prior").key == "unknowns[0].prior.kind"
-    numbers = [number(None, name) for name in ("a", "b", "c")]
+    assert refused(LOGNORMAL.check, -1.0, 5.0).key == "kind"
+    numbers = {name: number(None, name).marginal for name in ("a", "b", "c")}
     pairs = [
         Correlation(between=between, coefficient=coefficient)
         for between, coefficient in ((("a", "b"), 0.9), (("b", "c"), 0.9), (("a", "c"), -0.9))
@@ -230,7 +234,7 @@ def test_the_gradient_ends_at_the_most_probable_parameters(make_problem: Any, ma
     forward = made(problem, curvature=0.0)
     (values,) = forward.observe([low + np.array([0.4]) * width])
     noise = 0.05 * 0.1 * float(torch.linalg.norm(forward.matrix))
-    target = dataclasses.replace(target_of(values), deviation=np.full(len(values), noise))
+    target = target_of(values, Covariance(np.full(len(values), noise)))
     found = inverted(forward, problem, target, np.zeros(len(values)), rough=0.01)
     (answer,) = found.answers
     assert answer.point[0] == pytest.approx(0.5, abs=0.01)

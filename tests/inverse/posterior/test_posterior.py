@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from inverse.observations import build
+from inverse.observations import FrontSettings
+from inverse.observations.errors import Covariance
+from inverse.observations.target import Target
 from inverse.posterior import Matrix
 from inverse.posterior.emulator import linear
 from inverse.posterior.information import information
@@ -11,16 +13,14 @@ from inverse.posterior.posterior import Posterior, Regime, Region, next_points, 
 from inverse.posterior.reduction import cross_fitted, directions, reduction
 from inverse.posterior.sampling import sample
 from inverse.problem import read_problem
-from inverse.settings import ObservationSettings
-from inverse.target import Target
 
 SLOPES = np.array([[3.0, 0.2, 0.0, -1.0], [0.0, 1.5, 0.4, 1.0]])
 SCATTER = 0.02
 
 
-def target_of(values: Matrix, **changes: Matrix) -> Target:
-    front = build(ObservationSettings(kind="front"), read_problem("friction-tall-42").scene)
-    return Target(observation=front, values=values, **({"deviation": np.zeros(len(values))} | changes))  # type: ignore[arg-type]
+def target_of(values: Matrix, errors: Covariance | None = None) -> Target:
+    front = FrontSettings().operator(read_problem("friction-tall-42").scene)
+    return Target(observation=front, values=values, errors=errors or Covariance(np.zeros(len(values))))
 
 
 def inferred(*, truth: tuple[float, float] = (0.4, 0.7), seed: int = 0, **changes: object) -> Posterior:

@@ -15,12 +15,13 @@ from datasets.measures import front
 from datasets.particles import particle_count
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.observations import Observation, Values
+from inverse.observations import KINDS, DepositSettings, Observation, Values
+from inverse.observations.target import Target
 from inverse.parameters import Parameter, Vector
 from inverse.problem import Problem
 from inverse.result import Result
-from inverse.settings import ObservationSettings, Surrogate, TargetSettings
-from inverse.target import Target, read_target
+from inverse.settings import Surrogate, TargetSettings
+from inverse.target import read_target
 from mpm import ALL, Recording
 from tests.flows import flow_of
 from tests.scenes import scene_of
@@ -245,7 +246,7 @@ def wedge(
         folder=folder,
         scene=scene,
         parameters=(Parameter(name="friction_deg", initial=30.0, lower=12.0, upper=52.0),),
-        observations=(ObservationSettings(kind=kind, **measured),),
+        observations=(KINDS[kind](**measured),),
         target=TargetSettings() if known else twin,
     )
     mpm = mpm or FakeMpm(scatter=scatter)
@@ -270,7 +271,7 @@ def layers(folder: Path, *, count: int = 2, scatter: float = 0.0, bend: float = 
         folder=folder,
         scene=scene,
         parameters=tuple(Parameter(name=name, initial=0.0, lower=-1.0, upper=WIDTH - 1.0) for name in names),
-        observations=(ObservationSettings(kind="deposit"),),
+        observations=(DepositSettings(),),
         target=TargetSettings(twin=True, seed=seed, truth=truth),
     )
     mpm = Layers(count=count, particles=particle_count(scene), scatter=scatter, bend=bend)

@@ -16,11 +16,13 @@ from datasets.scene import Domain, Solid
 from gns import card, checkpoint
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
+from inverse import save
+from inverse.answer import Purpose, Verdict
 from inverse.forward.gns import GnsForward
-from inverse.found import Purpose, Verdict
+from inverse.observations import FrontSettings
 from inverse.parameters import Parameter
 from inverse.problem import read_problem
-from inverse.settings import LoopSettings, ObservationSettings, Surrogate, TargetSettings
+from inverse.settings import LoopSettings, Surrogate, TargetSettings
 from inverse.target import read_target
 from tests.validation.loop.flows import (
     Case,
@@ -57,7 +59,7 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
     assert abs(own - 24.0) < width < 4.0
     assert abs(result.unknowns["friction_deg"] - 24.0) < 2.0 * result.certainty["friction_deg"] < 1.5
     assert result.mpm_runs[0].purpose is Purpose.CHECK
-    result.save(tmp_path / "out")
+    save(result, tmp_path / "out")
     stored = json.loads((tmp_path / "out" / "result.json").read_text())["surrogate"]
     keys = "asked reason unknowns interval half_widths weight mpm_error answers seconds predictions"
     assert stored.keys() == set(keys.split())
@@ -207,7 +209,7 @@ def test_whether_it_knows_the_flow_follows_from_the_problem(
         shipped,
         scene=replace(shipped.scene, **changes),
         parameters=shipped.parameters if unknown is None else (PARAMETERS[unknown],),
-        observations=(ObservationSettings(kind="front", value=0.5),),
+        observations=(FrontSettings(value=0.5),),
         target=TargetSettings(),
     )
     target = read_target(problem, FakeMpm().run)

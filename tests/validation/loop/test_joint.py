@@ -10,20 +10,21 @@ import pytest
 
 from datasets.errors import WorkFailed
 from datasets.scene import Mass
-from inverse.found import Verdict
+from inverse.answer import Verdict
+from inverse.observations import FrontSettings, ObservationSettings, PassedSettings, ProfileSettings
 from inverse.parameters import Parameter
 from inverse.problem import Problem
 from inverse.result import Result
-from inverse.settings import ObservationSettings, Surrogate, TargetSettings
+from inverse.settings import Surrogate, TargetSettings
 from tests.validation.loop.flows import FRONT, Case, FakeMpm, TwinAngles, length, wedge
 from validation.loop.__main__ import print_outcome
 from validation.loop.solve import solve
 
 JOINT = (
-    ObservationSettings(kind="front", noise="1%"),
-    ObservationSettings(kind="profile", noise="3%"),
-    ObservationSettings(kind="passed", line=0.4, noise=0.01),
-    ObservationSettings(kind="front", times=(0.5, 1.0), noise=0.005),
+    FrontSettings(noise="1%"),
+    ProfileSettings(noise="3%"),
+    PassedSettings(line=0.4, noise=0.01),
+    FrontSettings(times=(0.5, 1.0), noise=0.005),
 )
 
 
@@ -49,10 +50,7 @@ def test_joint_observations_find_it_together(tmp_path: Path) -> None:
 
 def test_contradictions_widen_the_half_width(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=24.0, scatter=0.0005)
-    parts = tuple(
-        ObservationSettings(kind="front", value=FRONT * (length(24.0) + error), noise=0.004)
-        for error in (-0.03, 0.0, 0.03)
-    )
+    parts = tuple(FrontSettings(value=FRONT * (length(24.0) + error), noise=0.004) for error in (-0.03, 0.0, 0.03))
     result = alone(joint(case, parts, target=TargetSettings()), case.mpm, tmp_path)
     assert result.verdict is Verdict.UNCONFIRMED
     assert result.answers[0].fit is not None

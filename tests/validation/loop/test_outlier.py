@@ -12,11 +12,12 @@ from datasets.field import Floats
 from datasets.measures import front
 from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
-from inverse.found import Verdict
+from inverse.answer import Verdict
+from inverse.observations import FrontSettings
 from inverse.parameters import Parameter
 from inverse.problem import Problem
 from inverse.report import summary
-from inverse.settings import ObservationSettings, TargetSettings
+from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import ALL, Recording
 from tests.flows import flow_of
@@ -64,7 +65,7 @@ def slide(
 def problem_of(folder: Path, values: Floats, names: Sequence[str], noise: float = NOISE) -> Problem:
     body = Mass(lower=(0.1, 0.0), size=(0.2, 0.1), velocity=(SPEED, 0.0))
     scene = replace(scene_of(body, size=(2.0, 0.2), cell=0.02), duration=1.2, frame_dt=0.02, floor_friction=FRICTION)
-    seen = ObservationSettings(kind="front", times=tuple(TIMES), values=tuple(values.tolist()), noise=noise)
+    seen = FrontSettings(times=tuple(TIMES), values=tuple(values.tolist()), noise=noise)
     bounds = {name: dict(zip(("lower", "upper"), BOUNDS[name], strict=True)) for name in names}
     return Problem(
         name="block",

@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 import pytest
 
-from inverse import Prior, inference_data
-from inverse.found import Verdict
+from inverse import Prior, inference_data, save
+from inverse.answer import Verdict
 from tests.validation.loop.flows import Case, Formula, layers, wedge
 
 NOISE, SLOPE = 0.06, 0.0164
@@ -29,7 +29,7 @@ def case_of(folder: Path, prior: Prior, **changes: float) -> Case:
 def test_a_prior_counts_as_much_as_a_measurement(tmp_path: Path) -> None:
     case = case_of(tmp_path, Prior(kind="normal", mean=24.0, deviation=3.0), noise=NOISE)
     found = case.solve(tmp_path / "out")
-    found.save(tmp_path / "out")
+    save(found, tmp_path / "out")
     noise = NOISE / SLOPE
     assert found.certainty["friction_deg"] == pytest.approx(1.96 * 3.0 * noise / np.hypot(3.0, noise), rel=0.3)
     result = json.loads((tmp_path / "out" / "result.json").read_text())

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from inverse.found import Verdict
+from inverse.answer import Verdict
 from inverse.result import Result
 from validation.loop.solve import solve
 

@@ -11,7 +11,8 @@ import pytest
 from datasets.errors import WorkFailed
 from datasets.lock import locked
 from datasets.trajectory import Trajectory
-from inverse.found import Purpose, Verdict
+from inverse import plot, save
+from inverse.answer import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from tests.inverse.test_fields import files
@@ -89,7 +90,7 @@ def test_a_target_outside_the_bounds_is_unreachable(tmp_path: Path, beyond: floa
     result = wedge(tmp_path, value=length(beyond), scatter=0.001).solve(tmp_path)
     assert result.verdict is Verdict.UNREACHABLE
     assert result.unknowns["friction_deg"] == pytest.approx(bound, abs=0.5)
-    result.save(tmp_path)
+    save(result, tmp_path)
     with pytest.raises(WorkFailed, match="unreachable"):
         print_outcome(result, tmp_path)
     assert "No parameters within the bounds" in (tmp_path / "report.md").read_text()
@@ -105,7 +106,7 @@ def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pyt
     assert sum(answer.weight for answer in result.answers) == pytest.approx(1.0)
     assert all(0.2 < answer.weight < 0.8 for answer in result.answers)
     assert all(result.target.misfit(answer.observation) < 0.003**2 for answer in result.answers)
-    result.save(tmp_path)
+    save(result, tmp_path)
     print_outcome(result, tmp_path)
     said = capsys.readouterr().out
     assert said.startswith("wedge: ambiguous")
@@ -150,7 +151,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     found = case.solve(tmp_path / "first")
     # Saved elsewhere: complete.
     out = tmp_path / "saved"
-    found.save(out)
+    save(found, out)
     result = json.loads((out / "result.json").read_text())
     assert result.keys() == set(RESULT_KEYS.split())
     (answer,) = result["answers"]
@@ -183,7 +184,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     for picture in ("deposit.png", "posterior.png"):
         assert f"({picture})" in report
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
-    figure = found.plot()
+    figure = plot(found)
     assert "confirmed" in figure.get_suptitle()
     assert len(figure.axes) == 3
 
@@ -197,7 +198,7 @@ def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> 
     assert abs(twin.unknowns["friction_deg"] - 24.0) < 0.5
     # 16 mm in a slope of 16 mm a degree.
     assert 0.8 < abs(measured.unknowns["friction_deg"] - 24.0) < measured.certainty["friction_deg"] < 4.0
-    measured.save(tmp_path / "seen")
+    save(measured, tmp_path / "seen")
     assert "cells " in (tmp_path / "seen" / "report.md").read_text()
     # By runs on half the cells, which change half as much as all of it.
     assert measured.answers[0].fit.cells == pytest.approx(0.02 * true, rel=0.2)

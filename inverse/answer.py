@@ -1,4 +1,4 @@
-"""What a result is made of: runs of the MPM, answers, fields, and the verdict on them."""
+"""Answers: parameters that the observation allows, the runs of the MPM there, and the verdict on them."""
 
 import resource
 from collections.abc import Sequence
@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import measures
-from datasets.field import Field
 from datasets.trajectory import Trajectory
 from inverse.noise import Fit
 from inverse.observations import Values
+from inverse.observations.target import Target
 from inverse.parameters import Vector
-from inverse.parameters.field import BAND, UnknownField
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
-from inverse.target import Target
 
 MAX_NUMBERS = 100
 """Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""
@@ -27,8 +25,6 @@ IDENTIFIABLE = 0.3
 """Half-width over the range, up to which a combination of parameters is identifiable."""
 UNIFORM = 0.475
 """The same of a uniform prior."""
-IDENTIFIED = 0.5
-"""Share of the prior's variance beyond whose removal the observation identifies a value of a field."""
 AT_BOUND = 0.02
 """Distance from a bound, as a fraction of the range, at which an answer lies at it."""
 
@@ -126,122 +122,12 @@ class Answer:
     @property
     def observation(self) -> Values:
         """Mean of the checks, shape [M]."""
-        return np.asarray(np.mean([each.observation for each in self.checks], axis=0))
+        return np.asarray(np.mean([run.observation for run in self.checks], axis=0))
 
     @property
     def confirmed(self) -> bool:
         """Whether the MPM there lies within the predictive interval."""
         return self.fit is not None and self.fit.inside
-
-
-@dataclass(frozen=True, kw_only=True)
-class FoundField:
-    """A field at its K nodes as it was found, in its unit; statistics are over the nodes beside the body alone."""
-
-    unknown: UnknownField
-    latent: Values
-    """u of `inverse.parameters.field`, the most probable one, shape [K]."""
-    width: Values
-    """Standard deviation of u that is left, shape [K]."""
-    draws: Values
-    """Samples of the field, shape [draws, K]."""
-    truth: Values | None
-    """Where known, shape [K]."""
-
-    @property
-    def name(self) -> str:
-        """As the problem calls it."""
-        return self.unknown.name
-
-    @property
-    def stem(self) -> str:
-        """Of its files."""
-        return self.name.replace(".", "-")
-
-    @property
-    def field(self) -> Field:
-        """As a scene has it."""
-        return self.unknown.field(self.latent)
-
-    @cached_property
-    def arrays(self) -> dict[str, Values]:
-        """What is known at each node by name, shape [K] each.
-
-        `deviation` and `prior_deviation` are widths of bands of 95 % over those of one standard deviation, `removed` is
-        the share of the prior's variance that the observation removes.
-        """
-        unknown, latent, width = self.unknown, self.latent, self.width
-        found = {
-            "mean": unknown.values(latent),
-            "lower": unknown.values(latent - BAND * width),
-            "upper": unknown.values(latent + BAND * width),
-            "deviation": unknown.deviation(latent, width),
-            "prior_deviation": unknown.deviation(np.zeros_like(latent), unknown.prior.deviation),
-            "removed": np.asarray(1.0 - (width / unknown.prior.deviation) ** 2),
-            "inside": unknown.inside.astype(np.float64),
-        }
-        return found if self.truth is None else found | {"truth": self.truth}
-
-    @property
-    def saved(self) -> dict[str, Values]:
-        """The arrays of `field.npz`; there the names of those of field k begin with `k_`."""
-        grid = self.unknown.grid
-        return {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": self.draws} | self.arrays
-
-    @property
-    def identified(self) -> NDArray[np.bool_]:
-        """Which nodes beside the body the observation identifies, shape [K]."""
-        return (self.arrays["removed"] > IDENTIFIED) & self.unknown.inside
-
-    def average(self, values: Values) -> float:
-        """Mean of values [K] beside the body."""
-        return float(values[self.unknown.inside].mean())
-
-    def identified_box(self) -> list[tuple[float, float]] | None:
-        """Between which coordinates the identified nodes lie along each axis [m]; None where there are none."""
-        if not self.identified.any():
-            return None
-        here = self.unknown.grid.positions[self.identified]
-        return [(float(low), float(high)) for low, high in zip(here.min(axis=0), here.max(axis=0), strict=True)]
-
-    def error(self, where: NDArray[np.bool_], values: Values | float | None = None) -> float | None:
-        """Root mean square error of the found field, or of other `values`, at nodes `where` [K]; None if unknown."""
-        if self.truth is None or not where.any():
-            return None
-        return measures.rms(((self.arrays["mean"] if values is None else values) - self.truth)[where])
-
-    def covered(self, where: NDArray[np.bool_]) -> float | None:
-        """Share of the true values at nodes `where` [K] that the bands hold; None where they are not known."""
-        if self.truth is None or not where.any():
-            return None
-        inside = (self.arrays["lower"] <= self.truth) & (self.truth <= self.arrays["upper"])
-        return float(np.mean(inside[where]))
-
-    def as_json(self) -> dict[str, Any]:
-        """As `result.json` has it."""
-        inside, identified, mean = self.unknown.inside, self.identified, self.unknown.settings.mean
-        deviation = self.arrays["deviation"]
-        return {
-            "name": self.name,
-            "unit": self.unknown.unit,
-            "nodes": list(self.unknown.grid.nodes),
-            "values": int(inside.sum()),
-            "identified": float(identified[inside].mean()),
-            "identified_between": self.identified_box(),
-            "variance_removed": self.average(self.arrays["removed"]),
-            "deviation": {
-                "prior": self.average(self.arrays["prior_deviation"]),
-                "posterior": self.average(deviation),
-                "identified": float(deviation[identified].mean()) if identified.any() else None,
-            },
-            "error": {
-                "prior": self.error(inside, mean),
-                "posterior": self.error(inside),
-                "prior_identified": self.error(identified, mean),
-                "identified": self.error(identified),
-            },
-            "truth_in_band": {"all": self.covered(inside), "identified": self.covered(identified)},
-        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,11 +164,11 @@ def unidentified(problem: Problem, answer: Answer) -> list[str]:
     """
     names = []
     both = zip(answer.parameters, answer.half_widths, problem.prior_widths, strict=True)
-    for each, (value, width, prior) in zip(problem.numbers, both, strict=True):
+    for number, (value, width, prior) in zip(problem.numbers, both, strict=True):
         length = 2.0 * width / prior
-        relative = each.kind.positive and width > abs(value) and length > 0.5 * CONSTANTS.most_of_the_prior
+        relative = number.kind.positive and width > abs(value) and length > 0.5 * CONSTANTS.most_of_the_prior
         if relative or length > CONSTANTS.most_of_the_prior:
-            names.append(each.name)
+            names.append(number.name)
     return names
 
 

@@ -1,0 +1,126 @@
+"""The posterior of an unknown field at its nodes: most probable values, widths, samples, and what is identified."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets import measures
+from datasets.field import Field
+from inverse.observations import Values
+from inverse.parameters.field import BAND, UnknownField
+
+IDENTIFIED = 0.5
+"""Share of the prior's variance beyond whose removal the observation identifies a value of a field."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldPosterior:
+    """A field at its K nodes, in its unit; statistics are over the nodes beside the body alone."""
+
+    unknown: UnknownField
+    latent: Values
+    """u of `inverse.parameters.field`, the most probable one, shape [K]."""
+    width: Values
+    """Standard deviation of u that is left, shape [K]."""
+    draws: Values
+    """Samples of the field, shape [draws, K]."""
+    truth: Values | None
+    """Where known, shape [K]."""
+
+    @property
+    def name(self) -> str:
+        """As the problem calls it."""
+        return self.unknown.name
+
+    @property
+    def stem(self) -> str:
+        """Of its files."""
+        return self.name.replace(".", "-")
+
+    @property
+    def field(self) -> Field:
+        """As a scene has it."""
+        return self.unknown.field(self.latent)
+
+    @cached_property
+    def arrays(self) -> dict[str, Values]:
+        """What is known at each node by name, shape [K] each.
+
+        `deviation` and `prior_deviation` are widths of bands of 95 % over those of one standard deviation, `removed` is
+        the share of the prior's variance that the observation removes.
+        """
+        unknown, latent, width = self.unknown, self.latent, self.width
+        arrays = {
+            "mean": unknown.values(latent),
+            "lower": unknown.values(latent - BAND * width),
+            "upper": unknown.values(latent + BAND * width),
+            "deviation": unknown.deviation(latent, width),
+            "prior_deviation": unknown.deviation(np.zeros_like(latent), unknown.prior.deviation),
+            "removed": np.asarray(1.0 - (width / unknown.prior.deviation) ** 2),
+            "inside": unknown.inside.astype(np.float64),
+        }
+        return arrays if self.truth is None else arrays | {"truth": self.truth}
+
+    @property
+    def saved(self) -> dict[str, Values]:
+        """The arrays of `field.npz`; there the names of those of field k begin with `k_`."""
+        grid = self.unknown.grid
+        return {"positions": grid.positions, "nodes": np.array(grid.nodes), "draws": self.draws} | self.arrays
+
+    @property
+    def identified(self) -> NDArray[np.bool_]:
+        """Which nodes beside the body the observation identifies, shape [K]."""
+        return (self.arrays["removed"] > IDENTIFIED) & self.unknown.inside
+
+    def average(self, values: Values) -> float:
+        """Mean of values [K] beside the body."""
+        return float(values[self.unknown.inside].mean())
+
+    def identified_box(self) -> list[tuple[float, float]] | None:
+        """Between which coordinates the identified nodes lie along each axis [m]; None where there are none."""
+        if not self.identified.any():
+            return None
+        here = self.unknown.grid.positions[self.identified]
+        return [(float(low), float(high)) for low, high in zip(here.min(axis=0), here.max(axis=0), strict=True)]
+
+    def error(self, where: NDArray[np.bool_], values: Values | float | None = None) -> float | None:
+        """Root mean square error of the most probable field, or of `values`, at nodes `where` [K]; None if unknown."""
+        if self.truth is None or not where.any():
+            return None
+        return measures.rms(((self.arrays["mean"] if values is None else values) - self.truth)[where])
+
+    def covered(self, where: NDArray[np.bool_]) -> float | None:
+        """Share of the true values at nodes `where` [K] that the bands hold; None where they are not known."""
+        if self.truth is None or not where.any():
+            return None
+        inside = (self.arrays["lower"] <= self.truth) & (self.truth <= self.arrays["upper"])
+        return float(np.mean(inside[where]))
+
+    def as_json(self) -> dict[str, Any]:
+        """As `result.json` has it."""
+        inside, identified, mean = self.unknown.inside, self.identified, self.unknown.settings.mean
+        deviation = self.arrays["deviation"]
+        return {
+            "name": self.name,
+            "unit": self.unknown.unit,
+            "nodes": list(self.unknown.grid.nodes),
+            "values": int(inside.sum()),
+            "identified": float(identified[inside].mean()),
+            "identified_between": self.identified_box(),
+            "variance_removed": self.average(self.arrays["removed"]),
+            "deviation": {
+                "prior": self.average(self.arrays["prior_deviation"]),
+                "posterior": self.average(deviation),
+                "identified": float(deviation[identified].mean()) if identified.any() else None,
+            },
+            "error": {
+                "prior": self.error(inside, mean),
+                "posterior": self.error(inside),
+                "prior_identified": self.error(identified, mean),
+                "identified": self.error(identified),
+            },
+            "truth_in_band": {"all": self.covered(inside), "identified": self.covered(identified)},
+        }

@@ -1,0 +1,87 @@
+"""Errors of measured numbers: what a stated noise means, and their covariance."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from datasets.errors import InputError
+from datasets.field import Floats
+from datasets.records import fraction
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """A stated noise: the standard deviation of a number y is ((share y)^2 + deviation^2)^(1/2)."""
+
+    share: float = 0.0
+    """Of each number [-]."""
+    deviation: float = 0.0
+    """In the unit of the numbers."""
+
+    @classmethod
+    def stated(cls, noise: float | str) -> "Noise":
+        """A number, or a percentage such as "3%". Raises InputError."""
+        if isinstance(noise, str):
+            share = fraction(noise) if noise.strip().endswith("%") else math.nan
+            if not 0.0 < share < 1.0:
+                raise InputError(f"expected a number or a percentage such as 3%, got {noise.strip()!r}", key="noise")
+            return cls(share=share)
+        if noise < 0.0:
+            raise InputError(f"expected a standard deviation of at least 0, got {noise:g}", key="noise")
+        return cls(deviation=noise)
+
+    def of(self, numbers: Floats) -> Floats:
+        """Standard deviation of each of `numbers` [M], shape [M]."""
+        return np.asarray(np.hypot(self.share * numbers, self.deviation))
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance of the errors of M numbers; of independent ones it is no matrix: a whole deposit has thousands."""
+
+    deviation: Floats
+    """Standard deviation of each number, shape [M]."""
+    dependent: Floats | None = None
+    """The whole covariance where errors depend on each other, shape [M, M]."""
+
+    @staticmethod
+    def of(matrix: Floats) -> "Covariance":
+        """That of a matrix [M, M]."""
+        return Covariance(np.sqrt(np.diag(matrix)), matrix)
+
+    @staticmethod
+    def joined(parts: Sequence["Covariance"]) -> "Covariance":
+        """That of the numbers of all parts, one after the other; errors of two parts are independent."""
+        return Covariance(np.concatenate([each.deviation for each in parts]), block_diag(*(e.matrix for e in parts)))
+
+    @property
+    def matrix(self) -> Floats:
+        """Shape [M, M]."""
+        return np.diag(self.deviation**2) if self.dependent is None else self.dependent
+
+    def over(self, scale: Floats) -> "Covariance":
+        """That of the numbers over `scale` [M]."""
+        matrix = None if self.dependent is None else self.dependent / np.outer(scale, scale)
+        return Covariance(self.deviation / scale, matrix)
+
+    def some(self, index: NDArray[np.int64]) -> "Covariance":
+        """That of the numbers with these indices."""
+        matrix = None if self.dependent is None else self.dependent[np.ix_(index, index)]
+        return Covariance(self.deviation[index], matrix)
+
+    def combined(self, combinations: Floats) -> Floats:
+        """Covariance [r, r] of combinations [M, r] of the numbers."""
+        if self.dependent is None:
+            return np.asarray((combinations.T * self.deviation**2) @ combinations)
+        return np.asarray(combinations.T @ self.dependent @ combinations)
+
+    def drawn(self, rng: np.random.Generator) -> Floats:
+        """Errors at random, shape [M]."""
+        if self.dependent is None:
+            return np.asarray(self.deviation * rng.standard_normal(len(self.deviation)))
+        variances, axes = np.linalg.eigh(self.dependent)
+        return np.asarray(axes @ (np.sqrt(np.maximum(variances, 0.0)) * rng.standard_normal(len(variances))))

@@ -1,0 +1,154 @@
+"""Measured profiles: rows x and height, made heights above the floor and compared with what was released.
+
+    h = (height - datum) in metres;    |1 - A / A0| within a bound,  A = int h dx,  A0 = released volume over the width
+
+What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy.stats import chi2
+
+from datasets.errors import InputError, require
+from datasets.field import Floats
+from datasets.geometry.ground import elevation
+from datasets.scene import Scene
+from inverse.observations.errors import Noise
+
+
+class Heights(StrEnum):
+    """What the heights of a measured profile are."""
+
+    EQUIVALENT = "equivalent"
+    """Of the released volume at its initial density, over the length and the width."""
+    SURFACE = "surface"
+    """Of the deposit's surface above the ground, which may be looser than what was released."""
+    ELEVATION = "elevation"
+    """Of the deposit's surface above the datum, over terrain: the ground beneath it is taken off (2D)."""
+
+
+EDGE = 0.01
+"""Height over the largest, below which a deposit has ended."""
+FURTHEST = 2.0
+"""Distances of the last two rows over which a profile is extrapolated."""
+ALONG = 4
+"""Rows whose slope is that of an extrapolation: of two it would be their noise."""
+BELOW = 0.05
+"""Height over the largest, by which noise may put a row beneath the floor; it counts as 0."""
+RARE = 0.05
+"""A roughness that the stated noise exceeds less often than this is not the stated noise alone."""
+MINIMUM_FREEDOM = 4
+"""Fewer rows than twice as many say nothing of a roughness: the shape of the profile is in it too."""
+AREA = {Heights.EQUIVALENT: (0.9, 1.1), Heights.SURFACE: (0.9, 1.25), Heights.ELEVATION: (0.9, 1.25)}
+"""Of a profile over the released one: sand of a porosity of 0.38 that comes to rest at 0.45 takes an eighth more."""
+
+
+def require_inside(x: Floats, length: float) -> Floats:
+    """`x` [m], if they lie in the box of `length` [m]. Raises InputError."""
+    slack = 1e-9 * length
+    outside = x[(x < -slack) | (x > length + slack)]
+    if len(outside):
+        got = f"got {outside[-1]:g} m; unit says in what unit the file is"
+        raise InputError(f"expected x between the walls, 0 and {length:g} m, {got}")
+    return x
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredProfile:
+    """Heights above the floor at ascending x, from the edge of the deposit, or a wall, to the other."""
+
+    x: Floats
+    """[m], shape [R]."""
+    height: Floats
+    """[m], shape [R]."""
+
+    def at(self, stations: Floats) -> Floats:
+        """Heights [m] at `stations` [m], linear in between, 0 beyond; shape [S]."""
+        return np.asarray(np.interp(stations, self.x, self.height, left=0.0, right=0.0))
+
+    def deviation(self, noise: Noise) -> Floats:
+        """Of each height [m], shape [R]; 0 where the ground is bare on both sides."""
+        covered = self.height > 0.0
+        edge = np.concatenate([[False], covered[:-1]]) | np.concatenate([covered[1:], [False]])
+        return np.asarray(np.where(covered | edge, noise.of(self.height), 0.0))
+
+    def roughness(self, deviation: Floats) -> float:
+        """How many times `deviation` [m], shape [R], the heights scatter about the line through their neighbours; >= 1.
+
+        e_i = h_i - (b h_(i-1) + a h_(i+1)) / (a + b), a and b the distances to them: the pseudo-residuals of Gasser,
+        Sroka & Jennen-Steinmetz (Residual variance and residual pattern in nonlinear regression, Biometrika 73 (1986)
+        625-633), without a model. Only what chance explains less often than `RARE` counts: their sum of squares
+        has half as many degrees of freedom as a sum of independent ones, roughly.
+        """
+        if len(self.x) < 3:
+            return 1.0
+        before, after = self.x[1:-1] - self.x[:-2], self.x[2:] - self.x[1:-1]
+        left, right = after / (before + after), before / (before + after)
+        residual = self.height[1:-1] - left * self.height[:-2] - right * self.height[2:]
+        variance = deviation[1:-1] ** 2 + (left * deviation[:-2]) ** 2 + (right * deviation[2:]) ** 2
+        # Where the ground is bare on both sides nothing scatters.
+        scattering = (self.height[1:-1] > 0.0) & (variance > 0.0)
+        freedom = 0.5 * int(scattering.sum())
+        if freedom < MINIMUM_FREEDOM:
+            return 1.0
+        square = float(np.mean(residual[scattering] ** 2 / variance[scattering]))
+        return math.sqrt(square) if chi2.sf(square * freedom, freedom) < RARE else 1.0
+
+
+def checked_profile(
+    x: Floats, height: Floats, scene: Scene, heights: Heights, released: float | None
+) -> MeasuredProfile:
+    """The profile of rows [m], both of shape [R]; its area is compared with the released one where that is known.
+
+    Raises InputError for rows that are no profile, lie outside of the box, end in the middle of the deposit, or hold
+    another area than was released.
+    """
+    if len(falls := np.flatnonzero(np.diff(x) <= 0.0)):
+        raise InputError(f"expected x in ascending order, got {x[falls[0] + 1]:g} m after {x[falls[0]]:g} m")
+    require_inside(x, scene.domain.size[0])
+    if heights is Heights.ELEVATION:
+        require(scene.dimension == 2, "heights", "heights above the ground in 3D", "elevations")
+        height = height - elevation(scene.solids, scene.domain, x[:, None])
+    got = "datum is the floor's in the file"
+    require(height.max() > 0.0, "", "a height above the floor", f"none; {got}")
+    least = height.min()
+    require(least >= -BELOW * height.max(), "", "heights above the floor", f"{least:g} m; {got}")
+    profile = closed(x, np.maximum(height, 0.0), scene.domain.size[0])
+    if released is not None:
+        area = float(np.trapezoid(profile.height, profile.x))
+        low, high = AREA[heights]
+        require(
+            low * released <= area <= high * released,
+            "",
+            f"{low:g} to {high:g} times the area that was released, {released:.4g} m^2, for {heights} heights",
+            f"{area:.4g} m^2, {area / released:.3g} times; unit, datum and heights say what stands in the file",
+        )
+    return profile
+
+
+def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
+    """The profile from a wall, or the deposit's edge, to the other. Raises InputError where they are too far.
+
+    An end at which the deposit goes on is extrapolated along its last rows, towards larger x only downwards.
+    """
+    rows = [*zip(x, height, strict=True)]
+    for wall, side in ((0.0, 1), (length, -1)):
+        inwards, heights = x[::side], height[::side]
+        gap, last_x, last = side * (inwards[0] - wall), inwards[0], heights[0]
+        if last <= EDGE * height.max() or gap <= 0.0:
+            continue
+        off = inwards[:ALONG] - inwards[:ALONG].mean()
+        fall = side * float(off @ heights[:ALONG] / (off @ off))
+        fall = fall if side > 0 else max(fall, 0.0)
+        step = min(gap, last / fall) if fall > 0.0 else gap
+        if step > FURTHEST * abs(inwards[1] - last_x) * (1.0 + 1e-9):
+            raise InputError(
+                f"expected rows as far as the wall at x = {wall:g} m or the edge of the deposit, the profile ends at "
+                f"x = {last_x:g} m with a height of {last:g} m"
+            )
+        rows.insert(0 if side > 0 else len(rows), (last_x - side * step, max(0.0, last - fall * step)))
+    ends = np.array(rows)
+    return MeasuredProfile(x=ends[:, 0], height=ends[:, 1])

@@ -1,0 +1,148 @@
+"""What a problem's file says of an observation; each kind adds the keys of its operator."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from datasets import files
+from datasets.errors import InputError, require
+from datasets.field import Floats
+from datasets.records import Record
+from datasets.scene import Scene
+from datasets.trajectory import Trajectory
+from inverse.observations.errors import Covariance, Noise
+from inverse.observations.observation import Observation, Values
+from inverse.observations.target import Target
+
+SOURCES = ("value", "values", "csv")
+"""Keys under which measured numbers stand."""
+
+
+class LengthUnit(StrEnum):
+    """In what a length was measured."""
+
+    METRE = "m"
+    CENTIMETRE = "cm"
+    MILLIMETRE = "mm"
+    FOOT = "ft"
+
+    @property
+    def metres(self) -> float:
+        """Its length [m]."""
+        return {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}[self.value]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservationSettings(Record):
+    """What is measured and how well; of a kind also where and when, and what came out. Raises InputError."""
+
+    name: str | None = None
+    """As it is called in reports; its kind where absent."""
+    noise: float | str = 0.0
+    """Standard deviation of each number, of a profile of each height: in their unit, or a percentage such as "3%"."""
+
+    operator_type: ClassVar[type[Observation]]
+    options: ClassVar[tuple[str, ...]] = ()
+    """Keys that the operator takes."""
+
+    def __post_init__(self) -> None:
+        Noise.stated(self.noise)
+        require(len(self.given) < 2, "", "one of value, values and csv", " and ".join(self.given))
+
+    def operator(self, scene: Scene) -> Observation:
+        """The operator for flows of `scene`. Raises InputError, which names the key."""
+        return self.operator_type(scene, **{key: getattr(self, key) for key in self.options})
+
+    @property
+    def kind(self) -> str:
+        """A key of `inverse.observations.KINDS`."""
+        return self.operator_type.kind
+
+    @property
+    def sources(self) -> list[str]:
+        """Keys under which its numbers may stand."""
+        return [key for key in SOURCES if key in {each.name for each in dataclasses.fields(self)}]
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The measured numbers or their table by the key under which they stand; none of a twin."""
+        return {key: getattr(self, key) for key in self.sources if getattr(self, key) is not None}
+
+    def without_numbers(self) -> "ObservationSettings":
+        """The same observation of another flow."""
+        none: dict[str, Any] = dict.fromkeys(self.sources)
+        return dataclasses.replace(self, **none)
+
+    def stated(self, operator: Observation) -> Values:
+        """The numbers that stand in the settings themselves, shape [M]. Raises InputError for impossible ones."""
+        ((key, given),) = self.given.items()
+        values = np.atleast_1d(np.array(given))
+        require(len(values) == operator.count, key, f"{operator.count} numbers", len(values))
+        low, high = operator.limits
+        between = " to ".join(str(np.asarray(end).tolist()) for end in operator.limits)
+        possible = bool(np.all((low <= values) & (values <= high)))
+        require(possible, key, f"{between} {operator.unit or '(a share)'}", values.tolist())
+        return values
+
+    def compared(self, operator: Observation, values: Values) -> Target:
+        """`values` [M] with errors that are independent of each other."""
+        errors = Covariance(Noise.stated(self.noise).of(values))
+        return Target(observation=operator, values=values, errors=errors)
+
+    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+        """What was measured. Raises InputError, which names the key or the table.
+
+        folder: where relative paths start; released: volume of the masses over the width [m^2], None where it is not
+        known.
+        """
+        operator = self.operator(scene)
+        return self.compared(operator, self.stated(operator))
+
+    def of_run(self, scene: Scene, run: Trajectory) -> Target:
+        """What a run shows. Raises InputError where it has not recorded that."""
+        operator = self.operator(scene)
+        return self.compared(operator, operator.observe(run))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TabulatedSettings(ObservationSettings):
+    """Of an observation whose numbers may stand in a table."""
+
+    csv: str | None = None
+    """A table with the `columns` of the kind and maybe others."""
+
+    columns: ClassVar[dict[str, str]] = {}
+    """Its columns, and the key that each stands for."""
+    optional: ClassVar[tuple[str, ...]] = ()
+    """Those that may be absent."""
+
+    def converted(self, name: str, column: Floats) -> Floats:
+        """A column in the units of the problem."""
+        return column
+
+    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+        if self.csv is None:
+            return super().read(scene, folder, released)
+        path = folder / self.csv
+        table = read_columns(path, [name for name in self.columns if name not in self.optional], self.optional)
+        numbers: dict[str, Any] = {
+            self.columns[name]: tuple(self.converted(name, column).tolist()) for name, column in table.items()
+        }
+        try:
+            return dataclasses.replace(self, csv=None, **numbers).read(scene, folder, released)
+        except InputError as error:
+            # A mistake in a column is none of the problem's file.
+            raise error.at(str(path)) if error.key in ("", *numbers) else error from None
+
+
+def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
+    """Columns of a CSV, each of shape [R], and `optional` ones that it has. Raises InputError, which names it."""
+    table = files.read_columns(path, tuple(names), tuple(optional), others=True)
+    if len(table[names[0]]) < 2:
+        raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
+    return {name: table[name] for name in (*names, *optional) if name in table}

@@ -1,0 +1,33 @@
+"""Everything that a result leaves in a folder."""
+
+from pathlib import Path
+
+import numpy as np
+
+from datasets.files import make_folder, replacing, write_json, write_text
+from datasets.library import write_scene
+from inverse import inference_data, pictures, report
+from inverse.result import Result
+
+
+def save(result: Result, folder: Path | str) -> None:
+    """Write `result.json`, `posterior.npz`, `posterior.nc`, `report.md`, pictures and missing MPM runs."""
+    folder, problem = Path(folder), result.problem
+    make_folder(folder)
+    for run in result.mpm_runs:
+        if run.file and not (folder / run.file).exists():
+            run.trajectory.save(folder / run.file)
+    if result.posterior is not None:
+        names, weights = np.array(problem.names, dtype=np.str_), result.posterior.samples.weights
+        with replacing(folder / "posterior.npz") as part:
+            np.savez_compressed(part, names=names, samples=result.samples, weights=weights)
+        inference_data.write(result, folder / "posterior.nc")
+    if result.fields:
+        arrays = {f"{k}_{key}": values for k, each in enumerate(result.fields) for key, values in each.saved.items()}
+        with replacing(folder / "field.npz") as part:
+            np.savez(part, **arrays)  # type: ignore[arg-type]
+        write_scene(result.scene, folder / "scene.toml")
+    write_json(folder / "result.json", result.as_json())
+    command = f"{result.command} {problem.asked or problem.name} --out {folder}"
+    viewed = str(folder) if any(each.file for each in result.mpm_runs) else ""
+    write_text(folder / "report.md", report.markdown(result, command, pictures.write(result, folder), viewed=viewed))
