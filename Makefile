@@ -50,7 +50,7 @@ build/venv/bin/twine: pyproject.toml
 	touch $@
 
 bench: .venv/stamp
-	$(BIN)/python -m validation.bench $(NAME) $(if $(filter --list,$(NAME)),,--out docs)
+	$(BIN)/python -m validation.bench $(NAME) $(if $(filter --help,$(NAME)),,--out docs)
 
 .venv/stamp: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(VENV) .venv

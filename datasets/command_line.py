@@ -1,44 +1,60 @@
-"""How every command of Talus begins and ends: flags by cyclopts, mistakes in one line, exit status 0, 1 or 2."""
+"""How every command of Talus begins and ends: flags by cyclopts, mistakes in one line, exit status 0, 1 or 2.
+
+A command is a function. `python -m MODULE` runs that of its module; `talus NAME` finds the same function in a table.
+"""
 
 import errno
+import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from datasets.errors import InputError, WorkFailed
 from datasets.processes import Terminated, terminable
+
+if TYPE_CHECKING:
+    from cyclopts import App
+
+Commands = Mapping[str, tuple[str, str]]
+"""By name: MODULE:FUNCTION, or MODULE:TABLE of further commands, and what it does."""
 
 DISK_ERRORS = {"ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EACCES", "EPERM", "EIO", "ESTALE"}
 """What a disk says that is full, read-only or broken: no mistake of the program's."""
 
 
-def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None = None) -> int:
-    """Run `command` with the flags on the command line and return its exit status.
+def run(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[str] | None = None) -> int:
+    """Run a command, or that of a table which is named first, with the flags on the command line.
 
-    0 done, 1 the work failed, 2 the input is wrong; 130 after Ctrl-C, 143 after SIGTERM. No traceback for a user's
-    mistake, nor for a disk that is full or read-only.
+    Returns its exit status: 0 done, 1 the work failed, 2 the input is wrong; 130 after Ctrl-C, 143 after SIGTERM. No
+    traceback for a user's mistake, nor for a disk that is full or read-only. Prints the text that a command returns.
     """
     # Whoever needs an exception alone waits for no parser of flags.
-    from cyclopts import App, CycloptsError
+    from cyclopts import CycloptsError
 
-    # Ctrl-C is ours: cyclopts would leave with a status of its own, and silently.
-    app = App(name=name, help=command.__doc__, version_flags=[], suppress_keyboard_interrupt=False)
-    app.default(command)
+    given = sys.argv[1:] if arguments is None else list(arguments)
     python_format = warnings.formatwarning
     # What a warning says, without the place in the program that says it.
     warnings.formatwarning = lambda message, *_, **__: f"talus: {message}\n"
     try:
         with terminable():
-            given = sys.argv[1:] if arguments is None else list(arguments)
-            status = app(given, exit_on_error=False, print_error=False, result_action="return_value")
+            app = application(command, name, given)
+            found = app(given, exit_on_error=False, print_error=False, result_action="return_value")
+            if isinstance(found, str):
+                print(found)
+            sys.stdout.flush()
     except (CycloptsError, InputError) as error:
         print(f"talus: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except WorkFailed as error:
         print(f"talus: {error}", file=sys.stderr)
         return 1
+    except BrokenPipeError:
+        # Of `talus scenes | head`. Python would flush once more.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except OSError as error:
         if not disk_failed(error):
             raise
@@ -52,7 +68,26 @@ def run(command: Callable[..., Any], name: str, arguments: Sequence[str] | None 
         return 128 + (signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
     finally:
         warnings.formatwarning = python_format
-    return status if isinstance(status, int) else 0
+    return found if isinstance(found, int) else 0
+
+
+def application(command: Callable[..., Any] | Commands, name: str, arguments: Sequence[str]) -> "App":
+    """A command, or a table of commands, as an application of cyclopts; of a table it imports the command named."""
+    from cyclopts import App
+
+    # Ctrl-C is ours: cyclopts would leave with a status of its own, and silently.
+    text = "" if isinstance(command, Mapping) else command.__doc__
+    app = App(name=name, help=text, version_flags=[], suppress_keyboard_interrupt=False)
+    if not isinstance(command, Mapping):
+        app.default(command)
+        return app
+    for key, (place, what) in command.items():
+        if arguments[:1] == [key]:
+            module, _, attribute = place.partition(":")
+            app.command(application(getattr(import_module(module), attribute), key, arguments[1:]))
+        else:
+            app.command(lambda: None, name=key, help=what)
+    return app
 
 
 def disk_failed(error: BaseException) -> bool:

@@ -1,17 +1,16 @@
 """Commands and blocks of code as the pages print them, and how to try a command without doing its work."""
 
-import ast
 import functools
-import importlib.util
+import importlib
 import inspect
 import re
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from datasets import command_line
-from validation.bench import __main__ as benches
+from validation.talus import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -45,15 +44,16 @@ def commands(page: Path) -> Iterator[tuple[str, list[str]]]:
             yield module, arguments
 
 
-def command_of(module: str) -> Callable[..., Any]:
-    """The function that `python -m module` hands to `datasets.command_line.run`."""
-    spec = importlib.util.find_spec(module)
-    assert spec is not None, module
-    home = importlib.import_module(f"{module}.__main__" if spec.submodule_search_locations else module)
-    calls = [node for node in ast.walk(ast.parse(inspect.getsource(home))) if isinstance(node, ast.Call)]
-    name = repr(f"python -m {module}")
-    (function,) = [ast.unparse(call.args[0]) for call in calls if name in map(ast.unparse, call.args)]
-    return getattr(home, function)
+def command_of(module: str, name: str = "") -> Callable[..., Any]:
+    """The function that `python -m module` runs, with a further name that of a page of `validation.bench`."""
+    (place,) = [place for place, _ in COMMANDS.values() if place.split(":")[0].removesuffix(".__main__") == module]
+    return found_at(found_at(place)[name][0] if name else place)
+
+
+def found_at(place: str) -> Any:
+    """What stands at MODULE:NAME."""
+    home, _, attribute = place.partition(":")
+    return getattr(importlib.import_module(home), attribute)
 
 
 def status(module: str, arguments: list[str], *, works: bool = True) -> int:
@@ -61,18 +61,16 @@ def status(module: str, arguments: list[str], *, works: bool = True) -> int:
 
     `--out` is added where prose leaves it out.
     """
-    if module == "validation.bench":
-        if arguments[0].startswith("-"):
-            return benches.main(arguments)
-        command = benches.command_of(benches.bench_of(arguments[0]))
-        arguments = arguments[1:]
-    else:
-        command = command_of(module)
-    if "out" in inspect.signature(command).parameters and not {"--out", "--help"} & set(arguments):
+    page = module == "validation.bench" and not arguments[0].startswith("-")
+    command, arguments = command_of(module, arguments[0] if page else ""), arguments[page:]
+    needs = not isinstance(command, Mapping) and "out" in inspect.signature(command).parameters
+    if needs and not {"--out", "--help"} & set(arguments):
         arguments = [*arguments, "--out", "DIR"]
+    if works or isinstance(command, Mapping):
+        return command_line.run(command, f"python -m {module}", arguments)
 
     @functools.wraps(command)
     def tried(*_: Any, **__: Any) -> None:
         """Does nothing."""
 
-    return command_line.run(command if works else tried, f"python -m {module}", arguments)
+    return command_line.run(tried, f"python -m {module}", arguments)

@@ -17,7 +17,7 @@ scenes = [read_scene(path.stem) for path in sorted(SCENES.glob("*.toml"))]
 problems = [read_problem(path.stem) for path in sorted(PROBLEMS.glob("*.toml"))]
 experiments = read_experiments()
 models = [gns.load(name) for name in ("flow2d", "obstacle3d")]
-assert main(["--list"]) == 0
+assert main(["--help"]) == 0
 assert len(read_definition("flow2d").entries(seed=0, count=2)) == 2
 front = mpm.simulate(read_scene("column-tall-42"), record=mpm.LAST).summary["front"]
 assert 0.3 < front < 1.0, front

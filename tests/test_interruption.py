@@ -78,7 +78,10 @@ def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         flags = [str(folder / "dataset"), "--out", str(out), *TINY, "--updates", "12", "--validations", "4"]
         return ["-m", "gns.train", *flags, *resume]
 
-    problem, coverage = str(folder / "problem.toml"), ["-m", "validation.bench", "coverage", "--quick"]
+    problem, coverage = (
+        str(folder / "problem.toml"),
+        ["-m", "validation.bench", "coverage", "--only", "front", "--twins", "2"],
+    )
     arguments, result = {
         "generate": (lambda out: [*generate, "--out", str(out)], breaking.dataset_files),
         "train": (train, breaking.trained),

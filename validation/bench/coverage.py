@@ -1,4 +1,4 @@
-"""`python -m validation.bench coverage`: how often the posterior holds the truth, and whether its ranks are uniform.
+"""`python -m validation.bench coverage`: how often the posterior contains the truth, and whether its ranks are uniform.
 
 A truth v0 is drawn from the prior, its flow by the MPM with a jitter seed of its own is observed with noise as stated,
 and the loop solves for it. If the posterior is right, the share of it that is denser than v0 is uniform over the twins,
@@ -7,10 +7,10 @@ Bayesian inference algorithms with simulation-based calibration, arXiv:1804.0678
 highest density regions, Am. Stat. 50 (1996) 120-126).
 """
 
+import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import KW_ONLY, asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,7 +19,8 @@ from scipy.stats import chisquare, kstest
 from tqdm import tqdm
 
 from datasets.errors import InputError
-from datasets.files import read_json, write_json
+from datasets.files import read_json, read_toml, write_json
+from datasets.processes import processors
 from datasets.records import Record, from_mapping
 from inverse.observations.target import Target
 from inverse.parameters.prior import Correlation, Prior
@@ -28,10 +29,11 @@ from inverse.result import Result
 from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
 from mpm import simulate_many
-from mpm.cluster import connected
+from mpm.cluster import connected, pool
+from validation.bench.keep import Keep, Out, kept
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
-from validation.report.page import GNS, MPM, Page, Row
+from validation.report.page import GNS, MPM, Page, Row, emphasised
 from validation.report.plots import GREY, figure
 
 REGIONS = (0.5, 0.8, 0.95)
@@ -45,14 +47,13 @@ FIRST_SEED = 100_000
 """Jitter seed of the first twin's target, then upwards; its inversion has others."""
 
 
-@dataclass(frozen=True)
-class Family:
+@dataclass(frozen=True, kw_only=True)
+class Family(Record):
     """Twins of one problem."""
 
     title: str
     problem: str
-    """Name or path of a problem, whose scene, numbers and observation the twins have."""
-    _: KW_ONLY
+    """Name of a problem, or path of one beside this file, whose scene, numbers and observation the twins have."""
     noise: float | str | None = None
     """Of each observed number, as in `inverse.observations.ObservationSettings`; unless given the problem's own."""
     cell: float | None = None
@@ -73,73 +74,11 @@ class Family:
     """How many are solved unless another number is asked for; of dear ones half as many."""
 
 
-TWINS = Path(__file__).parent / "twins"
-"""Problems of twins alone, that do not ship."""
-FAMILIES = {
-    "front": Family("Friction, front", "friction-tall-42"),
-    "profile": Family("Friction, profile", "friction-tall-42-profile"),
-    "front-noise": Family("Friction, front with 1 % noise", "friction-short-21", noise="1%"),
-    "front-fine": Family("Friction, front of half the cells", "friction-tall-42", finer=0.5),
-    "profile-fine": Family("Friction, profile of half the cells", "friction-tall-42-profile", finer=0.5),
-    "cohesion": Family("Friction and cohesion, profile", "cohesion-friction"),
-    "cohesion-fine": Family(
-        "Friction and cohesion, profile of half the cells to 1 mm", "cohesion-friction", noise=0.001, finer=0.5
-    ),
-    "floor": Family("Friction of sand and floor, profile to 1 mm", "floor-friction"),
-    "floor-fine": Family("Friction of sand and floor, profile of half the cells to 1 mm", "floor-friction", finer=0.5),
-    "terrain": Family(
-        "Friction and thickness on a terrain, front and heights of two thirds of the cells to 0.5 and 0.1 m",
-        "hillside",
-        cell=1.5,
-        finer=2.0 / 3.0,
-    ),
-    "outlier": Family(
-        "Velocity and friction of a block, eight fronts, one off by 10 deviations",
-        str(TWINS / "sliding-block.toml"),
-        outlier=10.0,
-    ),
-    "cells": Family(
-        "Friction, eight fronts of a third of the cells of 20 mm to 2 mm",
-        str(TWINS / "friction-tall-42-fronts.toml"),
-        cell=0.02,
-        finer=1.0 / 3.0,
-    ),
-    "layers": Family("Friction of four layers, deposit", "slope-layers"),
-    "velocities": Family("Velocities of ten layers, deposit", "velocity-layers-10"),
-    "baffles": Family("Two baffles, toe", "baffles-2"),
-    **{
-        f"prior-{prior.kind}": Family(
-            f"Friction, {prior.kind} prior, front with 10 % noise", "friction-tall-42", noise="10%", priors=(prior,)
-        )
-        for prior in (
-            Prior(kind="normal", mean=30.0, deviation=5.0),
-            Prior(kind="lognormal", mean=28.0, deviation=8.0),
-            Prior(kind="triangular", mode=25.0),
-        )
-    },
-    "prior-correlated": Family(
-        "Friction, normal, and cohesion, lognormal, correlated by -0.5, profile to 2 cm",
-        "cohesion-friction",
-        noise=0.02,
-        priors=(Prior(kind="normal", mean=30.0, deviation=5.0), Prior(kind="lognormal", mean=600.0, deviation=400.0)),
-        correlation=-0.5,
-    ),
-    "front-gns": Family("Friction, front, the surrogate leads", "friction-tall-42", surrogate=Surrogate.GNS),
-    "velocities-gns": Family(
-        "Velocities of ten layers, the surrogate leads", "velocity-layers-10", surrogate=Surrogate.GNS, twins=20
-    ),
-    "baffles-gns": Family("Two baffles, the surrogate leads", "baffles-2", surrogate=Surrogate.GNS, twins=20),
-    "front-adapted": Family(
-        "Friction, front, an adapted surrogate leads",
-        "unseen-friction-square-27",
-        surrogate=Surrogate.GNS,
-        adapted=True,
-    ),
-}
-RUNS_ALONE = Path(__file__).parent / "frozen" / "coverage.md"
-"""A posterior without an emulator, which was measured once."""
+FAMILIES = {name: from_mapping(Family, each) for name, each in read_toml(Path(__file__).with_suffix(".toml")).items()}
 DEFAULT = ("front", "profile")
 """Families that are solved where none is named."""
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+"""Environment of processes that solve a twin each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,64 +99,57 @@ class Twin(Record):
 
 
 def bench(
-    out: Path,
     *,
-    quick: bool,
-    keep: Path,
+    out: Out,
+    keep: Keep = None,
     twins: int | None = None,
     only: tuple[str, ...] = DEFAULT,
     model: Path | None = None,
+    jobs: int | None = None,
     scheduler: str = "",
 ) -> str:
-    """Solve twin experiments with truths from the prior; write OUT/coverage.md and return its conclusion.
+    """Solve twin experiments with truths from the prior, side by side, each on one thread.
 
     Parameters
     ----------
-    quick
-        Two twins of the first family.
     twins
-        Of each family, in place of 40, or 20 of velocities-gns and baffles-gns.
+        Of each family, in place of its own number.
     only
-        Families to solve (front, profile, front-noise, front-fine, profile-fine, cohesion, cohesion-fine, floor,
-        floor-fine, outlier, cells, terrain, layers, velocities, baffles; with stated priors: prior-normal,
-        prior-lognormal, prior-triangular, prior-correlated; where the surrogate leads: front-gns, velocities-gns,
-        baffles-gns, front-adapted); the page has all that there are in `keep`.
+        Families of `coverage.toml` to solve; the page has all that there are in KEEP.
     model
         Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
+    jobs
+        Processes that solve a twin each; one per processor unless given.
     scheduler
         Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
     """
     if unknown := [name for name in only if name not in FAMILIES]:
         raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
-    if twins is not None and twins < 1:
-        raise InputError(f"expected at least one twin, got {twins}", where="--twins")
-    asked = {
-        keep / name / f"{number:03d}.json": (FAMILIES[name], number, model)
-        for name in (only[:1] if quick else only)
-        for number in range(2 if quick else twins or FAMILIES[name].twins)
-    }
-    missing = [path for path in asked if read_twin(path) is None]
-    tasks = [asked[path] for path in missing]
-    if model is None and any(family.adapted for family, *_ in tasks):
+    for key, number in (("--twins", twins), ("--jobs", jobs)):
+        if number is not None and number < 1:
+            raise InputError(f"expected an integer of at least 1, got {number}", where=key)
+    if scheduler and jobs is not None:
+        raise InputError("expected none with --scheduler, whose workers are the jobs", where="--jobs")
+    if model is None and any(FAMILIES[name].adapted for name in only):
         raise InputError("expected the folder of an adaptation", key="--model")
-    with nullcontext() if not scheduler else connected(scheduler) as workers:
-        results: Iterator[tuple[int, Twin]] = (
-            enumerate(solve_twin(*task) for task in tasks)
-            if workers is None
-            else workers.finished(solve_twin, [(*task, 1) for task in tasks])
-        )
-        for index, result in tqdm(results, total=len(tasks), unit="twin", leave=False, disable=None):
-            write_json(missing[index], asdict(result))
-    stored = {
-        family: [twin for path in sorted((keep / name).glob("[0-9]*.json")) if (twin := read_twin(path))]
-        for name, family in FAMILIES.items()
-    }
-    found = {family: some for family, some in stored.items() if some}
+    with kept(keep) as folder:
+        asked = {
+            (folder / name / f"{number:03d}.json").absolute(): (FAMILIES[name], number, model)
+            for name in only
+            for number in range(twins or FAMILIES[name].twins)
+        }
+        missing = [path for path in asked if read_twin(path) is None]
+        os.environ |= ONE_THREAD
+        with connected(scheduler) if scheduler else pool(min(jobs or processors(), len(missing) or 1)) as workers:
+            stored = workers.finished(store_twin, [(path, *asked[path]) for path in missing])
+            list(tqdm(stored, total=len(missing), unit="twin", leave=False, disable=None))
+        every = {
+            family: [twin for path in sorted((folder / name).glob("[0-9]*.json")) if (twin := read_twin(path))]
+            for name, family in FAMILIES.items()
+        }
+    found = {family: some for family, some in every.items() if some}
     draw(out / "coverage.png", found)
-    flags = "" if twins is None else f" --twins {twins}"
-    flags += "" if only == DEFAULT else "".join(f" --only {name}" for name in only)
-    flags += "" if model is None else " --model RUN"
-    return page(found, flags=flags, quick=quick).write(out / "coverage.md")
+    return page(found).write(out)
 
 
 def read_twin(path: Path) -> Twin | None:
@@ -225,9 +157,14 @@ def read_twin(path: Path) -> Twin | None:
     return None if (known := read_json(path)) is None else from_mapping(Twin, known)
 
 
-def solve_twin(family: Family, number: int, model: Path | None = None, threads: int | None = None) -> Twin:
-    """Solve the twin of this number; model: of an adaptation; threads: of the MPM, all cores unless given."""
-    simulate = simulate_many if threads is None else partial(simulate_many, threads=threads)
+def store_twin(path: Path, family: Family, number: int, model: Path | None) -> None:
+    """Solve a twin and write where it has its truth: a process that is to end finishes its twin first."""
+    write_json(path, asdict(solve_twin(family, number, model)))
+
+
+def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
+    """Solve the twin of this number on one thread; model: of an adaptation."""
+    simulate = partial(simulate_many, threads=1)
     problem = drawn(family, number)
     if family.outlier == 0.0:
         found = solve(problem, simulate=simulate, model=model if family.adapted else None)
@@ -254,20 +191,26 @@ def drawn(family: Family, number: int) -> Problem:
     scene = replace(asked.scene, seed=int(rng.integers(2**31)))
     if family.cell is not None:
         scene = scene.with_cell(family.cell)
-    finer = None if family.finer is None else family.finer * scene.domain.cell
     return replace(
         asked,
         scene=scene,
         observations=tuple(
             replace(each, noise=each.noise if family.noise is None else family.noise) for each in asked.observations
         ),
-        target=TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=finer),
+        target=TargetSettings(
+            twin=True,
+            seed=FIRST_SEED + number,
+            truth=truth,
+            cell=None if family.finer is None else family.finer * scene.domain.cell,
+        ),
         surrogate=family.surrogate,
     )
 
 
 def stated(family: Family) -> Problem:
-    problem = read_problem(family.problem)
+    """The problem of a family, with its priors."""
+    beside = Path(__file__).parent / family.problem
+    problem = read_problem(str(beside) if beside.exists() else family.problem)
     if not family.priors:
         return problem
     both = zip(problem.parameters, family.priors, strict=True)
@@ -299,34 +242,24 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     )
 
 
-def page(found: Mapping[Family, Sequence[Twin]], *, flags: str, quick: bool) -> Page:
-    tested = {
-        level: [family.title for family, each in found.items() if not low <= held(each, level) <= high]
-        for level, (low, high) in WITHIN.items()
-    }
-    uneven = [family.title for family, each in found.items() if uniformity(each) < SIGNIFICANT]
-    every = [each for twins_of_one in found.values() for each in twins_of_one]
-    conclusion = [
-        f"{len(every)} twin experiments of {len(found)} kinds, truths drawn from the prior.",
-        *(
-            f"{level:.0%} regions hold {held(every, level):.0%} of the truths; outside of {WITHIN[level][0]:.0%} "
-            f"to {WITHIN[level][1]:.0%}: {', '.join(names) or 'none'}."
-            for level, names in tested.items()
-        ),
-        f"Ranks are not uniform (p below {SIGNIFICANT:g}) for {', '.join(uneven) or 'none'}.",
-    ]
-    bench = f"coverage{flags} --out docs"
-    result = Page("Coverage of the posterior", bench, conclusion, packages=MPM | GNS, quick=quick)
-    result.picture("coverage.png", "share of the truths that a region holds over the region's share")
-    result.text(f"""
-        A truth is drawn from the prior, its flow by the MPM with a jitter seed of its own is observed, and the loop
-        solves for it. A region of highest density holds the truth where less than its share of the posterior is denser.
-        p-values: Kolmogorov-Smirnov of that share, and chi-square of the ranks of all numbers in {BINS} bins.
-        Intervals are those of the answer that holds most of the numbers.
-    """)
-    result.table([row(family, each) for family, each in found.items()])
-    result.frozen(RUNS_ALONE)
-    return result
+def page(found: Mapping[Family, Sequence[Twin]]) -> Page:
+    """The page of all twins that were solved, by their families."""
+    every = [each for twins in found.values() for each in twins]
+    said = [f"{len(every)} inversions with known parameters, of {len(found)} kinds, test the stated uncertainty."]
+    for level, (low, high) in WITHIN.items():
+        shares = {family.title: held(twins, level) for family, twins in found.items()}
+        beyond = [title for title, share in shares.items() if not low <= share <= high]
+        said.append(
+            f"The {level:.0%} regions contain the true parameters in {held(every, level):.0%} of all cases;"
+            f" {len(found) - len(beyond)} of {len(found)} kinds lie within {low:.0%} to {high:.0%}, as chance allows."
+        )
+    uneven = [family.title for family, twins in found.items() if uniformity(twins) < SIGNIFICANT]
+    kinds = "; ".join(uneven) or "none"
+    said.append(f"Kinds whose truths are unevenly distributed over the posterior (p below {SIGNIFICANT:g}): {kinds}.")
+    flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in found)
+    flags += " --model RUN" * any(family.adapted for family in found)
+    rows = [row(family, twins) for family, twins in found.items()]
+    return Page("coverage", said, flags=flags, packages=MPM | GNS, bins=BINS, twins=rows)
 
 
 def held(found: Sequence[Twin], level: float) -> float:
@@ -348,18 +281,18 @@ def ranks(found: Sequence[Twin]) -> float:
 
 
 def row(family: Family, found: Sequence[Twin]) -> Row:
-    verdicts, count = [each.verdict for each in found], len(found[0].below)
+    shares = {level: held(found, level) for level in REGIONS}
+    ranges = {level: WITHIN.get(level, (0.0, 1.0)) for level in REGIONS}
+    within = [emphasised(f"{shares[level]:.0%}", low <= shares[level] <= high) for level, (low, high) in ranges.items()]
+    inside = sum(each.inside for each in found) / (len(found[0].below) * len(found))
     return {
-        "twins of": family.title,
-        "problem": f"`{Path(family.problem).stem}`",
-        "twins": len(found),
-        **{f"in the {level:.0%} region": f"{held(found, level):.0%}" for level in REGIONS},
-        "p, regions": f"{uniformity(found):.2g}",
-        "p, ranks": f"{ranks(found):.2g}",
-        "true values within intervals": f"{sum(each.inside for each in found) / (count * len(found)):.0%}",
-        "verdicts": ", ".join(f"{verdicts.count(each)} {each}" for each in dict.fromkeys(verdicts)),
+        "inversions": f"{family.title}: {len(found)}",
+        "truths in the " + " / ".join(f"{level:.0%}" for level in REGIONS) + " region": " / ".join(within),
+        "p, regions / ranks": f"{uniformity(found):.2g} / {ranks(found):.2g}",
+        "numbers in their intervals": f"{inside:.0%}",
+        "confirmed": f"{sum(each.verdict == 'confirmed' for each in found)} of {len(found)}",
         "MPM runs": f"{np.median([each.runs for each in found]):.0f}",
-        "s": f"{np.median([each.seconds for each in found]):.0f}",
+        "seconds": f"{np.median([each.seconds for each in found]):.0f}",
     }
 
 

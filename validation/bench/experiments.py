@@ -11,6 +11,7 @@ import numpy as np
 
 from datasets.trajectory import Trajectory
 from mpm import AT_REST
+from validation.bench.keep import Keep, Out, kept
 from validation.experiments.experiment import (
     FOLDER,
     Angle,
@@ -22,7 +23,7 @@ from validation.experiments.experiment import (
     quantity,
     read_experiments,
 )
-from validation.report.page import Page, emphasised, percent, rms, signed
+from validation.report.page import Page, emphasised, percent, signed
 from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure
 from validation.runs import Run, RunStore
 
@@ -30,7 +31,6 @@ CLOSE = 2.0
 """Spreads within which a number agrees."""
 LADDER_DEG = (16.0, 20.0, 24.0, 28.0, 32.0)
 """Angles at which every case is run on its coarse cells: the slope of its front."""
-QUICK = "aluminium-rods"
 INFERRED = "inferred"
 """Name of an angle that comes from the experiment itself."""
 RECORDED = 5
@@ -47,30 +47,17 @@ Flows = dict[Asked, Callable[[Measured], float]]
 class Score:
     """A measured number beside the computed one."""
 
-    experiment: str
-    case: MeasuredScene
+    label: str
+    """Experiment, case, quantity."""
     measured: Measured
-    name: str
-    """Of the angle."""
-    reading: Reading
+    angle: str
+    """Such as 22.0° (repose, μ(I))."""
+    independent: bool
+    """Whether the angle was measured by itself, not inferred from this experiment."""
     coarse: float
     """Computed on the coarse cells [m]; nan where there was no such run."""
     fine: float
     """On the fine cells [m]; the coarse one's for another angle than the first."""
-
-    @property
-    def label(self) -> str:
-        return f"{self.experiment}, {self.case.name}, {self.measured.quantity}"
-
-    @property
-    def angle(self) -> str:
-        """Such as 22.0° (repose, μ(I))."""
-        read = [self.name, *(["μ(I)"] if self.reading.rate else []), *({self.reading.angle} - {"slope"})]
-        return f"{self.reading.deg:.1f}° ({', '.join(read)})"
-
-    @property
-    def independent(self) -> bool:
-        return self.name != INFERRED
 
     @property
     def error(self) -> float:
@@ -87,54 +74,57 @@ class Score:
 class Inferred:
     """The angle at which the front is the measured one, beside the material's own."""
 
-    experiment: str
-    case: MeasuredScene
-    angles: tuple[Angle, ...]
-    """The material's own; empty where none was measured."""
-    coarse_deg: float
-    """By the runs on the coarse cells alone [deg]; nan where no angle of the ladder gives what was measured."""
+    label: str
+    """Experiment and case."""
+    own: Angle | None
+    """The material's; None where none was measured."""
     deg: float
-    """On the fine cells [deg]."""
+    """On the fine cells [deg]; nan where no angle gives what was measured."""
     half_width_deg: float
     """By CLOSE times the measurement's spread [deg]."""
 
     @property
     def difference_deg(self) -> float:
-        """Inferred on the fine cells less measured [deg]; nan where either is missing."""
-        return self.deg - self.angles[0].deg if self.angles else math.nan
+        """Inferred less measured [deg]; nan where either is missing."""
+        return math.nan if self.own is None else self.deg - self.own.deg
 
     @property
     def agrees(self) -> bool:
         """Whether the two ranges overlap; False where either is missing."""
-        return bool(self.angles) and abs(self.difference_deg) <= self.half_width_deg + self.angles[0].half_width_deg
+        return self.own is not None and abs(self.difference_deg) <= self.half_width_deg + self.own.half_width_deg
 
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
     shipped: tuple[Shipped, ...]
-    scores: tuple[Score, ...]
+    scores: list[Score]
     """At the first angle of each experiment, or at the inferred one where it has none."""
-    others: tuple[Score, ...]
+    others: list[Score]
     """At its other angles, on the coarse cells."""
-    inferred: tuple[Inferred, ...]
+    inferred: list[Inferred]
 
 
-def bench(out: Path, *, quick: bool, keep: Path, experiments: Path = FOLDER) -> str:
-    """Run all experiments in the folder `experiments`: experiments.md and its picture.
+def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
+    """Compute all measured experiments, and infer their angles from their fronts.
 
-    quick: the aluminium rods alone. Raises InputError for an experiment that cannot be read.
+    Raises InputError for an experiment that cannot be read.
+
+    Parameters
+    ----------
+    experiments
+        Folder that holds a folder for each experiment; those that ship unless given.
     """
-    shipped = [each for each in read_experiments(experiments) if each.name == QUICK or not quick]
-    findings = compute(shipped, RunStore(keep).run)
+    with kept(keep) as folder:
+        findings = compute(read_experiments(experiments), RunStore(folder).run)
     draw(out / "experiments.png", findings)
-    return page(findings, quick=quick).write(out / "experiments.md")
+    return page(findings).write(out)
 
 
 def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
     """Run everything: every case over the ladder on its coarse cells, and once on its fine ones."""
     pairs = [(each, case) for each in shipped for case in each.experiment.cases]
-    readings = {each: dict.fromkeys((*ladder(each), *each.experiment.readings)) for each in shipped}
-    coarse = run([(each, case, reading) for each, case in pairs for reading in readings[each]], 0, simulate)
+    asked = [(e, case, r) for e, case in pairs for r in dict.fromkeys((*ladder(e), *e.experiment.readings))]
+    coarse = run(asked, 0, simulate)
     crossings = {
         (each, case): crossing({r.deg: coarse[each, case, r](case.extent) for r in ladder(each)}, case.extent.value)
         for each, case in pairs
@@ -147,47 +137,43 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         if not math.isnan(reading.deg)
     ]
     fine = run(firsts, 1, simulate)
-    inferred = [
-        Inferred(
-            experiment=each.name,
-            case=case,
-            angles=each.experiment.angles,
-            coarse_deg=coarse_deg,
-            deg=first.deg + (case.extent.value - fine[each, case, first](case.extent)) / slope,
-            half_width_deg=abs(CLOSE * case.extent.spread / slope),
-        )
-        for each, case, first in firsts
-        for coarse_deg, slope in [crossings[each, case]]
-    ]
-    # Where no angle was measured, what else was is held against a run at the inferred one.
-    again = [
-        (each, case, replace(first, deg=one.deg))
-        for (each, case, first), one in zip(firsts, inferred, strict=True)
-        if not each.experiment.angles and case.measured[1:]
-    ]
-    fine |= run(again, 1, simulate)
-    scores: list[Score] = []
-    others: list[Score] = []
-    for each, case, first in (*(one for one in firsts if one[0].experiment.angles), *again):
-        angles = each.experiment.angles
-        names = [angle.name for angle in angles] or [INFERRED]
-        for reading, name in zip(each.experiment.readings or [first], names, strict=True):
-            known: Callable[[Measured], float] = coarse.get((each, case, reading), lambda _: math.nan)
-            best = fine[each, case, first] if reading == first else known
-            (scores if reading == first else others).extend(
-                Score(
-                    experiment=each.name,
-                    case=case,
-                    measured=measured,
-                    name=name,
-                    reading=reading,
-                    coarse=known(measured),
-                    fine=best(measured),
-                )
-                # An inferred angle says nothing of the number that it was inferred from.
-                for measured in case.measured[0 if angles else 1 :]
+    found = Findings(shipped=tuple(shipped), scores=[], others=[], inferred=[])
+    for each, case, first in firsts:
+        slope, angles, extent = crossings[each, case][1], each.experiment.angles, case.extent
+        deg = first.deg + (extent.value - fine[each, case, first](extent)) / slope
+        found.inferred.append(
+            Inferred(
+                label=f"{each.name}, {case.name}",
+                own=angles[0] if angles else None,
+                deg=deg,
+                half_width_deg=abs(CLOSE * extent.spread / slope),
             )
-    return Findings(shipped=tuple(shipped), scores=tuple(scores), others=tuple(others), inferred=tuple(inferred))
+        )
+        # Where no angle was measured, what else was is held against a run at the inferred one.
+        again = replace(first, deg=deg)
+        if not angles and case.measured[1:]:
+            fine |= run([(each, case, again)], 1, simulate)
+        for reading, name in zip(
+            each.experiment.readings or [again], [a.name for a in angles] or [INFERRED], strict=True
+        ):
+            known: Callable[[Measured], float] = coarse.get((each, case, reading), lambda _: math.nan)
+            for measured in case.measured if angles else case.measured[1:]:
+                score = Score(
+                    label=f"{each.name}, {case.name}, {measured.quantity}",
+                    measured=measured,
+                    angle=said(reading, name),
+                    independent=bool(angles),
+                    coarse=known(measured),
+                    fine=fine.get((each, case, reading), known)(measured),
+                )
+                (found.others if reading in each.experiment.readings[1:] else found.scores).append(score)
+    return found
+
+
+def said(reading: Reading, name: str) -> str:
+    """An angle with its name and how it is read."""
+    read = [name, *(["μ(I)"] if reading.rate else []), *({reading.angle} - {"slope"})]
+    return f"{reading.deg:.1f}° ({', '.join(read)})"
 
 
 def ladder(shipped: Shipped) -> list[Reading]:
@@ -219,106 +205,70 @@ def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float
     return (a + (target - fronts[a]) / (fronts[b] - fronts[a]) * (b - a) if inside else math.nan), slope
 
 
-def page(findings: Findings, *, quick: bool) -> Page:
-    text = Page("Measured experiments", "experiments", conclusion(findings), quick=quick)
-    text.picture("experiments.png", "measured against computed")
-    text.text(f"""
-        Every experiment is a folder in `validation/experiments`: scene, numbers, spread, source, licence, and what the
-        authors do not state with the choice that was made. A number was read in a source or is worked out from such
-        numbers; where sources disagree the band between them is the target, its half width the spread. Scenes are
-        computed until they rest, undamped, one jitter each; nothing is fitted. The error is (computed - measured) /
-        spread on the fine cells; bold where it is beyond {CLOSE:g}, with the reason below.
-
-        One rule for all: an angle is [that of a slope](how-to/angle.md). At the repose angle a flow stops: it is μ_s,
-        and friction grows with the inertial number by the numbers of glass beads. At an avalanche angle grains begin
-        to flow: it is the friction of all of the flow. The repose angle comes first; the error at the other one is of
-        the coarse cells. An inferred angle is that of the next table, by the same experiment's final extent.
-    """)
-    text.section("At the measured angle")
-    text.table(
-        [
-            {
-                "experiment": each.label,
-                "angle": each.angle,
-                "measured [m]": f"{each.measured.value:.4f} ± {each.measured.spread:.4f}",
-                "coarse cells [m]": "-" if math.isnan(each.coarse) else f"{each.coarse:.4f}",
-                "fine cells [m]": f"{each.fine:.4f}",
-                "error [spreads]": emphasised(f"{each.error:+.1f}", each.agrees),
-                "at the other angle": ", ".join(
-                    f"{other.error:+.1f} at {other.angle}"
-                    for other in findings.others
-                    if (other.label, other.measured) == (each.label, each.measured)
-                ),
-            }
-            for each in findings.scores
-        ]
-    )
+def page(findings: Findings) -> Page:
+    scores = [
+        {
+            "experiment": each.label,
+            "angle": each.angle,
+            "measured [m]": f"{each.measured.value:.4f} ± {each.measured.spread:.4f}",
+            "coarse cells [m]": "-" if math.isnan(each.coarse) else f"{each.coarse:.4f}",
+            "fine cells [m]": f"{each.fine:.4f}",
+            "error [spreads]": emphasised(f"{each.error:+.1f}", each.agrees),
+            "at the other angle": ", ".join(
+                f"{other.error:+.1f} at {other.angle}"
+                for other in findings.others
+                if (other.label, other.measured) == (each.label, each.measured)
+            ),
+        }
+        for each in findings.scores
+    ]
+    inferred = [
+        {
+            "experiment": each.label,
+            "measured": f"{a.deg:.1f} ± {a.half_width_deg:.1f}° ({a.name})" if (a := each.own) else "",
+            "inferred": "none" if math.isnan(each.deg) else f"{each.deg:.1f} ± {each.half_width_deg:.1f}°",
+            "difference [°]": "-" if math.isnan(each.difference_deg) else f"{each.difference_deg:+.1f}",
+        }
+        for each in findings.inferred
+    ]
     beyond = [each for each in findings.scores if not each.agrees]
     reasons = [f"- {each.label}: {each.measured.explanation or 'No reason is known.'}" for each in beyond]
-    text.text("\n".join(reasons))
-    text.section("The angle from the front")
-    text.text("""
-        The slope's angle at which the front is the measured one, with all else as above: from the run on the fine
-        cells by the slope of those on the coarse ones. ± is by two spreads of the measurement, without the
-        discrepancy of the model.
-    """)
-    text.table(
-        [
-            {
-                "experiment": f"{each.experiment}, {each.case.name}",
-                "measured": ", ".join(f"{a.deg:.1f} ± {a.half_width_deg:.1f}° ({a.name})" for a in each.angles[:1]),
-                "coarse cells": "none" if math.isnan(each.coarse_deg) else f"{each.coarse_deg:.1f}°",
-                "fine cells": "none" if math.isnan(each.deg) else f"{each.deg:.1f} ± {each.half_width_deg:.1f}°",
-                "difference [°]": "-" if math.isnan(each.difference_deg) else f"{each.difference_deg:+.1f}",
-            }
-            for each in findings.inferred
-        ]
+    sources = [f"- `{e.name}`: {e.experiment.source} ({e.experiment.licence})." for e in findings.shipped]
+    return Page(
+        "experiments",
+        conclusion(findings),
+        close=CLOSE,
+        scores=scores,
+        reasons="\n".join(reasons),
+        inferred=inferred,
+        sources="\n".join(sources),
     )
-    text.section("Sources")
-    for shipped in findings.shipped:
-        text.text(f"- `{shipped.name}`: {shipped.experiment.source} ({shipped.experiment.licence}).")
-    return text
 
 
 def conclusion(findings: Findings) -> list[str]:
+    """Lengths and fronts forward, angles backward."""
     scores = [each for each in findings.scores if each.independent]
     inferred = [each for each in findings.inferred if not math.isnan(each.difference_deg)]
     if not scores:
         return ["No experiment has an angle of friction of its own."]
-    agreed = sum(each.agrees for each in scores)
     largest = max(scores, key=lambda each: abs(each.error))
     fronts = [each for each in scores if each.measured.quantity in (Quantity.FRONT, Quantity.RADIUS)]
     far = [each.fine / each.measured.value - 1.0 for each in fronts]
     mean, moved = float(np.mean(far)), max(abs(each.fine / each.coarse - 1.0) for each in fronts)
     lines = [
-        f"At angles of friction measured by themselves, nothing fitted, {agreed} of {len(scores)} lengths are within"
-        f" {CLOSE:g} times their spread; rms {rms([each.error for each in scores]):.1f} spreads, at most"
-        f" {largest.error:+.1f} ({largest.label}).",
-        f"Fronts come {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average, {signed(min(far))} to"
-        f" {signed(max(far))}; from coarse to fine cells they move by {percent(moved)} at most.",
+        f"With independently measured angles of friction and nothing fitted, {sum(each.agrees for each in scores)} of"
+        f" {len(scores)} computed lengths lie within {CLOSE:g} spreads of the measured ones; the largest error is"
+        f" {largest.error:+.1f} spreads ({largest.label}).",
+        f"Fronts are {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average, {signed(min(far))} to"
+        f" {signed(max(far))}; finer cells move them by at most {percent(moved)}.",
     ]
     if inferred:
         off = [each.difference_deg for each in inferred]
         lines.append(
-            f"The angle inferred from the front alone is {abs(np.mean(off)):.1f}°"
-            f" {'above' if sum(off) > 0.0 else 'below'} the measured one on average, {rms(off):.1f}° rms,"
-            f" {min(off):+.1f} to {max(off):+.1f}°; in {sum(each.agrees for each in inferred)} of {len(inferred)} cases"
-            " the two ranges overlap."
+            f"The angle inferred from a front is {abs(np.mean(off)):.1f}° {'above' if sum(off) > 0.0 else 'below'} the"
+            f" measured one on average, {min(off):+.1f}° to {max(off):+.1f}°; the ranges of"
+            f" {sum(each.agrees for each in inferred)} of {len(inferred)} cases overlap."
         )
-    if findings.others:
-        cases = {(each.experiment, each.case.name) for each in findings.others}
-        same = [replace(each, fine=each.coarse) for each in scores if (each.experiment, each.case.name) in cases]
-        first, other = (rms([each.error for each in group]) for group in (same, findings.others))
-        lines.append(
-            f"Where there are two readings, on the coarse cells the first leaves {first:.1f} spreads rms and"
-            f" {sum(not each.agrees for each in same)} lengths beyond {CLOSE:g}, the other one {other:.1f} and"
-            f" {sum(not each.agrees for each in findings.others)}."
-        )
-    lines += [
-        f"{each.label}: {each.error:+.1f} spreads at the angle that is inferred from its final extent."
-        for each in findings.scores
-        if not each.independent
-    ]
     return lines
 
 

@@ -1,12 +1,11 @@
 """`python -m validation.bench gpu`: rates of the MPM and a step of the network on a GPU, beside the processor."""
 
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.processes import processors
-from validation.bench.network import network_rows
+from validation.bench.keep import Out
+from validation.bench.network import PER_NODE, network_rows
 from validation.bench.speed import Case, Mode, rate, rate_rows
 from validation.report.measuring import Spread, turns
 from validation.report.page import GNS, MPM, Page, between
@@ -22,15 +21,13 @@ CASES = (
 )
 
 
-def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
+def bench(*, out: Out, rounds: int = 2) -> str:
     """Measure rates over sizes and steps of the networks on a GPU, in turn with all processors of the same machine.
 
-    Nothing is kept in KEEP. Raises InputError where there is no GPU.
+    Raises InputError where there is no GPU.
 
     Parameters
     ----------
-    quick
-        A single frame of the small cases.
     rounds
         How often everything is measured, in turn; the tables give the median and the range.
     """
@@ -38,39 +35,23 @@ def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
 
     if not cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", where="bench gpu")
-    rounds = 1 if quick else rounds
-    cases = [replace(each, frames=1) for each in CASES[:2]] if quick else CASES
     threads = processors()
     modes: list[Mode] = [("f32", threads), ("f32", 0), ("f64", 0)]
-    timed = turns({(case, mode): partial(rate, case, mode) for mode in modes for case in cases}, rounds, "rates")
+    timed = turns({(case, mode): partial(rate, case, mode) for mode in modes for case in CASES}, rounds, "rates")
     rates = {key: Spread(found) for key, found in timed.items()}
-    beside = [network_rows(rounds=rounds, sizes=1 if quick else 3, device=device) for device in ("cpu", "cuda")]
-    gains = {case: rates[case, ("f32", 0)].median / rates[case, ("f32", threads)].median for case in cases}
-    least, most = min(gains, key=gains.__getitem__), max(gains, key=gains.__getitem__)
-    sizes = {case.dimension: case for case in sorted(cases, key=lambda case: rates[case, ("f32", 0)].median)}
-    best = [f"{rates[case, ('f32', 0)].median:.0f} ({size}D)" for size, case in sorted(sizes.items())]
-    on_cpu, on_gpu = ([float(row["µs per node"]) for row in rows] for rows in beside)
+    beside = [network_rows(rounds=rounds, device=device) for device in ("cpu", "cuda")]
+    gains = {case: rates[case, ("f32", 0)].median / rates[case, ("f32", threads)].median for case in CASES}
+    least, most = sorted(gains, key=gains.__getitem__)[:: len(CASES) - 1]
+    best = {size: max(rates[case, ("f32", 0)].median for case in CASES if case.dimension == size) for size in (2, 3)}
+    on_cpu, on_gpu = ([float(row[PER_NODE]) for row in rows] for rows in beside)
     said = [
-        f"One {cuda.get_device_name()} makes up to {' and '.join(best)} million particle-steps a second:"
-        f" {gains[least]:.1f} ({described(least)}) to {gains[most]:.1f} times ({described(most)}) what {threads}"
-        " threads beside it make of the same scenes.",
-        f"A step of the networks with its gradient takes {between(on_gpu, '.0f')} µs for each node there, the fewest"
-        f" where there are the most nodes; {between(on_cpu, '.0f')} on one thread.",
+        f"One {cuda.get_device_name()} computes up to {best[2]:.0f} million particle-steps per second in 2D and"
+        f" {best[3]:.0f} million in 3D.",
+        f"Beside {threads} threads of the same machine it is {gains[least]:.1f} times as fast for {least.text} and"
+        f" {gains[most]:.1f} times for {most.text}.",
+        f"A step of the networks with its gradient takes {between(on_gpu, '.0f')} µs per node on the GPU, and"
+        f" {between(on_cpu, '.0f')} µs on one thread.",
     ]
-    text = Page("Speed on a GPU", f"gpu --rounds {rounds}", said, packages=MPM | GNS, quick=quick)
-    text.section("Million particle-steps a second of the MPM")
-    text.text("""
-        The scenes of [speed](speed.md), one or copies side by side, and a body of 4 million particles. Medians of
-        rounds in turn, in brackets minimum and maximum. The transfer to and from the GPU is included, compilation not.
-    """)
-    text.table(rate_rows(rates))
-    text.section("A step of the network")
-    text.text("Seconds of one step, with its gradient with respect to the friction; the processor on one thread.")
-    text.table([row | {f"GPU, {key}": other[key] for key in list(row)[2:]} for row, other in zip(*beside, strict=True)])
-    return text.write(out / "gpu.md")
-
-
-def described(case: Case) -> str:
-    """The size of a case, for a sentence."""
-    copies = "" if case.scenes == 1 else f"{case.scenes} scenes of "
-    return f"{copies}{case.particles:,} particles in {case.dimension}D"
+    networks = [row | {f"GPU, {key}": other[key] for key in list(row)[3:]} for row, other in zip(*beside, strict=True)]
+    page = Page("gpu", said, flags=f" --rounds {rounds}", packages=MPM | GNS, rates=rate_rows(rates), networks=networks)
+    return page.write(out)

@@ -8,24 +8,25 @@ from validation.report.measuring import Spread, seconds_of
 
 LENGTHS = {2: (0.2, 1.5, 15.0), 3: (0.3, 1.2, 4.8)}
 """Of the body of a network's step [m], by dimension: it costs per node, and a longer one has as many neighbours."""
-ACROSS = {2: 0.4, 3: 0.3}
-"""Its height, in 3D its width too [m]."""
+ACROSS, CELLS = {2: 0.4, 3: 0.3}, {2: 0.01, 3: 0.03}
+"""Its height, in 3D its width too [m], and its cells [m]."""
+PER_NODE = "µs per node"
 
 
 def body(dimension: int, length: float) -> Scene:
     """A body of sand at rest at the left wall of a box."""
-    across, cell = ACROSS[dimension], 0.01 if dimension == 2 else 0.03
+    across = ACROSS[dimension]
     return Scene(
-        domain=Domain(size=(length + 0.6, 1.5 * across, across)[:dimension], cell=cell),
+        domain=Domain(size=(length + 0.6, 1.5 * across, across)[:dimension], cell=CELLS[dimension]),
         material=Material(friction_deg=30.0),
         masses=(Mass(lower=(0.0,) * dimension, size=(length, across, across)[:dimension]),),
         floor_friction=0.4,
     )
 
 
-def network_rows(*, rounds: int, sizes: int, device: str = "cpu") -> list[dict[str, str]]:
-    """A row for each model that ships and each of so many sizes: seconds of a step; one thread, medians of rounds."""
-    # Here, because `--help` and processes that only price a gradient do without PyTorch.
+def network_rows(*, rounds: int, device: str = "cpu") -> list[dict[str, str]]:
+    """A row for each model that ships and each length: seconds of a step; one thread, medians of rounds."""
+    # Here, because processes that only price a gradient do without PyTorch.
     import torch
 
     import gns
@@ -39,32 +40,33 @@ def network_rows(*, rounds: int, sizes: int, device: str = "cpu") -> list[dict[s
         simulator = gns.load(path)
         # A model scales every scene to the body of its training data; as it is, a longer one has more nodes.
         simulator.settings = replace(simulator.settings, body_length=None)
-        for length in LENGTHS[simulator.settings.dimension][:sizes]:
+        simulator.to(device)
+        for length in LENGTHS[simulator.settings.dimension]:
             initial = initial_state(body(simulator.settings.dimension, length), simulator.settings)
             state, conditions = initial.state.to(device), initial.conditions.to(device)
             friction = conditions.friction.clone().requires_grad_()
             conditions = replace(conditions, friction=friction)
-            simulator.to(device)
 
-            def forward() -> None:
-                with torch.no_grad():
-                    float(simulator(state, conditions).positions.sum())  # noqa: B023
+            def step(*, gradient: bool) -> None:
+                with torch.set_grad_enabled(gradient):
+                    moved = simulator(state, conditions).positions.sum()  # noqa: B023
+                    found = torch.autograd.grad(moved, friction)[0].sum() if gradient else moved  # noqa: B023
+                # As a number, which waits for a GPU.
+                float(found)
 
-            def backward() -> None:
-                moved = simulator(state, conditions).positions.sum()  # noqa: B023
-                # As a number, which waits for a GPU, as does the one above.
-                float(torch.autograd.grad(moved, friction)[0].sum())  # noqa: B023
+            def timed(*, gradient: bool) -> Spread:
+                step(gradient=gradient)
+                return Spread([seconds_of(lambda: step(gradient=gradient)) for _ in range(rounds)])
 
-            forward()
-            backward()
-            own, both = (Spread([seconds_of(work) for _ in range(rounds)]) for work in (forward, backward))
+            forward, both = timed(gradient=False), timed(gradient=True)
+            nodes = len(initial.indices)
             rows.append(
                 {
                     "model": f"`{path.stem}`",
-                    "nodes": f"{len(initial.indices):,}",
-                    "forward [s]": own.written(4),
+                    "nodes": f"{nodes:,}",
+                    "forward [s]": forward.written(4),
                     "with gradient [s]": both.written(4),
-                    "µs per node": f"{1.0e6 * both.median / len(initial.indices):.0f}",
+                    PER_NODE: f"{1.0e6 * both.median / nodes:.0f}",
                 }
             )
     torch.set_num_threads(threads)

@@ -1,14 +1,19 @@
 """`python -m validation.bench problems`: every shipped inverse problem, beside its criteria and the paper's figures."""
 
+import csv
 import hashlib
+import io
 import math
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from datasets.errors import InputError, WorkFailed
 from datasets.files import read_json, read_toml, write_text
@@ -17,17 +22,18 @@ from gns import library
 from inverse.answer import Verdict
 from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate
-from validation.report.page import GNS, MPM, Page, Row, between
+from validation.bench.keep import Keep, Out, kept
+from validation.report.page import GNS, MPM, Page, Row, between, emphasised, tables
+from validation.report.plots import BLUE, GREY, INK, ORANGE, RED, figure
 
 RESULT, KEY = "result.json", "made-of.txt"
-"""In the folder of a problem: what the loop wrote, and a digest of what it was made of."""
-ENDED = (0, 1)
-"""Exit statuses of a loop that came to an end: confirmed, and not."""
-QUICK = ("friction-short-21",)
-"""Problems of a quick page."""
-NAMED = 4
-"""With more numbers than these the range of their half-widths is given."""
-PICTURES = "pictures"
+"""Of a problem: what the loop wrote, and a digest of what it was made of."""
+ENDED = (0, 1)  # confirmed, and not
+LISTED = 4
+"""Of more numbers than these the page has one row."""
+ALONE, LED = "MPM alone", "surrogate leads"
+"""The two ways to an answer."""
+COLOURS = {ALONE: BLUE, LED: ORANGE}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +52,14 @@ class Criteria(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Paper(Record):
+    """What the reference paper reports of a problem; lengths in metres, angles in degrees."""
+
+    values: tuple[float, ...] = ()
+    loss: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Family(Record):
     title: str
     problems: tuple[str, ...]
@@ -56,22 +70,18 @@ class Family(Record):
     criteria: Criteria
 
     def inversions(self) -> list[tuple[Problem, str]]:
-        """What is solved, in turn: problems, and the names of their folders."""
-        found = []
-        for name in self.problems:
-            problem = read_problem(name)
-            found.append((problem, name))
-            if self.second is not None:
-                found.append((replace(problem, surrogate=self.second), f"{name}-{self.second}"))
-        return found
+        """What is solved: problems, and the names of their folders."""
+        first = [(read_problem(name), name) for name in self.problems]
+        if self.second is None:
+            return first
+        return first + [(replace(problem, surrogate=self.second), f"{name}-{self.second}") for problem, name in first]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shipped(Record):
     """`problems.toml`."""
 
-    paper: dict[str, str]
-    """What the reference paper reports of a problem."""
+    paper: dict[str, Paper]
     families: tuple[Family, ...]
 
 
@@ -81,91 +91,135 @@ def read_shipped() -> Shipped:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Number:
+    """What was found of an unknown number; None where it is not known."""
+
+    unknown: str
+    unit: str
+    truth: float | None
+    paper: float | None
+    surrogate: float | None
+    """The surrogate's own answer, before any run of the MPM."""
+    found: float
+    """The median of the posterior."""
+    low: float
+    high: float
+    """Its 2.5 % and 97.5 % quantiles."""
+
+    @property
+    def inside(self) -> bool:
+        """Whether the true value is known and lies within the interval."""
+        return self.truth is not None and self.low <= self.truth <= self.high
+
+    def off(self, value: float | None) -> float:
+        """A value less the true one; nan where one of them is not known."""
+        return math.nan if value is None or self.truth is None else value - self.truth
+
+
+@dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """A result with the problem and the criteria that belong to it."""
+    """A result with the problem, its criteria and what the paper reports of it."""
 
     problem: Problem
     criteria: Criteria
+    paper: Paper = Paper()
     result: dict[str, Any]
     """The contents of `result.json`."""
 
     @property
-    def half_widths(self) -> dict[str, float]:
-        return {name: self.result["certainty"][name] for name in self.problem.names}
+    def surrogate(self) -> dict[str, Any]:
+        """What `result.json` says of the surrogate."""
+        return self.result.get("surrogate") or {}
 
     @property
-    def errors(self) -> dict[str, float]:
-        """Errors of the numbers in their units; empty where the truth is not known."""
-        truth = self.result.get("truth") or {}
-        return {name: abs(self.result["unknowns"][name] - value) for name, value in truth.items()}
+    def way(self) -> str:
+        """How the answer was found."""
+        return LED if self.surrogate.get("asked") else ALONE
+
+    @cached_property
+    def numbers(self) -> list[Number]:
+        """What was found of each number."""
+        result, own, truth = self.result, self.surrogate.get("unknowns", {}), self.result.get("truth") or {}
+        known = dict(zip(self.problem.names, self.paper.values, strict=False))
+        return [
+            Number(
+                unknown=name,
+                unit=kind.unit,
+                truth=truth.get(name),
+                paper=known.get(name),
+                surrogate=own.get(name),
+                found=result["unknowns"][name],
+                low=result["interval"][name][0],
+                high=result["interval"][name][1],
+            )
+            for name, kind in zip(self.problem.names, self.problem.kinds, strict=True)
+        ]
 
     @property
-    def surrogate(self) -> bool:
-        return bool((self.result.get("surrogate") or {}).get("asked"))
-
-    def text(self, name: str, value: float) -> str:
-        return self.problem.kinds[self.problem.names.index(name)].text(value)
-
-    @property
-    def inside(self) -> int:
-        """How many true values are within their interval."""
-        ends, truth = self.result["interval"], self.result["truth"]
-        return sum(ends[name][0] <= truth[name] <= ends[name][1] for name in self.errors)
-
-    def percent(self, values: Mapping[str, float]) -> float:
-        """The largest of `values` by number over the true values [%]."""
-        truth = self.result["truth"]
-        return max((100.0 * values[each] / abs(truth[each]) if truth[each] else math.inf) for each in truth)
+    def fields(self) -> list[dict[str, Any]]:
+        """Of each unknown field, as `result.json` has it."""
+        return list(self.result.get("fields", ()))
 
     @property
     def missed(self) -> list[str]:
         """Criteria that it does not meet, with what came out."""
-        asked, result, count = self.criteria, self.result, len(self.errors)
+        asked, result, known = self.criteria, self.result, [each for each in self.numbers if each.truth is not None]
         front, loss = result["error_pct"].get("front") or 0.0, result["loss"].get("mpm") or 0.0
-        error, most = self.percent(self.errors) if count else 0.0, asked.unknown_error_pct
+        inside, most = sum(each.inside for each in known), asked.unknown_error_pct
+        shares = [(abs(n.off(n.found) / n.truth), 0.5 * (n.high - n.low) / abs(n.truth)) for n in known if n.truth]
+        error, width = 100.0 * np.max([(0.0, 0.0), *shares], axis=0)
         checks = {
-            f"verdict {asked.verdict}": result["verdict"] == asked.verdict,
-            f"front within {asked.front_error_pct:g} %: {front:.2f} %": front <= asked.front_error_pct,
-            f"loss of {asked.loss:.0e} m²: {loss:.1e}": loss <= asked.loss,
-            f"number within {most:g} %: {error:.2f} %": error <= most or most < self.percent(self.half_widths),
-            f"truth within the interval: {self.inside} of {count}": not asked.inside or self.inside == count,
+            f"verdict {result['verdict']}, expected {asked.verdict}": result["verdict"] == asked.verdict,
+            f"front {front:.2f} % off, at most {asked.front_error_pct:g} %": front <= asked.front_error_pct,
+            f"misfit {loss:.1e} m², at most {asked.loss:.0e} m²": loss <= asked.loss,
+            f"number {error:.2f} % off, at most {most:g} %": error <= most or most < width,
+            f"{inside} of {len(known)} true values in their intervals": not asked.inside or inside == len(known),
         }
         return [text for text, met in checks.items() if not met]
 
 
-def bench(out: Path, *, quick: bool, keep: Path, only: tuple[str, ...] = ()) -> str:
-    """Solve every shipped problem, fields included, that has no result in `keep`; the dear ones take most of the time.
+Outcomes = Mapping[str, Outcome]
+"""Of one problem, by the way to them."""
 
-    Each is a `python -m validation.loop` of its own in KEEP/NAME; of those that are solved with a surrogate and without
-    the second one is in KEEP/NAME-gns or KEEP/NAME-none.
-    A result is kept unless the problem or the surrogate's weights have changed since. An answer that the MPM does not
-    confirm is part of the page. Raises WorkFailed, once the page is written, where a problem could not be run.
+
+def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: bool = False) -> str:
+    """Solve every shipped problem that has no result in KEEP, by a `python -m validation.loop` each.
+
+    A result is kept in KEEP/NAME, one with the surrogate in KEEP/NAME-gns, one without in KEEP/NAME-none, until the
+    problem or the surrogate's weights change. Raises WorkFailed, once the page is written, where one could not be run.
 
     Parameters
     ----------
-    quick
-        One problem.
     only
         Solve these alone; the page has all that there are.
+    as_kept
+        Solve nothing: write the page from the results in KEEP, whatever they were made of.
     """
-    shipped = read_shipped()
-    families = shipped.families
-    names = [name for family in families for name in family.problems]
-    for name in only:
-        if name not in names:
-            raise InputError("expected the name of a shipped problem", where=name, key="--only")
-    requested, failed = only or (QUICK if quick else tuple(names)), []
-    found: dict[str, list[Outcome]] = {}
-    for family in families:
-        for problem, name in family.inversions():
-            folder = keep / name
-            if problem.name in requested and not is_current(problem, folder) and not ran(problem, folder):
-                failed.append(name)
-            if is_current(problem, folder):
-                outcome = Outcome(problem=problem, criteria=family.criteria, result=read_json(folder / RESULT) or {})
-                found.setdefault(family.title, []).append(outcome)
-    pictures = [name for family in families for each in family.pictures if (name := copied(keep, each, out))]
-    conclusion = page(found, pictures, shipped.paper, quick=quick).write(out / "problems.md")
+    shipped, failed, pictures = read_shipped(), list[str](), list[str]()
+    names = [name for family in shipped.families for name in family.problems]
+    if unknown := [name for name in only if name not in names]:
+        raise InputError("expected the name of a shipped problem", where=unknown[0], key="--only")
+    found: dict[str, dict[str, dict[str, Outcome]]] = {}
+    with kept(keep) as folder:
+        for family in shipped.families:
+            for problem, name in family.inversions():
+                asked = problem.name in (only or names) and not as_kept
+                if asked and not is_current(problem, folder / name) and not ran(problem, folder / name):
+                    failed.append(name)
+                result = read_json(folder / name / RESULT) if as_kept or is_current(problem, folder / name) else None
+                if result is not None:
+                    known = shipped.paper.get(problem.name, Paper())
+                    outcome = Outcome(problem=problem, criteria=family.criteria, paper=known, result=result)
+                    found.setdefault(family.title, {}).setdefault(problem.name, {}).setdefault(outcome.way, outcome)
+        for name in (each for family in shipped.families for each in family.pictures):
+            source, target = folder / f"{name}.png", out / "pictures" / f"{name.replace('/', '-')}.png"
+            if source.exists():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                pictures.append(Path(shutil.copyfile(source, target)).stem)
+    solved = [ways for problems in found.values() for ways in problems.values()]
+    write_csv(out / "problems.csv", [each for ways in solved for each in ways.values()])
+    draw(out / "pictures" / "problems.png", solved)
+    conclusion = page(found, pictures).write(out)
     if failed:
         raise WorkFailed(f"could not be run: {', '.join(failed)}")
     return conclusion
@@ -198,167 +252,147 @@ def ran(problem: Problem, folder: Path) -> bool:
     return True
 
 
-def copied(keep: Path, picture: str, out: Path) -> str:
-    """Copy PROBLEM/PICTURE beside the page; its name there, empty where there is none."""
-    source, target = keep / f"{picture}.png", f"{PICTURES}/{picture.replace('/', '-')}.png"
-    if not source.exists():
-        return ""
-    (out / PICTURES).mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(source, out / target)
-    return target
-
-
-def page(
-    found: Mapping[str, Sequence[Outcome]], pictures: Sequence[str], paper: Mapping[str, str], *, quick: bool
-) -> Page:
+def page(found: Mapping[str, Mapping[str, Outcomes]], pictures: Sequence[str]) -> Page:
     """The page of all problems that were `found`, by their families' titles."""
-    outcomes = [each for group in found.values() for each in group]
-    said = conclusion(outcomes)
-    result = Page("The inverse problems", "problems --out docs", said, packages=MPM | GNS, quick=quick)
-    result.text("""
-        Each problem is solved by one `python -m validation.loop`. Targets of twin experiments are runs of the MPM with
-        another initial jitter than the inversion's. Loss and front are those of the MPM at the answer; numbers are
-        medians with their 95 % intervals, of a problem with more than one answer those of the heaviest. The paper
-        (Choi and Kumar 2024) takes its targets from its own MPM; its front is the largest x, here the x that 99.5 % of
-        the volume is behind. The surrogate's own answer is found by its gradient alone, before any run of the MPM,
-        which then shows the loss and the front there.
-    """)
-    for title, group in found.items():
-        result.section(title)
-        fields = [field_row(each, field) for each in group for field in each.result.get("fields", ())]
-        result.table(fields or [row(each, paper) for each in group])
-    if any("fields" in each.result for each in outcomes):
-        result.text("""
-            Of a field: root mean square errors over its values, of the prior's mean and of what was found; identified
-            are values of whose prior variance the observation removes more than half.
-        """)
-    for name in pictures:
-        result.picture(name, Path(name).stem)
-    return result
-
-
-def conclusion(outcomes: Sequence[Outcome]) -> list[str]:
-    """What was confirmed, which criteria were missed, errors beside the paper's, half-widths, cost."""
-    if not outcomes:
-        return ["No problem has been solved yet."]
-    expected = sum(each.result["verdict"] == each.criteria.verdict for each in outcomes)
-    missed = [f"`{each.problem.name}`" for each in outcomes if each.missed]
-    known = [each for each in outcomes if each.errors]
-    truths = sum(len(each.errors) for each in known)
-    sentences = [
-        f"{expected} of {len(outcomes)} problems have the verdict that they should have; criteria are missed by "
-        f"{', '.join(missed) or 'none'}."
-    ]
-    if truths:
-        inside = sum(each.inside for each in known)
-        sentences.append(f"{inside} of {truths} true values are within their 95 % intervals.")
-    fields = [field for each in outcomes for field in each.result.get("fields", ())]
-    if fields:
-        values = sum(each["values"] for each in fields)
-        held = sum(each["values"] * each["truth_in_band"]["all"] for each in fields) / values
-        identified = between([each["identified"] for each in fields], ".0%")
-        sentences.append(
-            f"Of {values} values of {len(fields)} fields {held:.0%} lie within their 95 % bands; the observation "
-            f"identifies {identified} of a field."
-        )
-    runs = [len(each.result["mpm_runs"]) for each in outcomes]
-    seconds = [each.result["seconds"]["total"] for each in outcomes]
-    sentences.append(f"A problem takes {between(runs, '.0f')} MPM runs and {between(seconds, '.0f')} s.")
-    if both := both_ways(outcomes, lambda result: len(result["mpm_runs"])):
-        with_it, without = ([each[asked] for each in both] for asked in (True, False))
-        text = (
-            f"Where both ways were gone, it takes {between(with_it, '.0f')} MPM runs with a surrogate that leads, "
-            f"{between(without, '.0f')} without"
-        )
-        dear = {each.problem.name for each in outcomes if each.surrogate and each.problem.surrogate is Surrogate.AUTO}
-        asked = [each for each in outcomes if each.problem.name in dear]
-        times = both_ways(asked, lambda result: result["seconds"]["total"])
-        if ratios := [each[True] / each[False] for each in times]:
-            text += f"; where a run of the MPM is dear, {between(ratios, '.0%')} of the seconds"
-        sentences.append(f"{text}.")
-    return sentences
-
-
-def both_ways(outcomes: Sequence[Outcome], figure: Callable[[dict[str, Any]], float]) -> list[dict[bool, float]]:
-    """A figure of the results of each problem that was solved with a surrogate (True) and without (False)."""
-    ways: dict[str, dict[bool, float]] = {}
-    for each in outcomes:
-        ways.setdefault(each.problem.name, {})[each.surrogate] = figure(each.result)
-    return [each for each in ways.values() if len(each) == len((True, False))]
-
-
-def row(outcome: Outcome, paper: Mapping[str, str]) -> Row:
-    result = outcome.result
-    front, loss = result["error_pct"].get("front"), result["loss"].get("mpm")
-    return {
-        "problem": f"`{outcome.problem.name}`",
-        "the paper": paper.get(outcome.problem.name, ""),
-        "verdict": result["verdict"],
-        "the surrogate's own": own_text(outcome),
-        "found": found_text(outcome),
-        "largest error": error_text(outcome),
-        "truth inside": f"{outcome.inside} of {len(outcome.errors)}" if outcome.errors else "-",
-        "front off by": "-" if front is None else f"{front:.2f} %",
-        "loss": "-" if loss is None else f"{loss:.1e}",
-        "missed": "; ".join(outcome.missed) or "-",
-        "MPM runs": len(result["mpm_runs"]),
-        "s": f"{result['seconds']['total']:.0f}",
-    }
-
-
-def own_text(outcome: Outcome) -> str:
-    """The surrogate's own first answer, and what the MPM shows there."""
-    said = outcome.result.get("surrogate") or {}
-    if "unknowns" not in said:
-        return "-"
-    names, error = outcome.problem.names, said["mpm_error"]
-    texts = [outcome.text(each, said["unknowns"][each]) for each in names] if len(names) <= NAMED else []
-    front = [f"front {error['front_pct']:.2f} % off"] if "front_pct" in error else []
-    return ", ".join([*texts, f"loss {error['misfit']:.1e}", *front])
-
-
-def found_text(outcome: Outcome) -> str:
-    """The numbers found, or the range of their half-widths."""
-    widths = outcome.half_widths
-    if len(widths) > NAMED:
-        low, high = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
-        return f"{len(widths)} numbers, ± {outcome.text(low, widths[low])} to {outcome.text(high, widths[high])}"
-    return "<br>".join(
-        (f"`{each}` " if len(widths) > 1 else "")
-        + outcome.text(each, outcome.result["unknowns"][each])
-        + f" ({' to '.join(outcome.text(each, end) for end in outcome.result['interval'][each])})"
-        for each in widths
+    families = []
+    for title, problems in found.items():
+        every = [each for ways in problems.values() for each in ways.values()]
+        fields = [field_row(each, field) for each in every for field in each.fields]
+        table = fields or [row for ways in problems.values() for row in rows(ways)]
+        filled = {key for row in table for key, cell in row.items() if cell != ""}
+        table = [{key: cell for key, cell in row.items() if key in filled} for row in table]
+        missed = [f"- `{each.problem.name}`, {each.way}: {'; '.join(each.missed)}" for each in every if each.missed]
+        families += [f"## {title}", tables([table]), "\n".join(missed)]
+    return Page(
+        "problems",
+        conclusion([ways for problems in found.values() for ways in problems.values()]),
+        packages=MPM | GNS,
+        families="\n\n".join(part for part in families if part),
+        pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
     )
 
 
-def error_text(outcome: Outcome) -> str:
-    """The largest error of a number, by its half-width."""
-    errors, widths = outcome.errors, outcome.half_widths
-    if not errors:
-        return "-"
-    worst = max(errors, key=lambda each: errors[each] / widths[each])
-    text = outcome.text(worst, errors[worst])
-    return f"{text} of `{worst}`" if len(errors) > 1 else f"{text} ({outcome.percent(errors):.2f} %)"
+def conclusion(solved: Sequence[Outcomes]) -> list[str]:
+    """Which answers are as expected, the intervals, the errors beside the paper's, fields, the cost."""
+    outcomes = [each for ways in solved for each in ways.values()]
+    if not outcomes:
+        return ["No problem has been solved yet."]
+    good = sum(not each.missed for each in outcomes)
+    sentences = [f"{good} of {len(outcomes)} answers to {len(solved)} problems meet all of their criteria."]
+    if known := [number.inside for each in outcomes for number in each.numbers if number.truth is not None]:
+        sentences.append(f"The 95 % intervals contain {sum(known)} of {len(known)} true values.")
+    columns = [each for each in outcomes if each.problem.names == ["friction_deg"] and each.paper.values]
+    off = [(each.way, number.off(number.found)) for each in columns for number in each.numbers]
+    off += [("paper", number.off(number.paper)) for each in columns for number in each.numbers]
+    sizes = {way: [abs(error) for by, error in off if by == way] for way in (*COLOURS, "paper")}
+    if errors := ", ".join(f"{between(values, '.1f')}° ({way})" for way, values in sizes.items() if values):
+        sentences.append(
+            f"From the front of the paper's columns, the friction angle is found with an error of {errors}."
+        )
+    if fields := [field for each in outcomes for field in each.fields]:
+        values = sum(field["values"] for field in fields)
+        held = sum(field["values"] * field["truth_in_band"]["all"] for field in fields) / values
+        identified = between([field["identified"] for field in fields], ".0%")
+        sentences.append(
+            f"{held:.0%} of the {values} values of {len(fields)} unknown fields lie within their 95 % bands; the"
+            f" observation identifies {identified} of a field."
+        )
+    both = [ways for ways in solved if len(ways) == len(COLOURS)] or solved
+    runs = {way: [len(ways[way].result["mpm_runs"]) for ways in both if way in ways] for way in COLOURS}
+    cost = " and ".join(f"{between(each, '.0f')} MPM runs ({way})" for way, each in runs.items() if each)
+    return [*sentences, f"An answer takes {cost}."]
+
+
+def rows(ways: Outcomes) -> list[Row]:
+    """The rows of a problem: one for each number, or one for many."""
+    problem, numbers = next((each.problem, each.numbers) for each in ways.values())
+    many, found = len(numbers) > LISTED, list[Row]()
+    for index, (number, kind) in enumerate(zip(numbers, problem.kinds, strict=True)):
+        if many and index > 0:
+            break
+        cells = {way: cell(each, index, f".{kind.digits}f", many=many) for way, each in ways.items()}
+        said = [ways[way].result for way in COLOURS if way in ways and index == 0]
+        name = f"`{problem.name}`" if index == 0 else ""
+        found.append(
+            {
+                "problem": name if many or len(numbers) == 1 else f"{name} {number.unknown}",
+                "true value": "-" if number.truth is None else kind.text(number.truth) if not many else "",
+                "paper": "" if number.paper is None else f"{number.paper:g}",
+                **{way: cells.get(way, "") for way in COLOURS},
+                "MPM runs": " / ".join(str(len(each["mpm_runs"])) for each in said),
+                "seconds": " / ".join(f"{each['seconds']['total']:.0f}" for each in said),
+            }
+        )
+    return found
+
+
+def cell(outcome: Outcome, index: int, form: str, *, many: bool) -> str:
+    """A number that was found with its interval; of many how many true values are within theirs."""
+    number, verdict = outcome.numbers[index], outcome.result["verdict"]
+    text = f"{number.found:{form}} [{number.low:{form}}, {number.high:{form}}]"
+    if many:
+        text = f"{sum(each.inside for each in outcome.numbers)} of {len(outcome.numbers)} in their intervals"
+    if index == 0 and verdict != Verdict.CONFIRMED.value:
+        text = f"{verdict}: {text}"
+    return emphasised(text, not outcome.missed)
 
 
 def field_row(outcome: Outcome, field: Mapping[str, Any]) -> Row:
-    result, error = outcome.result, field["error"]
-
-    def number(value: float | None) -> str:
-        return "-" if value is None else f"{value:.3g}"
-
+    error = [field["error"][key] for key in ("prior_identified", "identified")]
     return {
-        "problem": f"`{outcome.problem.name}`",
-        "field": f"{field['name']} [{field['unit']}]",
-        "verdict": result["verdict"],
+        "problem": f"`{outcome.problem.name}` {field['name']} [{field['unit']}]",
         "values": field["values"],
         "identified": f"{field['identified']:.0%}",
-        "error, prior": number(error["prior"]),
-        "error": number(error["posterior"]),
-        "identified, prior": number(error["prior_identified"]),
-        "identified, error": number(error["identified"]),
-        "width": number(field["deviation"]["posterior"]),
-        "within 95 %": f"{field['truth_in_band']['all']:.0%}",
-        "MPM runs": len(result["mpm_runs"]),
-        "s": f"{result['seconds']['total']:.0f}",
+        "their rms error, prior and found": ", ".join("-" if each is None else f"{each:.3g}" for each in error),
+        "truth within 95 %": f"{field['truth_in_band']['all']:.0%}",
+        "MPM runs": len(outcome.result["mpm_runs"]),
+        "seconds": f"{outcome.result['seconds']['total']:.0f}",
     }
+
+
+def write_csv(path: Path, outcomes: Sequence[Outcome]) -> None:
+    """A line for each number of each answer, and for each field."""
+    lines: list[dict[str, object]] = []
+    for each in outcomes:
+        result, own = each.result, each.surrogate.get("mpm_error", {})
+        common = {"problem": each.problem.name, "way": each.way, "verdict": result["verdict"]}
+        common |= {"missed": "; ".join(each.missed), "mpm_runs": len(result["mpm_runs"])}
+        common |= {"seconds": result["seconds"]["total"], "misfit_m2": result["loss"].get("mpm")}
+        common |= {"front_error_pct": result["error_pct"].get("front"), "surrogate_misfit_m2": own.get("misfit")}
+        common |= {"surrogate_front_error_pct": own.get("front_pct"), "paper_misfit_m2": each.paper.loss}
+        lines += [common | asdict(number) for number in each.numbers]
+        for field in each.fields:
+            flat = {f"{key}_{part}": field[key][part] for key in ("error", "truth_in_band") for part in field[key]}
+            whole = {key: field[key] for key in ("unit", "values", "identified")}
+            lines.append(common | {"unknown": field["name"]} | whole | flat)
+    file = io.StringIO()
+    writer = csv.DictWriter(file, list(dict.fromkeys(key for line in lines for key in line)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    write_text(path, file.getvalue())
+
+
+def draw(path: Path, solved: Sequence[Outcomes]) -> None:
+    """The problems of the paper: each answer less the true value; a pane for each unit."""
+    panes: dict[str, list[tuple[str, dict[str, Number]]]] = {}
+    for ways in solved:
+        one = next(iter(ways.values()))
+        for index, number in enumerate(one.numbers if one.paper != Paper() else ()):
+            label = one.problem.name if len(one.numbers) == 1 else number.unknown
+            panes.setdefault(number.unit, []).append((label, {way: ways[way].numbers[index] for way in ways}))
+    with figure(path, rows=max(1, len(panes)), size=(7.0, 2.4)) as axes:
+        for axis, (unit, shown) in zip(axes[:, 0], panes.items(), strict=False):
+            axis.axvline(0.0, color=INK, linewidth=0.8, label="true value")
+            for row, (_, numbers) in enumerate(shown):
+                for shift, (way, each) in zip((-0.15, 0.15), numbers.items(), strict=False):
+                    ends = [[each.found - each.low], [each.high - each.found]]
+                    style = {"color": COLOURS[way], "fmt": "o", "ms": 4, "capsize": 2, "label": f"{way}, 95 %"}
+                    axis.errorbar(each.off(each.found), row + shift, xerr=ends, **style)
+                    axis.plot(each.off(each.surrogate), row, "D", color=GREY, ms=4, mfc="none", label="surrogate alone")
+                    axis.plot(each.off(each.paper), row, "x", color=RED, label="paper")
+            axis.set_yticks(range(len(shown)), [label for label, _ in shown])
+            axis.set(xlabel=f"value less the true one [{unit}]")
+            axis.invert_yaxis()
+            handles = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+            if axis is axes[0, 0]:
+                axis.legend(handles.values(), handles, ncols=5, loc="lower left", bbox_to_anchor=(-0.2, 1.0))

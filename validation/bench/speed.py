@@ -1,27 +1,31 @@
 """`python -m validation.bench speed`: rates, baffles, first runs, price of a gradient, networks, a large terrain."""
 
+import os
 import statistics
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.files import read_toml
 from datasets.library import read_scene
 from datasets.material import Material
 from datasets.particles import particle_count
 from datasets.processes import processors
 from datasets.scene import Baffle, Domain, Mass, Scene
+from inverse.answer import peak_memory_mib
 from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
-from validation.bench import first, large
-from validation.bench.network import network_rows
+from validation.bench import large
+from validation.bench.keep import Keep, Out, kept
+from validation.bench.network import PER_NODE, network_rows
 from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
 from validation.report.page import GNS, MPM, Page, Row, between
 from validation.report.plots import BLUE, ORANGE, figure
@@ -30,9 +34,11 @@ CUBE = 0.375
 """Edge of the column in 3D [m]."""
 GRADIENT_MIB = 1024.0
 """Memory that a gradient may take: enough for the checkpoints of the largest scene priced."""
+CACHE = "TI_OFFLINE_CACHE_FILE_PATH"
+"""Variable by which Taichi keeps compiled kernels in another folder than the user's."""
 PRICED = "column-tall-42"
-SCALES: tuple[tuple[float, float], ...] = ((1.0, 0.5), (2.0, 0.5), (2.0, 1.0), (4.0, 0.25))
-"""Length and height over the shipped column's, and duration [s], of the runs whose gradient is priced."""
+FINER = ((1, 0.5), (2, 0.25), (2, 0.5), (4, 0.0625))
+"""How many times finer than the shipped column's the cells are, and duration [s], of runs whose gradient is priced."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +58,11 @@ class Case:
     def particles(self) -> int:
         """Of one scene."""
         return particle_count(column(self.dimension, self.cells, 1))
+
+    @property
+    def text(self) -> str:
+        """Its size."""
+        return f"{self.scenes} x {self.particles:,} particles in {self.dimension}D"
 
 
 CASES = (
@@ -154,16 +165,32 @@ def baffle_row(name: str, scene: Scene, rounds: int) -> Row:
     return {"scene": f"`{name}`"} | counts | times | {"ratio": ratio.written(3)}
 
 
-def enlarged(scale: float, duration: float) -> Scene:
-    """The shipped column, longer and higher on the same cells, for another duration [s]."""
-    scene = read_scene(PRICED)
-    (mass,) = scene.masses
+def started(scene: Scene, folder: str) -> float:
+    """CPU seconds of this process, a new one with its kernels in `folder`, up to the end of a frame of a scene."""
+    os.environ[CACHE] = folder
+    simulate(replace(scene, duration=scene.frame_dt), record=LAST, threads=1)
+    seconds = time.process_time()
+    # Taichi writes its kernels when it ends, to which a worker of a pool does not come.
+    import taichi as ti
 
-    def scaled(lengths: tuple[float, ...]) -> tuple[float, ...]:
-        return tuple(round(length * scale, 9) for length in lengths)
+    ti.reset()
+    return seconds
 
-    domain = Domain(size=scaled(scene.domain.size), cell=scene.domain.cell)
-    return replace(scene, duration=duration, domain=domain, masses=(Mass(lower=mass.lower, size=scaled(mass.size)),))
+
+def first_runs() -> list[Row]:
+    """Scenes of each kind of kernel: a first run, which compiles, and a second one, which finds the kernels on disk."""
+    scenes = {"column-short-21": read_scene("column-short-21"), "flume-35": read_scene("flume-35")}
+    scenes |= {f"{name}, baffles": scene for name, scene in behind_baffles().items() if name != "baffles-5"}
+    scenes |= {
+        "baffles-2, no baffles": replace(read_scene("baffles-2"), baffles=()),
+        "valley-3d": read_scene("valley-3d"),
+    }
+    rows: list[Row] = []
+    for name, scene in scenes.items():
+        with TemporaryDirectory() as folder:
+            seconds = {f"{which} run [s]": f"{isolated(started, scene, folder):.1f}" for which in ("first", "second")}
+        rows.append({"scene": f"{name} ({scene.dimension}D)"} | seconds)
+    return rows
 
 
 def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], None]:
@@ -190,82 +217,58 @@ def price(scene: Scene, repeats: int) -> Price:
         steps=int(simulate(scene, record=LAST, threads=1).summary["steps"]),
         run=statistics.median(found["run"]),
         gradient=statistics.median(found["gradient"]),
-        memory=max(0, resident(peak=True) - before),
+        memory=max(0, int(peak_memory_mib() * 2**20) - before),
     )
 
 
-def bench(out: Path, *, quick: bool, keep: Path, rounds: int = 2) -> str:
+def bench(*, out: Out, keep: Keep = None, rounds: int = 2) -> str:
     """Measure rates over sizes and at baffles, gradients, steps of networks, a large terrain; needs a quiet machine.
 
     KEEP has the stages of the large terrain; other times are of one command.
 
     Parameters
     ----------
-    quick
-        A single frame of two small cases, one small gradient, a coarse terrain.
     rounds
         How often everything is measured, in turn; the tables give the median and the range.
     """
     if rounds < 1:
         raise InputError(f"expected at least 1, got {rounds}", key="--rounds")
-    rounds = 1 if quick else rounds
-    cases = [replace(each, frames=1) for each in CASES[:2]] if quick else CASES
     # Taichi starts anew for another precision or number of threads.
-    keys = sorted(((case, mode) for case in cases for mode in modes(case)), key=lambda key: key[1])
+    keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
     rates = {key: Spread(found) for key, found in timed.items()}
-    scenes = list(behind_baffles().items())[: 1 if quick else None]
-    solids = [baffle_row(name, each, 3 * rounds) for name, each in scenes]
-    prices = [isolated(price, enlarged(*each), rounds) for each in (((0.5, 0.1),) if quick else SCALES)]
-    starts = first.first_runs(quick=quick)
-    networks = network_rows(rounds=rounds, sizes=1 if quick else 3)
-    terrain = large.measured(keep, quick=quick)
-    draw(out / "speed.png", rates, prices)
-    text = page(rates, solids, starts, prices, networks, terrain, rounds=rounds, quick=quick)
-    return text.write(out / "speed.md")
+    solids = [baffle_row(name, each, 3 * rounds) for name, each in behind_baffles().items()]
+    whole = read_scene(PRICED)
+    finer = [replace(whole.with_cell(whole.domain.cell / times), duration=duration) for times, duration in FINER]
+    prices = [isolated(price, scene, rounds) for scene in finer]
+    networks = network_rows(rounds=rounds)
+    with kept(keep) as folder:
+        terrain = large.measured(folder)
+    draw(out / "speed.png", rates)
+    return page(rates, solids, first_runs(), prices, networks, terrain, rounds=rounds).write(out)
 
 
 def page(
     rates: Rates,
-    solids: Sequence[Row],
-    starts: first.Starts,
+    baffles: Sequence[Row],
+    starts: Sequence[Row],
     prices: Sequence[Price],
     networks: Sequence[Mapping[str, str]],
     terrain: Mapping[str, large.Found],
     *,
     rounds: int,
-    quick: bool,
 ) -> Page:
-    said = [*conclusion(rates, prices, networks), large.sentence(terrain)]
-    text = Page("Speed", f"speed --rounds {rounds}", said, packages=MPM | GNS, quick=quick)
-    text.picture("speed.png", "rate of the MPM over particles; a run and its gradient")
-    text.section("Million particle-steps a second of the MPM")
-    text.text(f"""
-        2D: the paper's tall column (42°, damped, cohesive), 4 particles per cell. 3D: a cube of its 3D sand, 8 per
-        cell. One scene of fewer than {LARGE:,} particles runs on one thread, copies on a thread each, a larger one on
-        all. Medians of rounds in turn, in brackets minimum and maximum. Compilation is not included (see First runs).
-    """)
-    text.table(rate_rows(rates))
-    text.text("Other codes on two cores of an AMD EPYC, not in this run (`validation/bench/speed.toml`):")
-    others = read_toml(Path(__file__).with_suffix(".toml"))
-    text.table(
-        [{"": code["name"]} | dict(zip(others["columns"], code["rates"], strict=True)) for code in others["codes"]]
-    )
-    text.section("Baffles")
-    text.text("""
-        Nanoseconds of a particle-step, one thread, in turn with the same scene without its baffles. Part of the ratio
-        is the flow's: sand that baffles throw up makes the box of nodes that a step goes through larger.
-    """)
-    text.table(solids)
-    first.add_section(text, starts)
-    text.section("A gradient by the adjoint")
-    text.text(f"""
-        A run of `{PRICED}`, longer and higher on its own cells, and the gradient of its mean x with respect to all that
-        it begins with: a run with checkpoints, its replay and its reverse; one thread, each in a process of its own.
-        Memory is the greatest resident size above that before.
-    """)
-    text.table(
-        [
+    return Page(
+        "speed",
+        [*conclusion(rates, prices, networks), large.sentence(terrain)],
+        flags=f" --rounds {rounds}",
+        packages=MPM | GNS,
+        large=LARGE,
+        rates=rate_rows(rates),
+        baffles=baffles,
+        starts=starts,
+        priced=PRICED,
+        prices=[
             {
                 "particles": f"{each.particles:,}",
                 "steps": f"{each.steps:,}",
@@ -275,30 +278,30 @@ def page(
                 "memory [MiB]": f"{each.memory / 2**20:.0f}",
             }
             for each in prices
-        ]
+        ],
+        networks=networks,
+        cell=large.CELL,
+        particles=terrain["flow"]["particles"],
+        nodes=terrain["flow"]["nodes"],
+        terrain=large.rows(terrain),
     )
-    text.section("A step of the network")
-    text.text("Seconds of one step of the shipped models on a body of sand, over its nodes; one thread.")
-    text.table(networks)
-    large.add_section(text, terrain)
-    return text
 
 
 def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping[str, str]]) -> list[str]:
     """Rates by dimension, the price of a gradient, the network's step."""
+    largest = max(prices, key=lambda each: each.memory)
+    ratios = between([each.ratio for each in prices], ".1f")
+    steps = between([float(each[PER_NODE]) for each in networks], ".0f")
     best = {dimension: best_rates(rates, dimension) for dimension in dict.fromkeys(case.dimension for case, _ in rates)}
-    large = max(prices, key=lambda each: each.memory)
-    runs = between([each.ratio for each in prices], ".1f")
-    steps = between([float(each["µs per node"]) for each in networks], ".0f")
     return [
         *(
-            f"In {dimension}D the MPM makes {between(own.values(), '.0f')} million particle-steps a second, at"
+            f"In {dimension}D the MPM computes {between(own.values(), '.0f')} million particle-steps per second, for"
             f" {between(own, ',')} particles."
             for dimension, own in best.items()
         ),
-        f"A gradient by the adjoint takes {runs} runs, for any number of unknowns, and at most"
-        f" {large.memory / 2**20:.0f} MiB ({large.particles:,} particles, {large.steps:,} steps).",
-        f"A step of the shipped networks takes {steps} µs for each node with its gradient, on one thread.",
+        f"A gradient by the adjoint takes as long as {ratios} runs, for any number of unknowns, and at most"
+        f" {largest.memory / 2**20:.0f} MiB ({largest.particles:,} particles, {largest.steps:,} steps).",
+        f"A step of the shipped networks with its gradient takes {steps} µs per node, on one thread.",
     ]
 
 
@@ -308,43 +311,34 @@ def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
     for (case, (precision, _)), each in rates.items():
         if case.dimension == dimension and precision == "f32" and not case.corrected:
             found[case.particles] = max(each.median, found.get(case.particles, 0.0))
-    return found
-
-
-def threads_named(threads: int) -> str:
-    """The threads of a `Mode`, for the heading of a column."""
-    return f"{threads} thread{'s' if threads > 1 else ''}" if threads else "GPU"
+    return dict(sorted(found.items()))
 
 
 def rate_rows(rates: Rates) -> list[Row]:
     """A line per case: its rates by precision and threads."""
     rows: list[Row] = []
+    used = sorted({mode for _, mode in rates})
     for case in sorted({case for case, _ in rates}, key=astuple):
         row = {
             "": f"{case.dimension}D" + ", gaps remembered" * case.corrected,
             "particles": f"{case.particles:,}",
             "scenes": str(case.scenes),
         }
-        cells = {
-            f"{precision}, {threads_named(threads)}": rates.get((case, (precision, threads)))
-            for _, (precision, threads) in rates
-        }
-        rows.append(row | {head: each.written(1) if each else "-" for head, each in sorted(cells.items())})
+        for precision, threads in used:
+            place = f"{threads} thread{'s' * (threads > 1)}" if threads else "GPU"
+            found = rates.get((case, (precision, threads)))
+            row[f"{precision}, {place}"] = found.written(1) if found else "-"
+        rows.append(row)
     return rows
 
 
-def draw(path: Path, rates: Rates, prices: Sequence[Price]) -> None:
-    """Rates over particles; seconds of a run and of its gradient over particle-steps."""
-    with figure(path, columns=2) as axes:
-        left, right = axes[0, 0], axes[0, 1]
+def draw(path: Path, rates: Rates) -> None:
+    """Rates over particles."""
+    with figure(path) as axes:
+        axis = axes[0, 0]
         for dimension, colour in ((2, BLUE), (3, ORANGE)):
-            best = dict(sorted(best_rates(rates, dimension).items()))
-            left.plot(list(best), list(best.values()), "o-", color=colour, label=f"{dimension}D")
-        left.set(xscale="log", xlabel="particles of a scene", ylabel="million particle-steps a second")
-        left.set_ylim(bottom=0.0)
-        left.legend()
-        work = [each.particles * each.steps for each in prices]
-        right.plot(work, [each.run for each in prices], "o", color=BLUE, label="run")
-        right.plot(work, [each.gradient for each in prices], "o", color=ORANGE, label="gradient by the adjoint")
-        right.set(xscale="log", yscale="log", xlabel="particles x steps", ylabel="seconds, one thread")
-        right.legend()
+            best = best_rates(rates, dimension)
+            axis.plot(list(best), list(best.values()), "o-", color=colour, label=f"{dimension}D")
+        axis.set(xscale="log", xlabel="particles of a scene", ylabel="million particle-steps per second")
+        axis.set_ylim(bottom=0.0)
+        axis.legend()

@@ -2,7 +2,6 @@
 
 import ctypes
 import gc
-import re
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
+import psutil
 from tqdm import tqdm
 
 from datasets.errors import WorkFailed
@@ -21,7 +21,7 @@ from datasets.processes import end_with_parent
 P = ParamSpec("P")
 Key = TypeVar("Key")
 Found = TypeVar("Found")
-STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+CLEAR = Path("/proc/self/clear_refs")
 RESET_PEAK = "5"
 """Written into CLEAR, it begins the record of the peak anew."""
 
@@ -72,11 +72,9 @@ def isolated(work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwargs) -> 
             raise WorkFailed("killed, out of memory") from None
 
 
-def resident(*, peak: bool = False) -> int:
-    """Memory of this process [bytes]: now, or the most since `reset_peak`; 0 where Linux does not tell."""
-    key = "VmHWM" if peak else "VmRSS"
-    found = re.search(rf"^{key}:\s+(\d+) kB$", STATUS.read_text(), re.MULTILINE) if STATUS.exists() else None
-    return int(found[1]) * 1024 if found else 0
+def resident() -> int:
+    """Memory of this process now [bytes]; the most since `reset_peak` is `inverse.answer.peak_memory_mib`."""
+    return int(psutil.Process().memory_info().rss)
 
 
 def reset_peak() -> None:

@@ -1,10 +1,10 @@
-"""Pages of figures in Markdown: a conclusion, the command and the machine, then text, tables and pictures."""
+"""Pages of figures in Markdown: templates with a conclusion, the command, the machine and tables filled in."""
 
 import math
 import os
 import platform
-import textwrap
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
@@ -13,6 +13,7 @@ from tabulate import tabulate
 
 from datasets.files import write_text
 
+TEMPLATES = Path(__file__).parents[1] / "bench" / "pages"
 CONCLUSION = 5
 """Most sentences of a conclusion."""
 MPM = {"Taichi": "taichi", "NumPy": "numpy"}
@@ -50,52 +51,43 @@ def rms(values: Collection[float]) -> float:
     return math.sqrt(sum(value**2 for value in values) / len(values)) if values else math.nan
 
 
+def tables(many: Iterable[Sequence[Row]]) -> str:
+    """Tables one after the other, each with the headings of its first row; none without rows."""
+    return "\n\n".join(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True) for rows in many if rows)
+
+
 class Page:
-    """A page that is written once everything on it has been measured.
+    """A page of which everything has been measured: its template with the parts that it names.
 
     Every sentence of the conclusion is made from the numbers of the page, never from a constant of its writer.
     """
 
     def __init__(
-        self, title: str, bench: str, conclusion: Sequence[str], *, packages: Mapping[str, str] = MPM, quick: bool
+        self,
+        name: str,
+        conclusion: Sequence[str],
+        *,
+        flags: str = "",
+        packages: Mapping[str, str] = MPM,
+        **parts: Sequence[Row] | str | float,
     ) -> None:
-        """bench: name and flags of what measured the page, today and here. packages: those whose version matters.
+        """flags: with which the page was measured, today and here. packages: those whose version matters.
 
-        quick: the figures are of coarse cells or few runs, and the page says so.
+        parts: rows are written as a table.
         """
         if not 0 < len(conclusion) <= CONCLUSION:
             raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
-        self.conclusion = "\n".join(f"- {sentence}" for sentence in conclusion)
-        self._parts = [f"# {title}", self.conclusion]
-        self.text(f"`python -m validation.bench {bench}`, {date.today().isoformat()}, on {machine(packages)}.")
-        if quick:
-            self.text("**Measured with `--quick`: the figures show that the command works, and little else.**")
+        command, day = f"python -m validation.bench {name}{flags} --out docs", date.today().isoformat()
+        self.name, self.conclusion = name, "\n".join(f"- {sentence}" for sentence in conclusion)
+        written = {key: part if isinstance(part, (str, float, int)) else tables([part]) for key, part in parts.items()}
+        written |= {"conclusion": self.conclusion, "made": f"`{command}`, {day}, on {machine(packages)}."}
+        filled = (TEMPLATES / f"{name}.md").read_text(encoding="utf-8").format_map(written)
+        # A part may be empty.
+        self.text = re.sub(r"\n{3,}", "\n\n", filled).strip() + "\n"
 
-    def section(self, title: str, *, level: int = 2) -> None:
-        self._parts.append(f"{'#' * level} {title}")
-
-    def text(self, text: str) -> None:
-        """Paragraphs or lists; the indentation of a triple-quoted string is removed, its line breaks are kept."""
-        self._parts.append(textwrap.dedent(text).strip())
-
-    def table(self, rows: Sequence[Row]) -> None:
-        """A table with the headings of the first row; none without rows."""
-        self._parts.append(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True))
-
-    def picture(self, name: str, caption: str) -> None:
-        """A picture beside the page, by its file's name."""
-        self._parts.append(f"![{caption}]({name})")
-
-    def frozen(self, path: Path) -> None:
-        """A section that was measured once and that no command measures again: the text of a Markdown file."""
-        self._parts.append(path.read_text(encoding="utf-8").strip())
-
-    def __str__(self) -> str:
-        return "\n\n".join(part for part in self._parts if part) + "\n"
-
-    def write(self, path: Path) -> str:
-        """Write the page, beside its place and moved into it, and return its conclusion, for the terminal."""
-        write_text(path, str(self))
+    def write(self, out: Path) -> str:
+        """Write the page into a folder and return its conclusion, for the terminal."""
+        write_text(out / f"{self.name}.md", self.text)
         return self.conclusion
 
 

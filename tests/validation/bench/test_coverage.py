@@ -1,5 +1,8 @@
 """`python -m validation.bench coverage`: twins are solved once, counted right, and uneven ranks are named."""
 
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -7,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mpm.cluster import Workers
 from tests.validation.loop.flows import FakeMpm, wedge
 from validation.bench import coverage
 from validation.bench.__main__ import main
-from validation.bench.coverage import Family, Twin, drawn, held, ranks, solve_twin, uniformity
+from validation.bench.coverage import Family, Twin, drawn, held, ranks, read_twin, row, solve_twin, uniformity
 
 FAMILY = Family(title="Wedges", problem="wedge", noise=0.01)
 
@@ -19,8 +23,15 @@ FAMILY = Family(title="Wedges", problem="wedge", noise=0.01)
 def mpm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeMpm:
     case = wedge(tmp_path, scatter=0.002)
     monkeypatch.setattr(coverage, "read_problem", lambda name: case.problem)
-    monkeypatch.setattr(coverage, "simulate_many", case.mpm)
+    monkeypatch.setattr(coverage, "simulate_many", lambda scenes, *, threads, **options: case.mpm(scenes, **options))
     return case.mpm
+
+
+@contextmanager
+def here(jobs: int) -> Iterator[Workers]:
+    """In place of processes: a thread of this one."""
+    with ThreadPoolExecutor(1) as executor:
+        yield Workers(executor=executor, width=lambda: jobs)
 
 
 def test_truths_are_drawn_from_the_prior(mpm: FakeMpm) -> None:
@@ -56,6 +67,7 @@ def test_even_ranks_pass_and_uneven_ones_are_named() -> None:
     assert held(even, 0.95) == pytest.approx(0.95)
     assert min(uniformity(even), ranks(even)) > 0.9
     assert max(uniformity(narrow), ranks(narrow)) < 1e-4
+    assert "50% / 80% / 95%" in row(FAMILY, even).values()
 
 
 def test_truths_of_stated_priors_are_drawn_from_them() -> None:
@@ -64,13 +76,29 @@ def test_truths_of_stated_priors_are_drawn_from_them() -> None:
     assert 2.5 < np.std(truths) < 7.5
 
 
-def test_the_command(mpm: FakeMpm, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["coverage", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--quick"]
-    assert main(arguments) == 0
-    assert "2 twin experiments of 1 kinds" in capsys.readouterr().out
+def test_the_command(
+    mpm: FakeMpm, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(coverage, "pool", here)
+    arguments = ["coverage", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--only", "front"]
+    assert main([*arguments, "--twins", "2"]) == 0
+    assert "2 inversions with known parameters, of 1 kinds" in capsys.readouterr().out
     assert len(list((tmp_path / "keep" / "front").glob("*.json"))) == 2
     made = len(mpm.scenes)
-    assert main(arguments) == 0
+    assert main([*arguments, "--twins", "2"]) == 0
     assert len(mpm.scenes) == made
-    assert main(["coverage", "--out", str(tmp_path), "--only", "nothing"]) == 2
-    assert main(["coverage", "--out", str(tmp_path), "--twins", "0"]) == 2
+    for wrong in (["--only", "nothing"], ["--twins", "0"], ["--jobs", "0"], ["--jobs", "2", "--scheduler", "tcp://x"]):
+        assert main(["coverage", "--out", str(tmp_path), *wrong]) == 2
+
+
+@pytest.mark.slow
+def test_twins_are_the_same_for_any_number_of_processes(tmp_path: Path) -> None:
+    found = []
+    for jobs in ("1", "2"):
+        keep = tmp_path / jobs
+        flags = ["--keep", str(keep), "--only", "front", "--twins", "2", "--jobs", jobs]
+        assert main(["coverage", "--out", str(tmp_path), *flags]) == 0
+        twins = [read_twin(path) for path in sorted((keep / "front").glob("*.json"))]
+        found.append([replace(each, seconds=0.0) for each in twins if each is not None])
+    assert found[0] == found[1]
+    assert len(found[0]) == 2

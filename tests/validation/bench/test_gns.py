@@ -1,4 +1,4 @@
-"""`python -m validation.bench gns`: errors of known deposits, a page whose words are its numbers, the quick command."""
+"""`python -m validation.bench gns`: errors of known deposits, a page whose words are its numbers."""
 
 import math
 from dataclasses import replace
@@ -11,7 +11,7 @@ from datasets.scene import Mass, Scene
 from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from tests.scenes import scene_of
-from validation.bench.gns import Compared, Model, mpm_seconds
+from validation.bench.gns import AGAIN, Compared, Model, mpm_seconds
 from validation.bench.held_out import MOUNDS, Measured, creep, deposit_of, mound
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
@@ -58,23 +58,20 @@ def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Mod
     def measured(seconds: float, front: float) -> Measured:
         return Measured(seconds=seconds, front=front, profile=0.01, height=-0.2, thickness=0.1, overlap=0.9)
 
-    mpm = {cells: measured(cells**2 / 400.0, 0.4 / cells) for cells in resolutions}
+    by = {f"MPM, {cells} cells across": measured(cells**2 / 400.0, 0.4 / cells) for cells in resolutions}
     first = Compared(
         kind="column",
         extent=0.4,
         free=True,
-        rollout=measured(0.5, -0.04),
-        mpm=mpm,
+        by=by | {"tiny": measured(0.5, -0.04), AGAIN: measured(2.0, 0.005)},
         band=(0.01, 0.02) if bands else None,
-        warned=False,
-        jittered=measured(2.0, 0.005),
     )
-    second = replace(first, free=False, rollout=measured(0.5, 0.04), band=None, warned=True)
-    return Model(name="tiny", family="flow2d", compared=[first, second], creeps=[-0.2])
+    second = replace(first, free=False, by=first.by | {"tiny": measured(0.5, 0.04)}, band=None)
+    return Model(name="tiny", family="flow2d", compared=[first, second])
 
 
 def test_the_price_of_an_error_is_read_off_the_curve() -> None:
-    points = model().points.values()
+    points = [at for name, at in model().points.items() if name != "tiny"]
     assert mpm_seconds(points, 0.2) == pytest.approx(0.0625)
     assert mpm_seconds(points, 0.04) == pytest.approx(0.25)
     assert mpm_seconds(points, 0.04 / math.sqrt(2.0)) == pytest.approx(0.5)

@@ -17,9 +17,8 @@ from tests import scenes
 from tests.flows import flow_of
 from validation.bench.__main__ import main
 from validation.bench.stability import invariants
-from validation.bench.stability.bench import FOLDER, Check, Row, read_rows, run, verdict
+from validation.bench.stability.bench import FOLDER, QUANTITIES, Check, Row, read_rows, run, verdict
 from validation.bench.stability.invariants import ALWAYS, Finding
-from validation.bench.stability.quantities import QUANTITIES
 
 BED = Mass(lower=(0.0, 0.0), size=(0.4, 0.2))
 BAFFLE = Baffle(lower=(0.5, 0.0), size=(0.1, 0.2))

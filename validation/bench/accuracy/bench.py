@@ -23,7 +23,8 @@ from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measur
 from mpm.runtime import Arch
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.bench.held_out import deposit_of
-from validation.report.page import Page, emphasised, percent
+from validation.bench.keep import Keep, Out, kept
+from validation.report.page import Page, emphasised, percent, tables
 from validation.report.plots import BLUE, GREY, ORANGE, figure
 from validation.runs import SHARE, Run, RunStore
 
@@ -41,8 +42,6 @@ SHIPPED = {2: (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), 3: (5.0, 7.0, 10.0, 14.0
 """Cells across the smallest side with which `mpm/resolution.toml` is measured, by dimension, as all that follow."""
 CHECKED = {2: (7.0, 14.0), 3: (5.0,)}
 """Where another step, 0.4, and other particles per axis, 3, are tried too."""
-COLUMNS = Path(__file__).parents[1] / "frozen" / "accuracy.md"
-"""Columns of sand beside the paper, published laws and other codes, which were measured once."""
 SHIPPED_REFERENCE, SHIPPED_SEEDS = {2: 80.0, 3: 48.0}, {2: 3, 3: 2}
 
 
@@ -172,78 +171,61 @@ def selected(dimension: int, tolerance: float, known: Sequence[Measured]) -> Mea
         return None
 
 
-def bench(out: Path, *, quick: bool, keep: Path, ship: bool = False, arch: Arch = "cpu") -> str:
-    """Try --tolerance on scenes that it was not measured on: accuracy.md and its picture.
+def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu") -> str:
+    """Try --tolerance on scenes that it was not measured on.
 
-    quick: two scenes of each dimension against coarse references. ship: measure mpm/resolution.toml instead. arch: of
-    the runs, as of `mpm.run`; seconds are the processor's with the default alone.
+    Parameters
+    ----------
+    ship
+        Measure mpm/resolution.toml instead, which takes longer.
+    arch
+        Of the runs, as of `mpm.run`; seconds are the processor's with the default alone.
     """
-    store = RunStore(keep, partial(simulate_many, arch=arch))
-    if ship:
-        every: list[Measured] = []
-        for d, sizes in SHIPPED.items():
-            tried = [own(cells) for cells in sizes]
-            for cells in CHECKED[d]:
-                tried += [own(cells, step_fraction=0.4), own(cells, particles_per_axis=3)]
-            scenes, seeds = read_flows(d, unseen=False), range(SHIPPED_SEEDS[d])
-            every += measured(d, errors_of(scenes, tried, SHIPPED_REFERENCE[d], seeds, store))
-        write_text(MEASURED, toml(every))
-        return f"{len(every)} resolutions are in {MEASURED}."
-    known = read_measured()
-    trials: dict[int, Errors] = {}
-    for dimension, reference in REFERENCE.items():
-        scenes = dict(list(read_flows(dimension, unseen=True).items())[: 2 if quick else None])
-        kinds = [each for tolerance in TRIED if (each := selected(dimension, tolerance, known))]
-        tried = list(dict.fromkeys(each.resolution for each in kinds))[: 1 if quick else None]
-        trials[dimension] = errors_of(scenes, tried, 14.0 if quick else reference, (SEED,), store)
+    with kept(keep) as folder:
+        store = RunStore(folder, partial(simulate_many, arch=arch))
+        if ship:
+            every: list[Measured] = []
+            for d, sizes in SHIPPED.items():
+                tried = [own(cells) for cells in sizes]
+                for cells in CHECKED[d]:
+                    tried += [own(cells, step_fraction=0.4), own(cells, particles_per_axis=3)]
+                scenes, seeds = read_flows(d, unseen=False), range(SHIPPED_SEEDS[d])
+                every += measured(d, errors_of(scenes, tried, SHIPPED_REFERENCE[d], seeds, store))
+            write_text(MEASURED, toml(every))
+            return f"{len(every)} resolutions are in {MEASURED}."
+        known, trials = read_measured(), dict[int, Errors]()
+        for dimension, reference in REFERENCE.items():
+            chosen = [each for tolerance in TRIED if (each := selected(dimension, tolerance, known))]
+            tried = list(dict.fromkeys(each.resolution for each in chosen))
+            trials[dimension] = errors_of(read_flows(dimension, unseen=True), tried, reference, (SEED,), store)
     draw(out / "accuracy.png", trials, known)
-    return page(trials, known, quick=quick).write(out / "accuracy.md")
+    return page(trials, known).write(out)
 
 
-def page(trials: Mapping[int, Errors], known: Sequence[Measured], *, quick: bool) -> Page:
+def page(trials: Mapping[int, Errors], known: Sequence[Measured]) -> Page:
     limits = {dimension: promises(dimension, known) for dimension in trials}
-    held = [trial_text(dimension, found, limits[dimension]) for dimension, found in trials.items()]
-    text = Page("Accuracy of the MPM", "accuracy", held, quick=quick)
-    text.picture("accuracy.png", "error over seconds")
-    text.section("What `--tolerance` selects")
-    text.text(f"""
-        Cells across the smallest side of the mass, particles per axis and step (over cell / wave speed) that a
-        tolerance selects: the cheapest whose **bound** is within it (`mpm/resolution.toml`, measured on ten scenes in
-        2D and four in 3D, by `--ship`). The bound is what {COVERAGE * 10:.0f} of 10 further scenes like these stay
-        within. An error is that of the **front**, the x that 99.5 % of the volume is behind, or of the **profile**,
-        the rms distance along x of twenty equal shares of the deposit, the larger of the two over the
-        **extent** from the rear of the mass at the start to the front; against the same scene on a grid at least
-        twice as fine, whose own error is not in it. The error of the **thickness**, rms over the plan and over the
-        largest, is measured beside it and not bound: it is a share of another length, and on few cells most of it is
-        the width of the columns that hold three particles.
-    """)
-    text.table(
-        [
-            {
-                "": f"{d}D",
-                "`--tolerance`": percent(tolerance),
-                "cells": f"{r.cells:.3g}",
-                "particles per axis": r.particles_per_axis,
-                "step": f"{r.step_fraction:g}",
-                "bound": percent(each.promised),
-                "rms error": percent(each.expected),
-            }
-            for d in trials
-            for tolerance in TOLERANCES
-            if (each := selected(d, tolerance, known)) is not None and (r := each.resolution)
-        ]
+    chosen = [
+        {
+            "": f"{d}D",
+            "`--tolerance`": percent(tolerance),
+            "cells": f"{r.cells:.3g}",
+            "particles per axis": r.particles_per_axis,
+            "step": f"{r.step_fraction:g}",
+            "bound": percent(each.promised),
+            "rms error": percent(each.expected),
+        }
+        for d in trials
+        for tolerance in TOLERANCES
+        if (each := selected(d, tolerance, known)) is not None and (r := each.resolution)
+    ]
+    return Page(
+        "accuracy",
+        conclusion(trials, limits),
+        coverage=COVERAGE * 10.0,
+        selected=chosen,
+        references=" and ".join(f"{cells:g} cells in {dimension}D" for dimension, cells in REFERENCE.items()),
+        trials=tables(trial_rows(dimension, found, limits[dimension]) for dimension, found in trials.items()),
     )
-    text.section("Error over seconds, on other scenes")
-    references = " and ".join(f"{cells:g} cells in {dimension}D" for dimension, cells in REFERENCE.items())
-    text.text(f"""
-        Scenes that `--tolerance` was not measured on (`unseen` in `validation/bench/accuracy/flows.toml`), each run
-        once with a jitter of its own, against itself on {references}. Beyond the bound is bold. Seconds are a run's
-        share of the time of all that ran beside it.
-    """)
-    for dimension, found in trials.items():
-        text.table(trial_rows(dimension, found, limits[dimension]))
-    text.frozen(COLUMNS)
-    return text
 
 
 def promises(dimension: int, known: Sequence[Measured]) -> dict[Resolution, float]:
@@ -252,35 +234,36 @@ def promises(dimension: int, known: Sequence[Measured]) -> dict[Resolution, floa
 
 
 def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> list[dict[str, str]]:
-    """A line per scene, and one of the seconds."""
+    """A line per scene, and those of thickness and seconds."""
     heads = {r: f"{r.cells:g} cells (bound {percent(limits[r])})" for r in found}
-    rows = [
-        {f"{dimension}D": name}
-        | {heads[r]: emphasised(percent(error), error <= limits[r]) for r in found for error in found[r][name].errors}
+    rows = {
+        name: {r: emphasised(percent(of[name].errors[0]), of[name].errors[0] <= limits[r]) for r, of in found.items()}
         for name in next(iter(found.values()))
-    ]
-    thickness = {heads[r]: percent(rms(errors, "thickness")) for r, errors in found.items()}
-    seconds = {heads[r]: f"{mean_seconds(errors):.2g}" for r, errors in found.items()}
-    named = {"thickness, rms": thickness, "seconds of a run, mean": seconds}
-    return [*rows, *({f"{dimension}D": name} | values for name, values in named.items())]
+    }
+    rows["thickness, rms"] = {r: percent(rms(errors, "thickness")) for r, errors in found.items()}
+    rows["seconds of a run, mean"] = {r: f"{mean_seconds(errors):.2g}" for r, errors in found.items()}
+    return [{f"{dimension}D": name} | {heads[r]: cell for r, cell in cells.items()} for name, cells in rows.items()]
 
 
-def trial_text(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> str:
-    """How many scenes are within the bound, and what it takes, one sentence."""
-    parts = [
-        f"{sum(each.errors[0] <= limits[r] for each in errors.values())} of {len(errors)} other scenes are within"
-        f" {percent(limits[r])} on {r.cells:g} cells ({percent(rms(errors))} rms, thickness"
-        f" {percent(rms(errors, 'thickness'))}, {mean_seconds(errors):.2g} s)"
-        for r, errors in found.items()
+def conclusion(trials: Mapping[int, Errors], limits: Mapping[int, Mapping[Resolution, float]]) -> list[str]:
+    """How many scenes are within the bound, and what the errors cost."""
+    held = [
+        each.errors[0] <= limits[dimension][resolution]
+        for dimension, found in trials.items()
+        for resolution, errors in found.items()
+        for each in errors.values()
     ]
-    return f"**{dimension}D**: {', '.join(parts)}."
+    said = [f"{sum(held)} of {len(held)} errors on scenes that `--tolerance` was not measured on are within its bound."]
+    for dimension, found in trials.items():
+        parts = [f"{percent(rms(e))} on {r.cells:g} cells ({mean_seconds(e):.2g} s)" for r, e in found.items()]
+        said.append(f"In {dimension}D the rms error is {', '.join(parts)} across the mass.")
+    return said
 
 
 def draw(path: Path, trials: Mapping[int, Errors], known: Sequence[Measured]) -> None:
     """Error over seconds, a pane per dimension."""
     with figure(path, columns=len(trials), size=(4.2, 3.8)) as axes:
-        for number, (dimension, found) in enumerate(trials.items()):
-            axis = axes[0, number]
+        for axis, (dimension, found) in zip(axes[0], trials.items(), strict=True):
             for name in next(iter(found.values())):
                 points = [(each[name].seconds, 100.0 * each[name].errors[0]) for each in found.values()]
                 axis.plot(*zip(*points, strict=True), ".-", color=GREY, linewidth=0.5, markersize=3)
@@ -288,8 +271,6 @@ def draw(path: Path, trials: Mapping[int, Errors], known: Sequence[Measured]) ->
             axis.plot(seconds, [100.0 * rms(errors) for errors in found.values()], "o-", color=BLUE, label="rms")
             bounds = [100.0 * limits[each] for each in found]
             axis.plot(seconds, bounds, "s--", color=ORANGE, label="bound for nine of ten")
-            for resolution, x, y in zip(found, seconds, bounds, strict=True):
-                axis.annotate(f"{resolution.cells:g} cells", (x, y), xytext=(3, 4), textcoords="offset points", size=7)
             axis.set(title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
             axis.set(xscale="log", yscale="log", ylabel="error over the extent [%]")
             axis.legend()

@@ -64,17 +64,17 @@ Factors = Mapping[KnownSlope, Mapping[int, Safety]]
 """What was found of each slope, by its cells over the height."""
 
 
-def factors(slopes: Sequence[KnownSlope], cells: Sequence[int]) -> Factors:
-    """The factors of safety of `slopes` on so many `cells`."""
-    return {slope: {count: safety_factor(slope.scene(count)) for count in cells} for slope in slopes}
+def factors(slopes: Sequence[KnownSlope]) -> Factors:
+    """The factors of safety of `slopes` on all `CELLS`."""
+    return {slope: {count: safety_factor(slope.scene(count)) for count in CELLS} for slope in slopes}
 
 
 def rows(found: Factors) -> list[Row]:
     """Found over known factors, and seconds, by cells."""
     return [
-        {"slope": slope.name, "known": f"{slope.factor:.3f}", "of": slope.source}
+        {"slope": slope.name, "known": f"{slope.factor:.3f}, {slope.source}"}
         | {f"{count} cells": f"{each.factor / slope.factor:.3f}" for count, each in by_cells.items()}
-        | {"s": ", ".join(f"{each.seconds:.0f}" for each in by_cells.values())}
+        | {"seconds": ", ".join(f"{each.seconds:.0f}" for each in by_cells.values())}
         for slope, by_cells in found.items()
     ]
 
@@ -86,5 +86,7 @@ def conclusion(found: Factors) -> str:
         count: max(abs(by_cells[count].factor / slope.factor - 1.0) for slope, by_cells in known.items())
         for count in next(iter(known.values()))
     }
-    said = ", ".join(f"{percent(value)} on {count}" for count, value in off.items())
-    return f"Factors of safety of {len(known)} slopes are at most {said} cells over the height off."
+    said = ", ".join(f"{percent(value)} with {count}" for count, value in off.items())
+    return (
+        f"Factors of safety of {len(known)} slopes differ from the known ones by at most {said} cells over the height."
+    )
