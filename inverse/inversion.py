@@ -12,10 +12,10 @@ from inverse.answer import Answer, Verdict
 from inverse.forward.gns import GnsForward, band_of, require_predicted
 from inverse.forward.mpm import MpmForward
 from inverse.observations.target import Target
-from inverse.optimise import ROUGH, inverted
 from inverse.problem import Problem
 from inverse.result import Result
 from inverse.saving import save
+from inverse.search.descent import ROUGH, inverted
 from inverse.settings import ForwardModel, Surrogate
 from inverse.target import read_target
 from mpm import simulate, simulate_many
@@ -79,7 +79,7 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
         Answer(parameters=box.at(each.point), interval=box.at(each.interval), weight=each.weight)
         for each in found.regions
     )
-    misfits = [target.observation.misfit(each, found.target.values) for each in found.numbers]
+    misfits = [target.observation.misfit(each.numbers, found.target.values) for each in found.runs]
     first = answers[0].parameters
     (predicted,) = forward.observe([first])
     deposit = forward.deposit(first)
@@ -94,8 +94,8 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
         predicted=predicted,
         deposit=deposit,
         iterations=[
-            {"unknowns": problem.named(box.at(point)), "loss": misfit}
-            for point, misfit in zip(found.points, misfits, strict=True)
+            {"unknowns": problem.named(box.at(each.point)), "loss": misfit}
+            for each, misfit in zip(found.runs, misfits, strict=True)
         ],
         posterior=found.posterior,
         seconds={"per_iteration": total / len(misfits), "mpm": total if by_mpm else 0.0, "total": total},

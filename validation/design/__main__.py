@@ -25,11 +25,11 @@ def main(problem: str, /, *, out: Path, scheduler: str | None = None) -> None:
     # Imported here: torch takes seconds to load, and help has no use for it.
     from contextlib import nullcontext
 
+    from inverse.answer import Verdict
     from mpm import simulate_many
     from mpm.cluster import connected
     from validation.design.problem import read_design
     from validation.design.report import summary
-    from validation.design.search import Verdict
     from validation.design.solve import find_design
 
     asked = read_design(problem)

@@ -144,7 +144,7 @@ class _Keys(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(_Keys):
+class DesignFile(_Keys):
     """A design problem as it stands in its file."""
 
     scene: str | dict[str, Any]
@@ -262,7 +262,7 @@ def read_design(name: str | Path) -> DesignProblem:
     """Read the design problem at a path or of a shipped name. Raises InputError, which names the file and the key."""
     path = find(str(name), DESIGNS, "design problem")
     with naming(path):
-        file = from_mapping(_File, read_toml(path))
+        file = from_mapping(DesignFile, read_toml(path))
         own = {each.name: getattr(file, each.name) for each in fields(file)}
         if (posterior := own.pop("posterior")) is not None:
             own["samples"], learned = read_posterior(path.parent / posterior)

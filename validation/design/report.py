@@ -8,6 +8,7 @@ from tabulate import tabulate
 
 from datasets.files import write_json, write_text
 from validation.design.problem import ASSURANCE
+from validation.design.reliability import Reliability
 from validation.design.search import Design
 from validation.report.plots import BLUE, GREY, ORANGE, figure
 
@@ -23,20 +24,20 @@ def save(found: Design, folder: Path) -> None:
 
 def record(found: Design) -> dict[str, Any]:
     """`design.json`."""
-    problem, search = found.problem, found.search
+    problem, reliability = found.problem, found.reliability
     values = problem.box.at(found.points)[:, len(problem.variables) :].tolist()
     names = [each.name for each in problem.uncertain]
     return {
         "problem": problem.name,
         "verdict": found.verdict,
         "design": found.design,
-        "cost": float(problem.price(search.best[None])[0]),
+        "cost": reliability.price,
         "limit": {"quantity": problem.limit.quantity, "below": problem.limit.below, "unit": problem.unit},
         "probability": {
             "asked": problem.limit.probability,
             "required": problem.required,
-            "emulator": search.expected,
-            "cautious": search.cautious,
+            "emulator": reliability.expected,
+            "cautious": reliability.cautious,
             "mpm": 1.0 - found.exceeding / len(found.responses),
             "interval": found.interval,
         },
@@ -46,8 +47,8 @@ def record(found: Design) -> dict[str, Any]:
             {"uncertain": dict(zip(names, row, strict=True)), "response": float(response)}
             for row, response in zip(values, found.responses, strict=True)
         ],
-        "waves": search.waves,
-        "runs": search.spent,
+        "waves": [each.as_json() for each in found.search.waves],
+        "runs": found.spent,
         "seconds": found.seconds,
         "remark": found.remark or None,
     }
@@ -55,22 +56,21 @@ def record(found: Design) -> dict[str, Any]:
 
 def summary(found: Design) -> list[str]:
     """The outcome in sentences, for the terminal and the report."""
-    problem, limit, search, checks = found.problem, found.problem.limit, found.search, len(found.responses)
+    problem, limit, known, checks = found.problem, found.problem.limit, found.reliability, len(found.responses)
     both = zip(problem.kinds, found.design.items(), strict=False)
     design = ", ".join(f"{name} = {kind.text(value)}" for kind, (name, value) in both)
-    cost = f"; cost {problem.price(search.best[None])[0]:.4g}" if problem.cost else ""
+    cost = f"; cost {known.price:.4g}" if problem.cost else ""
     low, high = found.interval
     lines = [
         f"{problem.name}: {found.verdict}",
         f"design: {design}{cost}",
         f"{limit.quantity} below {limit.below:g} {problem.unit}: asked of {100.0 * limit.probability:g} % of the flows",
-        f"by the emulator of {100.0 * search.expected:.1f} % ({100.0 * search.cautious:.1f} % where its mean is a "
+        f"by the emulator of {100.0 * known.expected:.1f} % ({100.0 * known.cautious:.1f} % where its mean is a "
         "standard deviation too small)",
         f"by the MPM of {checks - found.exceeding} of {checks} fresh flows, so of {100.0 * low:.1f} to "
         f"{100.0 * high:.1f} % (95 %): {found.exceeding} exceed it where {problem.allowed} may, the largest is "
         f"{found.responses.max():.4g} {problem.unit}",
-        f"{search.spent} runs for the emulator, {len(search.points) - search.spent + checks} of checks, "
-        f"{found.seconds:.0f} s",
+        f"{found.spent} runs for the emulator, {len(found.search.runs) - found.spent} of checks, {found.seconds:.0f} s",
     ]
     return [*lines, found.remark] if found.remark else lines
 
@@ -79,7 +79,7 @@ def report(found: Design) -> str:
     """`report.md`."""
     problem, (title, *lines) = found.problem, summary(found)
     keys = ("runs", "probability", "cautious")
-    waves = [each["design"] | {key: each[key] for key in keys} for each in found.search.waves]
+    waves = [each["design"] | {key: each[key] for key in keys} for each in map(Reliability.as_json, found.search.waves)]
     ranges = [{"number": each.name, "lower": each.lower, "upper": each.upper} for each in problem.numbers]
     parts = [
         f"# {title}",
@@ -95,17 +95,17 @@ def report(found: Design) -> str:
 
 def draw(found: Design, path: Path) -> None:
     """P by the emulator along each variable through the design; responses of the check over what is uncertain."""
-    problem, search, known = found.problem, found.search, len(found.problem.variables)
+    problem, reliability, known = found.problem, found.reliability, len(found.problem.variables)
     values, limit = problem.box.at(found.points), problem.limit
     colours = np.where(found.responses >= limit.below, ORANGE, BLUE)
     with figure(path, rows=2, columns=max(known, len(problem.uncertain)), size=(3.2, 3.0)) as axes:
         for axis in axes.flat:
             axis.set_visible(False)
         for index, (axis, name) in enumerate(zip(axes[0], found.design, strict=False)):
-            designs = np.tile(search.best, (STATIONS, 1))
+            designs = np.tile(reliability.best, (STATIONS, 1))
             designs[:, index] = np.linspace(0.0, 1.0, STATIONS)
             along = problem.box.lower[index] + problem.box.range[index] * designs[:, index]
-            axis.plot(along, search.probability(designs))
+            axis.plot(along, reliability.probability(designs))
             axis.axhline(limit.probability, color=GREY, linestyle="--")
             axis.axvline(found.design[name], color=ORANGE)
             axis.set(xlabel=name, ylabel="probability", ylim=(0.0, 1.02), visible=True)

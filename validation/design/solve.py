@@ -9,6 +9,7 @@ import numpy as np
 from datasets.lock import locked
 from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
+from inverse.search.waves import jitter_seed
 from mpm import ALL, LAST, simulate_many
 from validation.design.problem import DesignProblem, read_design
 from validation.design.report import save
@@ -29,8 +30,7 @@ class Mpm:
     def __call__(self, points: Matrix, first: int) -> Row:
         """Responses at points [n, K + Q] in fractions of the ranges, shape [n]; first: number of the first flow."""
         problem, values = self.problem, self.problem.box.at(np.round(points, 6))
-        seeds = [np.random.SeedSequence([problem.scene.seed, first + index]) for index in range(len(points))]
-        jitters = [int(seed.generate_state(1)[0]) for seed in seeds]
+        jitters = [jitter_seed(problem.scene.seed, first + index) for index in range(len(points))]
         scenes = [problem.scene_at(row, jitter) for row, jitter in zip(values, jitters, strict=True)]
         flows = self.store(scenes, record=self.record)
         self.remarks += [list(each.summary.get("remarks", [])) for each in flows]

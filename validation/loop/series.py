@@ -26,6 +26,7 @@ from inverse.answer import Verdict
 from inverse.forward import Simulate
 from inverse.observations.settings import TabulatedSettings
 from inverse.problem import Problem, read_problem
+from inverse.search.waves import jitter_seed
 from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import simulate, simulate_many
@@ -98,7 +99,7 @@ def of_deposit(problem: Problem, path: Path) -> Problem:
             raise InputError(message)
         target = TargetSettings()
         unmeasured = [replace(settings, csv=str(path.absolute()))]
-    seed = int(np.random.SeedSequence([problem.scene.seed, zlib.crc32(path.stem.encode())]).generate_state(1)[0])
+    seed = jitter_seed(problem.scene.seed, zlib.crc32(path.stem.encode()))
     return replace(
         problem, name=path.stem, scene=replace(problem.scene, seed=seed), observations=tuple(unmeasured), target=target
     )

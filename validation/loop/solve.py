@@ -18,19 +18,20 @@ from inverse.adaptation import deposits as adapted_runs
 from inverse.answer import MpmRun, Purpose, Verdict
 from inverse.forward import Simulate
 from inverse.forward.mpm import MpmForward
-from inverse.optimise import ROUGH, Inversion, inverted
 from inverse.parameters import Vector
+from inverse.posterior.emulator import linear
 from inverse.posterior.information import information, measurements
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem, read_problem
 from inverse.result import Result
 from inverse.saving import save
+from inverse.search.descent import ROUGH, inverted
+from inverse.search.inference import Inversion, begun, searched
 from inverse.target import read_target
 from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
-from validation.loop.search import Search, first, searched
-from validation.loop.task import Task
-from validation.loop.verdict import Outcome, concluded, judged, nearer
+from validation.loop.task import Loop, Task
+from validation.loop.verdict import Conclusion, concluded, judged, nearer
 from validation.runs import RunStore
 
 Known = tuple[Vector, Trajectory]
@@ -66,23 +67,21 @@ def solve(
     """
     asked = read_problem(problem) if isinstance(problem, str) else problem
     with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
-        result = _solve(asked, folder / RUNS, model, simulate, known)
+        if asked.fields:
+            # By the MPM itself, with its word: it has an adjoint, and fields are too many for an emulator.
+            from inverse.inversion import invert
+
+            result = invert(asked)
+        else:
+            store = RunStore(folder / RUNS, simulate, label=TWIN)
+            recorded = ALL if any(each.over_time for each in asked.operators) else LAST
+            target = read_target(asked, lambda scene: store([scene], record=recorded)[0])
+            made = [] if model is None or target.observation.over_time else adapted_runs(model, asked)
+            task = Task(problem=asked, target=target, folder=folder / RUNS, simulate=simulate)
+            result = run(task, model=model, known=(*made, *known))
         if out is not None:
             save(result, out)
     return result
-
-
-def _solve(asked: Problem, folder: Path, model: Path | None, simulate: Simulate, known: Sequence[Known]) -> Result:
-    if asked.fields:
-        # By the MPM itself, with its word: it has an adjoint, and fields are too many for an emulator.
-        from inverse.inversion import invert
-
-        return invert(asked)
-    recorded = ALL if any(each.over_time for each in asked.operators) else LAST
-    target = read_target(asked, lambda scene: RunStore(folder, simulate, label=TWIN)([scene], record=recorded)[0])
-    made = [] if model is None or target.observation.over_time else adapted_runs(model, asked)
-    task = Task(problem=asked, target=target, folder=folder, simulate=simulate)
-    return run(task, model=model, known=(*made, *known))
 
 
 def run(
@@ -90,33 +89,29 @@ def run(
 ) -> Result:
     """Search, check the answers, judge; load: in place of the learned surrogate; known: runs for other targets."""
     began = time.perf_counter()
-    before = tuple(
-        MpmRun(purpose=Purpose.KNOWN, parameters=parameters, trajectory=flow, target=task.target)
-        for parameters, flow in known
-    )
+    before = tuple(task.run(*each) for each in known)
     led, outcome, cells = None, None, tuple[MpmRun, ...]()
     forward, reason = surrogate.choose(task, model=model, load=load)
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
         rough = 1.0 if isinstance(forward, MpmForward) else ROUGH
         led = inverted(forward, task.problem, task.target, task.scatter, rough=rough)
-        state, confirmed = surrogate.guided(task, led, before)
+        state, confirmed = surrogate.guided(task.search(before), led)
         # Runs are dear here, and its answers were checked.
-        outcome = concluded(state, moves=0) if confirmed else judged(state)
+        outcome = concluded(task, state, moves=0) if confirmed else judged(state)
     elif model is not None:
         print(f"the surrogate is not asked: {reason}", file=sys.stderr)
     if outcome is None:
-        outcome = concluded(searched(first(task, known=before)))
+        outcome = concluded(task, searched(begun(task.search(before))))
     elif not outcome.verdict.confirms:
         # No word of a surrogate's excludes anything where the MPM does not confirm what it leads to.
-        tried = tuple(replace(each, purpose=Purpose.WAVE) for each in outcome.state.runs)
-        cells = outcome.state.cells
-        outcome = nearer(outcome.state, concluded(searched(first(task, tried, before))))
-    state, answer = outcome.state, outcome.answers[0]
-    files = {each.file for each in state.cells}
-    runs = (*state.runs, *state.cells, *(each for each in cells if each.file not in files))
-    coarse = {"coarse_runs": len(led.points)} if led is not None and isinstance(forward, MpmForward) else {}
-    mpm_seconds = sum(each.seconds for each in runs)
+        tried = tuple(replace(each, purpose=Purpose.WAVE) for each in outcome.search.runs)
+        cells = outcome.cells
+        outcome = nearer(outcome.search, concluded(task, searched(begun(task.search(before, tried)))))
+    state, answer = outcome.search, outcome.answers[0]
+    files = {each.file for each in outcome.cells}
+    runs = (*state.runs, *outcome.cells, *(each for each in cells if each.file not in files))
+    coarse = {"coarse_runs": len(led.runs)} if led is not None and isinstance(forward, MpmForward) else {}
     return Result(
         problem=task.problem,
         target=task.target,
@@ -125,28 +120,43 @@ def run(
         forward="MPM",
         predicted=answer.observation,
         deposit=answer.checks[0].trajectory.positions[-1],
-        iterations=state.waves,
+        iterations=waves(state),
         mpm_runs=runs,
-        posterior=state.posterior,
+        posterior=state.knowledge.posterior,
         further=further(outcome),
         notes=(statement(state),),
-        surrogate={"asked": led is not None, "reason": reason} | ({} if led is None else of_surrogate(led, state)),
-        seconds={"mpm": mpm_seconds, "total": time.perf_counter() - began},
+        surrogate={"asked": led is not None, "reason": reason}
+        | ({} if led is None else of_surrogate(task, led, state)),
+        seconds={"mpm": sum(each.seconds for each in runs), "total": time.perf_counter() - began},
         record=coarse,
         command="python -m validation.loop",
     )
 
 
-def of_surrogate(led: Inversion, state: Search) -> dict[str, Any]:
+def waves(state: Loop) -> list[dict[str, Any]]:
+    """What was known after each wave, as `result.json` has it."""
+    problem, box = state.knowledge.problem, state.knowledge.box
+    return [
+        {
+            "mpm_runs": len(found.near) - len(state.known),
+            "mean": problem.named(box.at(found.samples.mean)),
+            "deviation": problem.named(box.range * np.sqrt(np.diag(found.samples.covariance))),
+            "emulator_share": found.emulator_share,
+            "with_surrogate": found.emulator.trend is not linear,
+        }
+        for found in (each.posterior for each in state.waves)
+    ]
+
+
+def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
     """What the surrogate found, heaviest answer first, and what the MPM said of it, as `result.json` has it.
 
     That is by the runs there; where none were necessary, by the emulator of those around.
     """
-    task, answers = state.task, []
-    named, box = task.problem.named, task.bounds
+    named, box, answers = task.problem.named, task.problem.box, []
     for part, parameters in zip(led.answers, task.at(np.stack([each.point for each in led.answers])), strict=True):
         checks = [each for each in state.runs if np.array_equal(each.parameters, parameters)]
-        seen = [each.observation for each in checks] or state.posterior.expected(part.point[None])
+        seen = [each.observation for each in checks] or state.knowledge.posterior.expected(part.point[None])
         shown = np.mean(seen, axis=0)
         error = {"misfit": task.target.misfit(shown)}
         if checks and math.isfinite(task.target.front):
@@ -155,18 +165,19 @@ def of_surrogate(led: Inversion, state: Search) -> dict[str, Any]:
         answer = {"unknowns": named(parameters), "interval": interval, "weight": part.weight, "mpm_error": error}
         answer["half_widths"] = named(box.range * part.half_widths)
         answers.append(answer)
-    return {**answers[0], "answers": answers, "seconds": led.seconds, "predictions": len(led.points)}
+    return {**answers[0], "answers": answers, "seconds": led.seconds, "predictions": len(led.runs)}
 
 
-def statement(state: Search) -> str:
+def statement(state: Loop) -> str:
     """What the posterior is made of, in sentences."""
-    found = state.posterior
-    enough = CONSTANTS.converged_around if state.known or state.guide is not None else CONSTANTS.converged
+    found, led = state.knowledge.posterior, state.knowledge.guide is not None
+    prior = prior_of(state.knowledge.problem)
+    enough = CONSTANTS.converged_around if state.known or led else CONSTANTS.converged
     more = " **More runs of the MPM (`mpm_runs`) would narrow these.**" if found.emulator_share > enough else ""
     before = f" ({len(state.known)} of them made before)" if state.known else ""
     return (
         f"An emulator of {int(found.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
-        f"seed, gives the posterior over the whole box ({prior_of(state.task.problem)}). What the emulator does not "
+        f"seed, gives the posterior over the whole box ({prior}). What the emulator does not "
         f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} "
         f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     )
@@ -181,22 +192,22 @@ def prior_of(problem: Problem) -> str:
     return f"prior, cut off at the bounds: {', '.join([*stated, *pairs])}"
 
 
-def further(outcome: Outcome) -> dict[str, float]:
+def further(outcome: Conclusion) -> dict[str, float]:
     """Where the answer is ambiguous: the measurements of a deposit that would decide most."""
     if outcome.verdict is not Verdict.AMBIGUOUS:
         return {}
-    state, scene = outcome.state, outcome.state.task.problem.scene
-    near = state.posterior.near
+    state, knowledge = outcome.search, outcome.search.knowledge
+    scene, near = knowledge.problem.scene, knowledge.posterior.near
     flows = [run.trajectory for run, each in zip(state.every, near, strict=True) if each]
     extent = max(measures.front(flow.positions[-1], flow.volumes) for flow in flows)
     shown = [measurements(scene, flow.positions[-1], extent) for flow in flows]
     # That of the target is known.
-    known = {"the front"} if math.isfinite(state.task.target.front) else set()
+    known = {"the front"} if math.isfinite(knowledge.target.front) else set()
     found = information(
         state.points[near],
         {name: np.array([each[name] for each in shown]) for name in shown[0] if name not in known},
-        state.posterior.samples,
+        knowledge.posterior.samples,
         cell=scene.domain.cell,
-        rng=state.task.generator(len(state.runs)),
+        rng=state.generator(),
     )
     return dict([*found.items()][:SUGGESTED])

@@ -1,8 +1,8 @@
 """Whether a surrogate is asked: where the scene is in its range, its band narrow and a run of the MPM dear.
 
-It inverts first (`inverse.optimise`) and leads: the MPM runs at its answers first, then around them, and corrects them.
-No run is made beyond the surrogate's region unless the MPM contradicts: where it is off by more than the band allows,
-the region is so much wider, and twice as wide wherever the posterior comes to its edge.
+It inverts first (`inverse.search.descent`) and leads: the MPM runs at its answers first, then around them, and
+corrects them. No run is made beyond the surrogate's region unless the MPM contradicts: where it is off by more than the
+band allows, the region is so much wider, and twice as wide wherever the posterior comes to its edge.
 """
 
 import sys
@@ -22,21 +22,19 @@ from gns.initial import check
 from gns.library import model_path, shipped
 from gns.ranges import outside
 from gns.simulator import Simulator
-from inverse.answer import MpmRun, Purpose
+from inverse.answer import Purpose
 from inverse.forward import Forward
 from inverse.forward.gns import Flow, GnsForward, band_of
 from inverse.forward.mpm import MpmForward
 from inverse.observations.target import Target
-from inverse.optimise import Inversion
 from inverse.posterior.emulator import fewest_runs
-from inverse.posterior.posterior import next_points
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
+from inverse.search.inference import Inversion, further, wave_size
 from inverse.settings import Surrogate
 from mpm.footprint import SPEED
 from mpm.resolution import particle_steps
-from validation.loop.search import Search
-from validation.loop.task import Task
+from validation.loop.task import Loop, Task
 from validation.loop.verdict import checked
 from validation.runs import RunStore
 
@@ -49,6 +47,8 @@ JITTER = 0
 """Jitter seed of the flows that it predicts."""
 WIDEST = 0.2
 """Share of a flow's extent, up to which its 95 % band may be: a wider one excludes little of a box."""
+OUTERMOST = 0.2
+"""Share of the fall of the likelihood from its top to the edge of a region, within which a sample lies at the edge."""
 QUICKEST = 0.1
 """Seconds of a prediction at least: where even that costs too much, no weights are read."""
 
@@ -131,32 +131,50 @@ def loaded(weights: Path, stamp: int, scene: Scene, names: tuple[str, ...]) -> t
     return checkpoint.load(weights).simulator, {}
 
 
-def guided(task: Task, found: Inversion, known: tuple[MpmRun, ...] = ()) -> tuple[Search, bool]:
+def guided(search: Loop, found: Inversion) -> tuple[Loop, bool]:
     """Runs at the answers that a surrogate `found`, around them, and on until its answers so corrected hold.
 
     With it, whether the MPM confirms one of them: if not, more runs near the others would be of no use.
-    known: runs for other targets; where they are enough for an emulator, its answers are corrected by them at once.
+    Where the known runs are enough for an emulator, its answers are corrected by them at once.
     """
-    unknowns, state = len(task.problem.parameters), Search(task=task, known=known)
-    size = CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
-    if len(known) < fewest_runs(unknowns):
+    unknowns, state = len(search.knowledge.problem.parameters), search
+    size = wave_size(unknowns)
+    if len(search.known) < fewest_runs(unknowns):
         answers = np.stack([each.point for each in found.answers])
-        state = state.ran(np.repeat(answers, CONSTANTS.first_checks, axis=0), Purpose.CHECK)
+        state = state.ran(np.repeat(answers, CONSTANTS.first_checks, axis=0), purpose=Purpose.CHECK)
         found = found.compared(state.points, state.numbers)
-        state = state.ran(found.around(size, task.generator(0)), Purpose.WAVE)
-    state = replace(state, guide=found).inferred()
+        state = state.ran(found.around(size, state.generator(0)))
+    state = state.informed(guide=found)
     while True:
-        while state.at_edge:
-            state = state.wider()
-        left, known_enough = state.left - CONSTANTS.checks, state.converged
+        while at_edge(state):
+            # Twice as wide, until they do not.
+            found = found.refined(factor=2.0 * found.knowledge.factor)
+            state = state.informed(guide=found)
+        left, known_enough = state.left - CONSTANTS.checks, converged(state)
         # The answers of several parameters move until their emulator knows enough: checks of them come last.
         if unknowns == 1 or known_enough or left <= 0:
             state, corrected = checked(state, again=False, moves=1)
-            if state.at_edge:
+            if at_edge(state):
                 continue
             left, confirmed = state.left - CONSTANTS.checks, corrected[0].confirmed
             # What was enough before the checks is so after them, though the scatter that they show may be smaller.
-            if not confirmed or known_enough or state.converged or left <= 0:
+            if not confirmed or known_enough or converged(state) or left <= 0:
                 return state, confirmed
-        points = next_points(state.posterior, min(size, left), task.generator(len(state.runs)))
-        state = state.ran(points, Purpose.WAVE).inferred()
+        state = state.ran(further(state, min(size, left))).informed()
+
+
+def converged(state: Loop) -> bool:
+    """Whether further runs around the answers of a surrogate would shorten half-widths little."""
+    return state.knowledge.posterior.emulator_share <= CONSTANTS.converged_around
+
+
+def at_edge(state: Loop) -> bool:
+    """Whether samples lie at the edge of the surrogate's region: the MPM leads beyond it.
+
+    As long as the emulator knows little they lie there too, which leads nowhere.
+    """
+    guide, posterior = state.knowledge.guide, state.knowledge.posterior
+    if guide is None or posterior.likelihood.within is None or not converged(state):
+        return False
+    outermost = guide.beyond(posterior.samples.points) > -OUTERMOST * guide.fall
+    return float(posterior.samples.weights[outermost].sum()) > CONSTANTS.at_edge

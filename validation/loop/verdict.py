@@ -13,11 +13,12 @@ from inverse.answer import IDENTIFIABLE, MAX_NUMBERS, Answer, MpmRun, Purpose, V
 from inverse.noise import Fit, Scatter, fit
 from inverse.observations import Values
 from inverse.parameters import Vector
+from inverse.posterior import Matrix
 from inverse.posterior.answers import Part
-from inverse.posterior.posterior import Region
+from inverse.posterior.posterior import Posterior, Region
 from inverse.posterior.settings import CONSTANTS
-from validation.loop.search import Search
-from validation.loop.task import Task
+from inverse.search.inference import narrowed, parts_of
+from validation.loop.task import Loop, LoopRun, Task
 
 CLOSE = 0.35
 """Of a half-width: checks this close to an answer are checks of it."""
@@ -32,110 +33,113 @@ OTHER_CELLS = {2: 0.5, 3: 2.0}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class Conclusion:
     """What a search came to."""
 
-    state: Search
+    search: Loop
     answers: tuple[Answer, ...]
     """Those that the MPM confirms first, then by weight."""
     verdict: Verdict
+    cells: tuple[MpmRun, ...] = ()
+    """Runs at an answer on other cells, which are no part of the emulator."""
 
 
-def concluded(state: Search, *, moves: int = CONSTANTS.moves) -> Outcome:
+def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Conclusion:
     """The answers, checked, with the discrepancy of the first one in their half-widths, and the verdict.
 
     moves: see `checked`.
     """
-    excluded = is_excluded(state)
+    excluded = is_excluded(state.knowledge.posterior)
     state, found = checked(state, moves=moves)
-    if cells := on_other_cells(state.task, found[0]):
+    if cells := on_other_cells(task, found[0]):
         # The error grows as the cell (Roache 1994): nature has none, a twin on other cells that of its own.
         own, other = (each[0].trajectory.scene.domain.cell for each in (found[0].checks, cells))
-        share = (own - (state.task.target.cell or 0.0)) / (own - other)
+        share = (own - (task.target.cell or 0.0)) / (own - other)
         change = share * (found[0].observation - np.mean([each.observation for each in cells], axis=0))
         beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
-        wider = reopened(state, cells=cells, discretisation=change, extrapolated=beyond)
-        state, found = checked(wider, moves=moves)
+        state, found = checked(reopened(state, discretisation=change, extrapolated=beyond), moves=moves)
     for _ in range(CONSTANTS.rounds):
-        factor = discrepancy(state, found[0])
-        if abs(factor - state.factor) <= SETTLED * state.factor:
+        factor, before = discrepancy(state, found[0]), state.knowledge.factor
+        if abs(factor - before) <= SETTLED * before:
             break
         # The residuals are least in another place where all parameters are open again that they had excluded.
         state, found = checked(reopened(state, factor=factor), again=False, moves=min(1, moves))
     # What the MPM refuses is no other answer beside one that it confirms.
     found = tuple(each for each in found if each.confirmed) or found
-    return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found, excluded=excluded))
+    verdict = judge(task.problem, found, excluded=excluded)
+    return Conclusion(search=state, answers=found, verdict=verdict, cells=cells)
 
 
-def discrepancy(state: Search, answer: Answer) -> float:
+def discrepancy(state: Loop, answer: Answer) -> float:
     """Factor of all errors by the fit of `answer` where its part of the posterior is likeliest: Birge's ratio.
 
     Residuals are least there; a skewed posterior has its median elsewhere.
     """
     # Answers are in another order than parts: those first that the MPM confirms.
-    own = state.task.bounds.shares(answer.parameters)
-    part = min(state.parts(), key=lambda each: float(np.linalg.norm(each.point - own)))
-    best = part.points[[int(np.argmax(state.posterior.likelihood(part.points)))]]
+    own = state.knowledge.box.shares(answer.parameters)
+    part = min(parts_of(state), key=lambda each: float(np.linalg.norm(each.point - own)))
+    best = part.points[[int(np.argmax(state.knowledge.posterior.likelihood(part.points)))]]
     return fitted(state, answer.checks, best[0]).factor
 
 
-def reopened(state: Search, **changes: Any) -> Search:
+def reopened(state: Loop, **changes: Any) -> Loop:
     """With larger errors: where the posterior leaves the region of its runs, all that smaller errors excluded is open.
 
     An emulator of the runs in the old region would extrapolate. That of all runs takes its place, then those of smaller
     regions as long as they know more; of more than `few_parameters` that of all runs in the wider region.
     """
-    before = state.posterior.region
-    state = state.inferred(**changes)
-    region, unknowns = state.posterior.region, len(state.task.problem.parameters)
+    before = state.knowledge.posterior.region
+    state = state.informed(**changes)
+    region, unknowns = state.knowledge.posterior.region, len(before.low)
     if np.all(region.low >= before.low) and np.all(region.high <= before.high):
         return state
-    state = state.inferred(Region.whole(unknowns) if unknowns <= CONSTANTS.few_parameters else region)
-    while state.posterior.emulator_share > CONSTANTS.converged:
-        smaller = state.inferred()
-        if smaller.posterior.emulator_share >= state.posterior.emulator_share:
+    region = Region.whole(unknowns) if unknowns <= CONSTANTS.few_parameters else region
+    state = state.informed(region=region)
+    while (share := state.knowledge.posterior.emulator_share) > CONSTANTS.converged:
+        smaller = state.informed()
+        if smaller.knowledge.posterior.emulator_share >= share:
             break
         state = smaller
-    return state.narrowed()
+    return narrowed(state)
 
 
-def judged(state: Search) -> Outcome:
+def judged(state: Loop) -> Conclusion:
     """The answers by the runs that there are."""
-    found = answers_of(state, state.parts())
-    return Outcome(state=state, answers=found, verdict=judge(state.task.problem, found))
+    found = answers_of(state, parts_of(state))
+    return Conclusion(search=state, answers=found, verdict=judge(state.knowledge.problem, found))
 
 
-def nearer(led: Search, whole: Outcome) -> Outcome:
+def nearer(led: Loop, whole: Conclusion) -> Conclusion:
     """Of a search that a surrogate led, which the MPM did not confirm, and one of the whole box after it: the nearer.
 
     By all runs of both. What is excluded over the whole box remains excluded.
     """
-    outcome = judged(replace(led, runs=(*led.runs, *whole.state.runs[len(led.runs) :])).inferred())
-    ratios = [math.inf if each.answers[0].fit is None else each.answers[0].fit.ratio for each in (outcome, whole)]
-    return outcome if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
+    found = judged(replace(led, runs=(*led.runs, *whole.search.runs[len(led.runs) :])).informed())
+    ratios = [math.inf if each.answers[0].fit is None else each.answers[0].fit.ratio for each in (found, whole)]
+    return found if whole.verdict is Verdict.UNCONFIRMED and ratios[0] < ratios[1] else whole
 
 
-def checked(state: Search, *, again: bool = True, moves: int = CONSTANTS.moves) -> tuple[Search, tuple[Answer, ...]]:
+def checked(state: Loop, *, again: bool = True, moves: int = CONSTANTS.moves) -> tuple[Loop, tuple[Answer, ...]]:
     """Runs at every answer, and again where an answer moves by what these show, at most `moves` times.
 
     The answer is the median of the posterior all the same, the checks those nearest to it. again: once more, too, where
     the MPM does not confirm the first of them.
     """
     for turn in range(CONSTANTS.rounds):
-        found, close = state.parts(), CLOSE if turn < moves else math.inf
+        found, close = parts_of(state), CLOSE if turn < moves else math.inf
         locations = [each.point for each in found if not is_checked(state, each, close)]
         if not locations:
             answers = answers_of(state, found)
             if answers[0].confirmed or not again or is_certain(answers[0]):
                 break
             # Where the mean of few runs is not near enough, that of more may be.
-            locations = [state.task.bounds.shares(answers[0].parameters)]
+            locations = [state.knowledge.box.shares(answers[0].parameters)]
         if state.left < len(locations):
             break
-        checks = CONSTANTS.few_checks if state.known or state.guide is not None else CONSTANTS.checks
+        checks = CONSTANTS.few_checks if state.known or state.knowledge.guide is not None else CONSTANTS.checks
         count = min(checks, state.left // len(locations))
-        state = state.ran(np.repeat(np.stack(locations), count, axis=0), Purpose.CHECK).inferred()
-    return state, answers_of(state, state.parts())
+        state = state.ran(np.repeat(np.stack(locations), count, axis=0), purpose=Purpose.CHECK).informed()
+    return state, answers_of(state, parts_of(state))
 
 
 def is_certain(answer: Answer) -> bool:
@@ -147,75 +151,77 @@ def is_certain(answer: Answer) -> bool:
     return fit.scatter**2 / len(answer.checks) < NEGLIGIBLE * total
 
 
-def distances(state: Search, runs: Sequence[MpmRun], part: Part) -> Values:
+def distances(runs: Sequence[LoopRun], part: Part) -> Values:
     """Distance of runs from the point of a part: root mean square over the parameters, in half-widths, shape [n]."""
-    locations = state.task.bounds.shares(np.stack([each.parameters for each in runs]))
-    off = (locations - part.point) / np.maximum(part.half_widths, 1e-6)
+    off = (np.stack([each.point for each in runs]) - part.point) / np.maximum(part.half_widths, 1e-6)
     return np.asarray(np.sqrt((off**2).mean(axis=1)))
 
 
-def checks_of(state: Search, part: Part) -> list[MpmRun]:
+def checks_of(state: Loop, part: Part) -> list[LoopRun]:
     """The checks of a part: those at the place, among all in it that were checked, that is nearest to its point."""
-    own = [each for each in state.runs if each.purpose is Purpose.CHECK]
-    if not own:
+    made = [each for each in state.runs if each.purpose is Purpose.CHECK]
+    if not made:
         return []
-    locations = state.task.bounds.shares(np.stack([each.parameters for each in own]))
-    within = np.all((locations >= part.points.min(axis=0)) & (locations <= part.points.max(axis=0)), axis=1)
-    within &= state.posterior.likelihood(locations) >= part.threshold
-    far = np.where(within, distances(state, own, part), np.inf)
+    points = np.stack([each.point for each in made])
+    within = np.all((points >= part.points.min(axis=0)) & (points <= part.points.max(axis=0)), axis=1)
+    within &= state.knowledge.posterior.likelihood(points) >= part.threshold
     if not within.any():
         return []
-    nearest = own[int(np.argmin(far))].parameters
-    return [each for each in own if np.array_equal(each.parameters, nearest)]
+    nearest = points[int(np.argmin(np.where(within, distances(made, part), np.inf)))]
+    return [each for each in made if np.array_equal(each.point, nearest)]
 
 
-def is_checked(state: Search, part: Part, close: float) -> bool:
+def is_checked(state: Loop, part: Part, close: float) -> bool:
     """Whether its checks are so close to its point, in half-widths, or it is most of the box."""
     found = checks_of(state, part)
     if not found:
         return False
-    return bool(distances(state, found[:1], part)[0] <= close or part.half_widths.max() > IDENTIFIABLE)
+    return bool(distances(found[:1], part)[0] <= close or part.half_widths.max() > IDENTIFIABLE)
 
 
-def answers_of(state: Search, found: Sequence[Part]) -> tuple[Answer, ...]:
+def answers_of(state: Loop, found: Sequence[Part]) -> tuple[Answer, ...]:
     """The answer in each part, with the checks or else the runs nearest to it; those first that the MPM confirms."""
-    task, answers = state.task, []
+    box, answers = state.knowledge.box, []
     for part in found:
-        own = checks_of(state, part) or [state.every[int(np.argmin(distances(state, state.every, part)))]]
+        checks = checks_of(state, part) or [state.every[int(np.argmin(distances(state.every, part)))]]
         answers.append(
             Answer(
-                parameters=task.bounds.at(part.point),
-                interval=task.bounds.at(part.interval),
+                parameters=box.at(part.point),
+                interval=box.at(part.interval),
                 weight=part.weight,
-                checks=tuple(own),
-                fit=replace(fitted(state, own, part.point), applied=state.factor),
+                checks=tuple(checks),
+                fit=replace(fitted(state, checks, part.point), applied=state.knowledge.factor),
             )
         )
     return tuple(sorted(answers, key=lambda each: not each.confirmed))
 
 
-def fitted(state: Search, checks: Sequence[MpmRun], point: Vector) -> Fit:
+def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
     """The checks of an answer, carried over to `point` [U] of the unit box, beside the target.
 
     The scatter is that of runs repeated near it, else anywhere.
 
     The checks may lie a part of a half-width beside it: the difference is the emulator's.
     """
-    task, near = state.task, state.posterior.near
-    numbers, unknowns = state.numbers, len(task.problem.parameters)
-    scatter = Scatter.of_runs(state.points[near], numbers[near], task.scatter)
+    known, near, numbers = state.knowledge, state.knowledge.posterior.near, state.numbers
+    scatter = Scatter.of_runs(state.points[near], numbers[near], known.scatter)
     if scatter.freedom == 0:
-        scatter = Scatter.of_runs(state.points, numbers, task.scatter)
-    shown = np.stack([each.observation for each in checks])
-    there, here = state.posterior.expected(np.stack([point, task.bounds.shares(checks[0].parameters)]))
+        scatter = Scatter.of_runs(state.points, numbers, known.scatter)
+    place, step = known.box.shares(checks[0].parameters), 1e-3 * np.eye(len(point))
+    there, here = known.posterior.expected(np.stack([point, place]))
+    shown = np.stack([each.observation for each in checks]) + (there - here)
+    slopes: Matrix | None = None
+    if shown.shape[1] <= MAX_NUMBERS:
+        # Derivatives by parameters in fractions of their ranges, by the emulator, shape [U, M].
+        slopes = (known.posterior.expected(place + step) - known.posterior.expected(place - step)) / 2e-3
     return fit(
-        task.target,
-        shown + (there - here),
+        known.target,
+        shown,
         scatter,
-        cells=state.discretisation,
-        extrapolated=state.extrapolated,
-        parameters=unknowns,
-        slopes=None if shown.shape[1] > MAX_NUMBERS else state.slopes(checks[0].parameters),
+        cells=known.discretisation,
+        extrapolated=known.extrapolated,
+        parameters=len(point),
+        slopes=slopes,
     )
 
 
@@ -240,9 +246,8 @@ def on_other_cells(task: Task, answer: Answer) -> tuple[MpmRun, ...]:
     return task.compared([location] * len(scenes), scenes, Purpose.CELLS)
 
 
-def is_excluded(state: Search) -> bool:
+def is_excluded(found: Posterior) -> bool:
     """Whether the likeliest parameters of all, whatever a stated prior, leave more than scatter and noise explain."""
-    found = state.posterior
     samples = found.samples if found.likelihood.prior is None else found.plausible
     best = samples.points[[int(np.argmax(samples.log_likelihood))]]
     (residual,), fixed, (variance,) = found.likelihood.residual(best)

@@ -14,14 +14,14 @@ from datasets.records import changed, from_mapping
 from inverse import Correlation, Parameter, Prior
 from inverse.answer import Answer, Combination, unidentified
 from inverse.observations.errors import Covariance
-from inverse.optimise import inverted
 from inverse.parameters.prior import JointPrior
 from inverse.posterior import Matrix
 from inverse.posterior.posterior import posterior
 from inverse.posterior.sampling import Samples, sample
 from inverse.problem import Problem, read_problem
+from inverse.search.descent import inverted
 from tests.inverse.posterior.test_posterior import SCATTER, SLOPES, target_of
-from tests.inverse.test_optimise import NAMES, Formula, WithGradient
+from tests.inverse.search.test_descent import NAMES, Formula, WithGradient
 from tests.refusals import refused
 
 LOWER, UPPER = 16.0, 45.0

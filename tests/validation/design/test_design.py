@@ -11,6 +11,7 @@ from scipy.stats import norm
 from datasets.errors import InputError
 from datasets.forces import forces_of
 from datasets.scene import Baffle, Mass
+from inverse.answer import Verdict
 from inverse.parameters.prior import Correlation, Prior
 from inverse.posterior import Matrix, Row
 from mpm import simulate
@@ -18,7 +19,7 @@ from tests.scenes import scene_of
 from validation import find_design
 from validation.design.__main__ import main
 from validation.design.problem import Budget, DesignProblem, Limit, Uncertain, Variable, read_design
-from validation.design.search import Verdict, designed
+from validation.design.search import designed
 
 SCENE = scene_of(
     Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(2.5, 0.0)),
@@ -62,7 +63,7 @@ def test_the_cheapest_design_of_a_known_response_is_found(seed: int) -> None:
     assert found.design["baffles[0].height"] == pytest.approx(exact, abs=0.008)
     assert found.design["baffles[1].height"] == pytest.approx(0.04, abs=0.004)
     assert found.verdict is Verdict.CONFIRMED
-    assert found.search.spent <= problem.runs
+    assert found.spent <= problem.runs
     true = norm.cdf((found.design["baffles[0].height"] + 1.5 * found.design["baffles[1].height"] - 0.2) / 0.0304)
     assert true == pytest.approx(problem.required, abs=0.015)
 
@@ -76,7 +77,7 @@ def test_the_most_reliable_design_is_found_where_nothing_has_a_cost() -> None:
 
     found = designed(problem, respond)
     assert found.design["baffles[0].height"] == pytest.approx(0.1, abs=0.03)
-    assert found.search.expected == pytest.approx(norm.cdf(0.05 / 0.03), abs=0.02)
+    assert found.reliability.expected == pytest.approx(norm.cdf(0.05 / 0.03), abs=0.02)
 
 
 def test_a_limit_that_no_design_keeps_is_unreachable(tmp_path: Path) -> None:
@@ -101,8 +102,8 @@ def test_flows_of_a_failed_check_inform_a_second_design() -> None:
 
     found = designed(problem, respond)
     assert len(checks) == 2
-    assert found.search.spent <= problem.runs
-    assert len(found.search.points) == found.search.spent + 60
+    assert found.spent <= problem.runs
+    assert len(found.search.runs) == found.spent + 120
 
 
 def test_draws_are_those_of_the_prior() -> None:
@@ -231,6 +232,4 @@ def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path, capsys
     assert {"report.md", "design.png", "mpm"} <= {path.name for path in out.iterdir()}
     again = find_design(file, out, simulate=lambda scenes, record: pytest.fail("no flow is run again"))
     assert again.design == pytest.approx(found["design"])
-    assert [len(np.load(path)["positions"]) for path in (out / "mpm").rglob("*.npz")] == [1] * (
-        len(again.search.points) + 100
-    )
+    assert [len(np.load(path)["positions"]) for path in (out / "mpm").rglob("*.npz")] == [1] * (len(again.search.runs))

@@ -1,6 +1,5 @@
 """Where a surrogate leads: its answers, what the MPM says of them, and what the MPM alone would find."""
 
-import json
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -16,12 +15,12 @@ from datasets.scene import Domain, Solid
 from gns import card, checkpoint
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
-from inverse import save
 from inverse.answer import Purpose, Verdict
 from inverse.forward.gns import GnsForward
 from inverse.observations import FrontSettings
 from inverse.parameters import Parameter
 from inverse.problem import read_problem
+from inverse.search.inference import begun
 from inverse.settings import LoopSettings, Surrogate, TargetSettings
 from inverse.target import read_target
 from tests.validation.loop.flows import (
@@ -39,7 +38,6 @@ from tests.validation.loop.flows import (
     wedge,
 )
 from validation.loop import surrogate
-from validation.loop.search import first
 from validation.loop.solve import run
 from validation.loop.surrogate import choose, learned
 from validation.loop.task import Task
@@ -59,15 +57,10 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
     assert abs(own - 24.0) < width < 4.0
     assert abs(result.unknowns["friction_deg"] - 24.0) < 2.0 * result.certainty["friction_deg"] < 1.5
     assert result.mpm_runs[0].purpose is Purpose.CHECK
-    save(result, tmp_path / "out")
-    stored = json.loads((tmp_path / "out" / "result.json").read_text())["surrogate"]
-    keys = "asked reason unknowns interval half_widths weight mpm_error answers seconds predictions"
-    assert stored.keys() == set(keys.split())
     # By two runs there: that of a flow without scatter.
     there = FakeMpm().run(case.problem.scene_at(np.array([own]), 0))
     misfit = case.target.misfit(case.target.observation.observe(there))
-    assert stored["mpm_error"]["misfit"] == pytest.approx(misfit, rel=0.4, abs=3e-5)
-    assert "- The surrogate found `friction_deg` = " in (tmp_path / "out" / "report.md").read_text()
+    assert result.surrogate["mpm_error"]["misfit"] == pytest.approx(misfit, rel=0.4, abs=3e-5)
 
 
 @pytest.mark.parametrize("factor", [0.8, pytest.param(1.2, marks=pytest.mark.slow)])
@@ -134,7 +127,7 @@ def test_the_search_of_the_whole_box_is_no_better_for_a_misfit(misfit: Case, tmp
 
 
 def test_of_two_answers_that_the_mpm_refuses_the_nearer_stands(misfit: Case, tmp_path: Path) -> None:
-    found = judged(first(misfit.task(tmp_path)).inferred())
+    found = judged(begun(misfit.task(tmp_path).search()).informed())
     for ratio, verdict, nearest in (
         (0.5, Verdict.UNCONFIRMED, "whole"),
         (2.0, Verdict.UNCONFIRMED, "led"),
@@ -144,7 +137,7 @@ def test_of_two_answers_that_the_mpm_refuses_the_nearer_stands(misfit: Case, tmp
         assert fit is not None
         fit = replace(fit, ratio=ratio * fit.ratio)
         whole = replace(found, answers=(replace(answer, fit=fit),), verdict=verdict)
-        assert (nearer(found.state, whole) is whole) == (nearest == "whole")
+        assert (nearer(found.search, whole) is whole) == (nearest == "whole")
 
 
 def test_an_answer_just_inside_a_bound(tmp_path: Path) -> None:

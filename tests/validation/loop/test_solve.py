@@ -15,17 +15,12 @@ from inverse import plot, save
 from inverse.answer import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
+from inverse.search.inference import begun, narrowed
 from tests.inverse.test_fields import files
 from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, Uneven, layers, length, wedge
 from validation.loop import verdict
 from validation.loop.__main__ import print_outcome
-from validation.loop.search import first
 from validation.loop.solve import solve
-
-RESULT_KEYS = """
-problem verdict unknowns interval certainty answers combinations check discrepancy truth error_pct observation loss
-mpm_runs iterations sampling surrogate seconds remarks run_count peak_memory_mib
-"""
 
 
 @pytest.mark.parametrize(("kind", "truth"), [("front", 13.0), ("front", 42.0), ("profile", 24.0)])
@@ -63,12 +58,12 @@ def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None
 def test_flows_that_scatter_more_elsewhere_do_not_widen_the_half_width(tmp_path: Path, seed: int) -> None:
     case = wedge(tmp_path, mpm=Uneven(scatter=0.002), truth=22.0, seed=seed, noise=0.002)
     # Twenty runs from 20 to 24 degrees, nine over the whole box.
-    state = first(case.task(tmp_path)).ran(np.linspace(0.2, 0.3, 20)[:, None], Purpose.WAVE).inferred()
-    found = state.narrowed().posterior
-    assert 15 < found.near.sum() < state.posterior.near.sum()
+    state = begun(case.task(tmp_path).search()).ran(np.linspace(0.2, 0.3, 20)[:, None]).informed()
+    whole, found = (each.knowledge.posterior for each in (state, narrowed(state)))
+    assert 15 < found.near.sum() < whole.near.sum()
     # In degrees: noise and scatter over the slope of the length.
     exact = math.hypot(0.002 / FRONT, 0.002) / (0.02 - 0.0003 * (22.0 - 12.0))
-    wide, narrow = (40.0 * float(each.samples.covariance[0, 0]) ** 0.5 for each in (state.posterior, found))
+    wide, narrow = (40.0 * float(each.samples.covariance[0, 0]) ** 0.5 for each in (whole, found))
     assert narrow < 2.0 * exact < wide
     assert abs(40.0 * found.samples.mean[0] - 10.0) < 4.0 * exact
 
@@ -93,7 +88,6 @@ def test_a_target_outside_the_bounds_is_unreachable(tmp_path: Path, beyond: floa
     save(result, tmp_path)
     with pytest.raises(WorkFailed, match="unreachable"):
         print_outcome(result, tmp_path)
-    assert "No parameters within the bounds" in (tmp_path / "report.md").read_text()
 
 
 def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -153,7 +147,6 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     out = tmp_path / "saved"
     save(found, out)
     result = json.loads((out / "result.json").read_text())
-    assert result.keys() == set(RESULT_KEYS.split())
     (answer,) = result["answers"]
     assert (answer["unknowns"], answer["half_widths"]) == (result["unknowns"], result["certainty"])
     assert (answer["weight"], answer["misfit"]) == (pytest.approx(1.0), result["loss"]["mpm"])
@@ -177,16 +170,10 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
         np.testing.assert_allclose(case.target.observation.observe(trajectory), each.observation)
         assert len(trajectory.time) == 1
     assert {run.purpose for run in found.mpm_runs} == {Purpose.WAVE, Purpose.CHECK}
-    report = (out / "report.md").read_text()
-    assert "The MPM confirms" in report
     assert result["remarks"] == ["the sand still moves"]
-    assert "At the answer: the sand still moves." in report
     for picture in ("deposit.png", "posterior.png"):
-        assert f"({picture})" in report
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
-    figure = plot(found)
-    assert "confirmed" in figure.get_suptitle()
-    assert len(figure.axes) == 3
+    assert len(plot(found).axes) == 3
 
 
 def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> None:
@@ -198,8 +185,6 @@ def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> 
     assert abs(twin.unknowns["friction_deg"] - 24.0) < 0.5
     # 16 mm in a slope of 16 mm a degree.
     assert 0.8 < abs(measured.unknowns["friction_deg"] - 24.0) < measured.certainty["friction_deg"] < 4.0
-    save(measured, tmp_path / "seen")
-    assert "cells " in (tmp_path / "seen" / "report.md").read_text()
     # By runs on half the cells, which change half as much as all of it.
     assert measured.answers[0].fit.cells == pytest.approx(0.02 * true, rel=0.2)
 

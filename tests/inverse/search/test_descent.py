@@ -12,8 +12,9 @@ from datasets.field import Floats
 from inverse.observations import ToeSettings
 from inverse.observations.errors import Covariance
 from inverse.observations.target import Target
-from inverse.optimise import Inversion, inverted
 from inverse.problem import Problem
+from inverse.search.descent import inverted
+from inverse.search.inference import Inversion
 
 NAMES = ("friction_deg", "masses[0].velocity_x")
 
@@ -72,7 +73,7 @@ def test_the_truth_in_few_runs(make_problem: Any, made: type[Formula], share: tu
     # The half-width of a linear fit of twelve numbers of 1 mm to slopes of some 0.1 m.
     np.testing.assert_array_less(np.abs(answer.point - share), np.maximum(answer.half_widths, 0.01))
     assert answer.half_widths.max() < 0.05
-    assert forward.runs == len(found.points) < 24
+    assert forward.runs == len(found.runs) < 24
 
 
 def test_both_roots_of_an_even_formula_are_answers(make_problem: Any) -> None:

@@ -1,0 +1,294 @@
+"""What runs say of the parameters: their posterior, and what a forward model found that may lead a search of another.
+
+Runs of a forward model go where they narrow the posterior most, until more of them would hardly narrow it: the emulator
+of all runs around the posterior so far, its posterior, and runs where the emulator's variance hides most of it
+(`inverse.posterior`). A wave costs seconds, so that none is too many.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.stats import chi2
+
+from inverse.forward import Forward
+from inverse.observations import Values
+from inverse.observations.target import Target
+from inverse.posterior import Matrix
+from inverse.posterior.answers import Part, parts
+from inverse.posterior.emulator import fewest_runs, linear
+from inverse.posterior.posterior import SMALLEST, Posterior, Region, next_points, posterior
+from inverse.posterior.settings import CONSTANTS
+from inverse.problem import Bounds, Problem
+from inverse.search.waves import ModelRun, WaveSearch, filling
+
+EXCLUDED = 1e-3
+"""Probability of parameters beyond the region of a surrogate, were its band right."""
+STEEP = 4.0
+"""By how much the logarithm of the probability falls beyond the region, for each that the likelihood falls."""
+R = TypeVar("R", bound=ModelRun)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inference:
+    """The posterior of the parameters by an emulator of the runs."""
+
+    problem: Problem
+    target: Target
+    """What the runs are compared with, shape [M]; of a surrogate with its errors."""
+    scatter: Values
+    """Expected standard deviation of each number from run to run, shape [M]."""
+    guide: "Inversion | None" = None
+    """What a surrogate found: it confines the posterior to its region.
+
+    Of more than `few_parameters` only the first runs are confined to it: of so many runs their own emulator excludes
+    enough, and is right where the surrogate's band is too narrow.
+    """
+    factor: float = 1.0
+    """Of the discrepancy."""
+    discretisation: Values | None = None
+    """What the cells of the scene change of the numbers, as runs on other cells show, shape [M]."""
+    extrapolated: float = 1.0
+    """Share of it beyond what these show."""
+    region: Region | None = None
+    """Of the runs that count in the next update; that which the latest posterior leaves where absent."""
+    latest: Posterior | None = None
+
+    @property
+    def posterior(self) -> Posterior:
+        """By the latest update."""
+        assert self.latest is not None, "no run was made yet"
+        return self.latest
+
+    @cached_property
+    def box(self) -> Bounds:
+        """Of the parameters."""
+        return self.problem.box
+
+    def updated(self, search: WaveSearch[Any, Any]) -> "Inference":
+        """With the posterior by all runs of `search`."""
+        points, guide = search.points, self.guide
+        many = points.shape[1] > CONSTANTS.few_parameters
+        found = posterior(
+            points,
+            search.numbers,
+            self.target,
+            scatter=self.scatter,
+            region=self.region or self.left(points, known=len(search.known) > 0),
+            rng=search.generator(),
+            factor=self.factor,
+            discretisation=self.discretisation,
+            extrapolated=self.extrapolated,
+            trends=(linear,) if guide is None else (guide.trend, linear),
+            within=None if guide is None or (many and search.waves) else guide.within,
+            prior=self.problem.prior,
+        )
+        return dataclasses.replace(self, latest=found, region=None)
+
+    def left(self, points: Matrix, *, known: bool) -> Region | None:
+        """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there.
+
+        known: whether some were made before, which lie anywhere: there are to be enough that scatter alike.
+        """
+        if self.latest is None:
+            few = self.guide is None or self.guide.region is None
+            return None if few else Region(low=points.min(axis=0), high=points.max(axis=0))
+        if known and points.shape[1] <= CONSTANTS.few_parameters:
+            region = Region.around(self.latest.plausible)
+            while np.sum(region.inside(points)) < min(CONSTANTS.local_runs, len(points)):
+                region = region.wider()
+            return region
+        return self.latest.next_region if self.latest.next_region.suffices(points) else self.latest.region
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inversion(WaveSearch[ModelRun, Inference]):
+    """What one forward model found: a search by its predictions, and where its misfit is stationary.
+
+    The factor of its knowledge says by how much its region is wider than its band says, for what the MPM showed.
+    """
+
+    forward: Forward
+    minima: Matrix
+    """Where the steps from each start ended, shape [k, U]."""
+    settled: NDArray[np.bool_]
+    """Which of them no step leads on from, shape [k]."""
+    rough: float
+    """Expected roughness of the numbers, over their standard deviations by C."""
+    region: Region | None = None
+    """What of the box its posterior is looked for in; all of it where absent."""
+    seconds: float = 0.0
+
+    @property
+    def posterior(self) -> Posterior:
+        """By its emulator, in the units of the box."""
+        return self.knowledge.posterior
+
+    @property
+    def target(self) -> Target:
+        """Its part of the target's numbers, with S and E in their covariance, shape [m]."""
+        return self.knowledge.target
+
+    @cached_property
+    def regions(self) -> list[Part]:
+        """The separate parts of its 95 % region, each with its median."""
+        return parts(self.posterior.samples, self.posterior.likelihood, self.generator(1))
+
+    @cached_property
+    def answers(self) -> list[Part]:
+        """The same, each with its minimum of L: where runs of the MPM are led to."""
+        answers = []
+        for part in self.regions:
+            low, high = part.points.min(axis=0), part.points.max(axis=0)
+            # No sample lies at a bound.
+            slack = 0.05 * (high - low)
+            own = self.minima[np.all((self.minima >= low - slack) & (self.minima <= high + slack), axis=1)]
+            point = own[int(np.argmin(self.losses(own)))] if len(own) else part.point
+            answers.append(dataclasses.replace(part, point=point))
+        return answers
+
+    @cached_property
+    def precision(self) -> Matrix:
+        """C^-1, shape [m, m]."""
+        return np.asarray(np.linalg.inv(self.target.errors.matrix))
+
+    def misfits(self, points: Matrix, numbers: Matrix | None = None) -> Values:
+        """r^T C^-1 r where the model predicts `numbers` [k, m], unless given at `points` [k, U] of its own, [k]."""
+        if numbers is None:
+            made = self.points
+            numbers = self.numbers[[int(np.argmin(np.abs(made - each).sum(axis=1))) for each in points]]
+        residual = numbers - self.target.values
+        return np.asarray(((residual @ self.precision) * residual).sum(axis=1))
+
+    def losses(self, points: Matrix, numbers: Matrix | None = None) -> Values:
+        """L as `misfits`, shape [k]."""
+        prior = self.knowledge.problem.prior
+        return self.misfits(points, numbers) + (np.zeros(len(points)) if prior is None else -2.0 * prior(points))
+
+    def refined(self, **changes: Any) -> "Inversion":
+        """With the posterior by all predictions in its region; changes: of the fields of `knowledge` before."""
+        return self.informed(region=self.region or Region.whole(self.minima.shape[1]), **changes)
+
+    @property
+    def fall(self) -> float:
+        """By how much the logarithm of the likelihood falls from its top to the edge of the region."""
+        return 0.5 * float(chi2.isf(EXCLUDED, self.minima.shape[1]))
+
+    def beyond(self, points: Matrix) -> Values:
+        """By how much the logarithm of the likelihood at points [S, U] falls below that at the region's edge, [S]."""
+        found, log_prior = self.posterior, self.posterior.likelihood.log_prior
+        top = (found.samples.log_likelihood - log_prior(found.samples.points)).max()
+        return np.asarray(top - self.fall - (found.likelihood(points) - log_prior(points)))
+
+    def within(self, points: Matrix) -> Values:
+        """Logarithm of the probability that the region holds points [S, U]: 0 inside, steep beyond, shape [S]."""
+        return -STEEP * np.maximum(self.beyond(points), 0.0)
+
+    def trend(self, points: Matrix) -> Matrix:
+        """1 and its first U components at points [S, U], shape [S, 1 + U]: the trend of an emulator of the MPM."""
+        emulator, count = self.posterior.emulator, points.shape[1]
+        # In units of their standard deviation over the predictions.
+        spread = emulator.numbers[:, :count].std(axis=0)
+        found = emulator.mean(points)[:, :count] / np.maximum(spread, 1e-300)
+        return np.concatenate([np.ones((len(points), 1)), found], axis=1)
+
+    def around(self, count: int, rng: np.random.Generator) -> Matrix:
+        """Points of its 95 % region that lie far from its answers and from each other, shape [count, U].
+
+        Of more than `few_parameters` points that fill the box around it evenly.
+        """
+        samples = self.posterior.samples
+        if samples.points.shape[1] > CONSTANTS.few_parameters:
+            return Region.around(samples).filled(count, rng)
+        threshold = np.quantile(samples.log_likelihood, 1.0 - CONSTANTS.credible)
+        inside = samples.points[samples.log_likelihood >= threshold]
+        chosen = [each.point for each in self.answers]
+        scale = np.maximum(inside.std(axis=0), 1e-9)
+        for _ in range(count):
+            apart = cKDTree(np.stack(chosen) / scale).query(inside / scale)[0]
+            chosen.append(inside[int(np.argmax(apart))])
+        return np.stack(chosen[-count:])
+
+    def compared(self, points: Matrix, shown: Matrix) -> "Inversion":
+        """Its region as wide as runs of the MPM at points [n, U] contradict it, that show numbers [n, M].
+
+        Off by more than the band allows: the squared difference, in units of C, that has a mean of 1 for each number.
+        """
+        found, factor = self.posterior, self.knowledge.factor
+        places, label = np.unique(points, axis=0, return_inverse=True)
+        selected = np.stack([self.forward.select(each) for each in shown])
+        means = found.reduction(np.stack([selected[label == each].mean(axis=0) for each in range(len(places))]))
+        residual = means - found.emulator.mean(places)
+        square = np.einsum("sr,rs->s", residual, np.linalg.solve(found.likelihood.fixed / factor**2, residual.T))
+        contradiction = float(np.sqrt(square.max() / chi2.isf(0.05, residual.shape[1])))
+        return self if contradiction <= factor else self.refined(factor=contradiction)
+
+
+def begun(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
+    """With runs that fill the box, and some in its middle; as many as an emulator must have of a small budget.
+
+    None are made where the known ones are enough.
+    """
+    unknowns = len(search.knowledge.problem.parameters)
+    if len(search.known) >= fewest_runs(unknowns):
+        return search
+    count, repeats = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns, CONSTANTS.repeats
+    left = search.left - CONSTANTS.checks
+    if count + repeats > left:
+        count, repeats = max(unknowns + 3, left), 0
+    return search.ran(filling(unknowns, count, search.generator(0), repeats=repeats))
+
+
+def wave_size(unknowns: int) -> int:
+    """Runs of a wave; of many parameters as many as an emulator of a smaller region needs."""
+    return CONSTANTS.wave + unknowns if unknowns <= CONSTANTS.few_parameters else fewest_runs(unknowns)
+
+
+def further(search: WaveSearch[R, Inference], count: int) -> Matrix:
+    """Where so many runs narrow the posterior most, shape [count, U]."""
+    return next_points(search.knowledge.posterior, count, search.generator())
+
+
+def searched(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
+    """With waves until the emulator's share is small; runs for checks of an answer are left over."""
+    unknowns, spared = len(search.knowledge.problem.parameters), CONSTANTS.repeats + CONSTANTS.checks
+    enough = CONSTANTS.converged_around if search.known else CONSTANTS.converged
+    near = search
+
+    def next_wave(state: WaveSearch[R, Inference]) -> Matrix | None:
+        nonlocal near
+        near, left = narrowed(state), state.left - spared
+        if near.knowledge.posterior.emulator_share <= enough or left <= 0:
+            return None
+        repeated = np.repeat(state.knowledge.posterior.samples.mean[None], CONSTANTS.repeats, axis=0)
+        return np.concatenate([repeated, further(state, min(wave_size(unknowns), left))])
+
+    search.in_waves(next_wave)
+    return near
+
+
+def narrowed(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
+    """With the emulator of the runs around the samples alone, where these are in one part and it knows more there.
+
+    Flows scatter and curve differently over the box: an emulator of all of it has the mean of their variances.
+    """
+    before = search.knowledge.posterior
+    wide = CONSTANTS.around_deviations * np.sqrt(np.diag(before.samples.covariance)) + SMALLEST
+    low, high = np.maximum(before.samples.mean - wide, 0.0), np.minimum(before.samples.mean + wide, 1.0)
+    around = Region(low=low, high=high)
+    few = len(wide) <= CONSTANTS.few_parameters and not search.known
+    enough = around.suffices(search.points) and np.sum(around.inside(search.points)) >= CONSTANTS.local_runs
+    if not few or not enough or len(parts_of(search)) > 1:
+        return search
+    found = search.informed(region=around)
+    return found if found.knowledge.posterior.emulator_share < before.emulator_share else search
+
+
+def parts_of(search: WaveSearch[R, Inference]) -> list[Part]:
+    """The separate parts of the 95 % region."""
+    found = search.knowledge.posterior
+    return parts(found.samples, found.likelihood, search.generator())

@@ -1,0 +1,117 @@
+"""The search in waves: run a forward model, learn from all its runs, run it again where these leave most open.
+
+One search serves three purposes, each with a forward model and with its own knowledge of what the runs say:
+
+| search | forward model | knowledge |
+|---|---|---|
+| `python -m inverse` | the surrogate, the MPM, its adjoint | `inverse.search.inference`: posterior of the parameters |
+| `validation.loop` | the MPM, each run with its own jitter seed | the same, maybe within the region of a surrogate |
+| `validation.design` | one response of such runs | `validation.design.reliability`: probability of keeping a limit |
+
+Knowledge is a strategy object with one method, `updated`: a posterior compares many numbers with a target, the
+reliability of a design has one response and no target, so that they share an emulator and nothing else.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, Self, TypeVar
+
+import numpy as np
+
+from inverse.posterior import Matrix, Row
+from inverse.posterior.posterior import Region
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelRun:
+    """A run of a forward model."""
+
+    point: Row
+    """Its parameters in fractions of their ranges, shape [U]."""
+    numbers: Row
+    """What it shows, shape [M]."""
+
+
+class Knowledge(Protocol):
+    """What runs say."""
+
+    def updated(self, search: "WaveSearch[Any, Any]") -> Self:
+        """The same by all runs of `search`."""
+
+
+R = TypeVar("R", bound=ModelRun)
+K = TypeVar("K", bound=Knowledge)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaveSearch(Generic[R, K]):
+    """All runs so far, and what they say. It never changes: more runs make another one."""
+
+    model: Callable[..., Sequence[R]]
+    """The forward model: points [n, U] in fractions of the ranges, and the number of the first run -> the runs.
+
+    The number decides the jitter of a run, so that an interrupted search finds its stored runs again.
+    """
+    knowledge: K
+    """What the runs said when they were last asked."""
+    seed: int
+    """Of random numbers."""
+    budget: int
+    """Runs, at most."""
+    runs: tuple[R, ...] = ()
+    known: tuple[R, ...] = ()
+    """Runs that were made before, for other targets; no part of the budget."""
+    waves: tuple[K, ...] = ()
+    """What the runs said after each wave."""
+
+    @property
+    def left(self) -> int:
+        """Runs of the budget that are left."""
+        return max(0, self.budget - len(self.runs))
+
+    @property
+    def every(self) -> tuple[R, ...]:
+        """The known runs, then those of this search."""
+        return (*self.known, *self.runs)
+
+    @property
+    def points(self) -> Matrix:
+        """Of every run, shape [n, U]."""
+        return np.stack([each.point for each in self.every])
+
+    @property
+    def numbers(self) -> Matrix:
+        """Of every run, shape [n, M]."""
+        return np.stack([each.numbers for each in self.every])
+
+    def generator(self, number: int | None = None) -> np.random.Generator:
+        """Random numbers of a step, the same after a restart; number: of the step, unless given that of the runs."""
+        return np.random.default_rng([self.seed, len(self.runs) if number is None else number])
+
+    def ran(self, points: Matrix, **options: Any) -> Self:
+        """With runs at points [n, U], as far as the budget goes; options: of the forward model."""
+        return replace(self, runs=(*self.runs, *self.model(points[: self.left], len(self.runs), **options)))
+
+    def informed(self, **changes: Any) -> Self:
+        """With what all runs say; changes: of the fields of `knowledge` before."""
+        # A dataclass, which no protocol says.
+        before: Any = self.knowledge
+        knowledge: K = replace(before, **changes).updated(self)
+        return replace(self, knowledge=knowledge, waves=(*self.waves, knowledge))
+
+    def in_waves(self, next_points: Callable[[Self], Matrix | None]) -> Self:
+        """With one wave after the other at `next_points`, until these are None."""
+        state = self.informed()
+        while (points := next_points(state)) is not None:
+            state = state.ran(points).informed()
+        return state
+
+
+def filling(unknowns: int, count: int, rng: np.random.Generator, *, repeats: int = 0) -> Matrix:
+    """Points that fill the unit box evenly, then `repeats` times its middle, shape [count + repeats, U]."""
+    return np.concatenate([Region.whole(unknowns).filled(count, rng), np.full((repeats, unknowns), 0.5)])
+
+
+def jitter_seed(seed: int, number: int) -> int:
+    """Jitter seed of the run of this number in a scene with `seed`."""
+    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
