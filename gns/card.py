@@ -17,7 +17,7 @@ from datasets.files import read_json
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from gns.ranges import Range, outside, ranges_of
-from gns.settings import ModelSettings, features
+from gns.settings import ModelSettings
 from gns.units import Units
 
 if TYPE_CHECKING:
@@ -99,15 +99,10 @@ class Card(Record):
 
         None where no dataset has one.
         """
-        known = [each for each in self.datasets.values() if each.calibration is not None]
-        holding = [each.calibration for each in known if not outside(scene, each.ranges)]
-
-        def width(calibration: Calibration | None) -> float:
-            return calibration.front[level] if calibration is not None else 0.0
-
-        if holding:
-            return min(holding, key=width)
-        return max((each.calibration for each in known), key=width, default=None)
+        bands = [(each.ranges, each.calibration) for each in self.datasets.values() if each.calibration is not None]
+        if holding := [band for ranges, band in bands if not outside(scene, ranges)]:
+            return min(holding, key=lambda band: band.front[level])
+        return max((band for _, band in bands), key=lambda band: band.front[level], default=None)
 
     def keeping(self, calibrations: Mapping[str, Calibration | None]) -> "Card":
         """This card with calibrations of datasets by name; of those that it does not have none is kept."""
@@ -133,7 +128,7 @@ def describe(
         )
     return Card(
         settings=settings,
-        features=features(settings),
+        features=simulator.features,
         normalisation={name: float(value) for name, value in simulator.named_buffers(recurse=False)},
         training=Training(
             command=str(provenance.get("command", "")),

@@ -1,164 +1,110 @@
-"""What Coulomb's law and damping say of a particle, as features: products that a network would have to learn.
+"""The features: what the network is given of nodes and edges, in the order of its columns.
 
-The friction of a surface acts against the tangential motion, with the coefficient mu of that surface; local damping
-acts against the motion. A network of sums learns products of an input with the direction of another slowly.
-
-    traction = -sum_s mu_s w_s u(v - (v . n_s) n_s)      over floor, walls and the nearest baffle or ground
-    damping  = -alpha u(v)                               u(v) = v / sqrt(|v|^2 + v0^2)
-    strength = r / (1 + r),  r = c / (rho g (h + cell))  cohesion over the weight h of the column above
-    basal    = -m v* / sqrt(|v*|^2 + m^2) / g dt^2,      m = min(mu, tan(phi)) g_n dt^2
-    damped   = -alpha |a| u(v) / g dt^2                  of the MPM's local damping, on the last change a of the motion
-
-The basal friction is that of a layer which slides as a whole (Savage & Hutter, J. Fluid Mech. 199, 1989, eq. 2.21):
-its friction on the floor or, above a rougher floor, within itself. It acts on the displacement v* along the floor that
-gravity alone would lead to, and at most stops it.
-
-| symbol | variable                          | meaning                                            |
-| w_s    | 1 - distance / cutoff, at least 0 | how near the surface is                            |
-| v      | newest displacement               | m per step                                         |
-| v0     | `slow`                            | displacement below which the direction fades       |
-| g_n    | `normal`                          | gravity against the floor                          |
-
-On the background grid the law gives the forces of pressure and of internal friction. Sand that shears bears a shear
-stress of its strength, along its rate of strain (von Mises' flow rule, e.g. Jop, Forterre & Pouliquen, Nature 441,
-2006, eq. 2, without the dependence on the rate), beside the pressure p of the column above:
-
-    f_p = -grad p / (rho g),                               p = rho g h
-    f_s = div S / (rho g),   S = (c + p tan(phi)) D' / (|D'| + d0),   |D'| = sqrt(D' : D' / 2)
-
-with the deviatoric rate of strain D'. On cells as coarse as these it is a rough estimate; the rest is learned.
-
-| symbol         | variable            | unit                                              |
-| h, c / (rho g) | `above`, `cohesion` | m                                                 |
-| D              | from `moved`        | 1 per step                                        |
-| f_p, f_s       | result              | weight of the material; S over rho g is a length  |
+To add a feature is to add an entry to `NODES`, to `EDGES` or to the channels of the background grid
+(`gns.grid.CHANNELS`): its name, how many columns it has, and how they are computed and scaled. All else follows: the
+width of the network, training, rollout and card. Absolute positions are no features.
 """
+
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from gns.grid import Stencil
+from gns.forces import Moment
+from gns.graph import Graph, radius_graph
+from gns.grid import CHANNELS, Stencil
 from gns.settings import GRAVITY, UP
-from gns.state import Conditions
+from gns.state import Feature, columns
 
-ROUNDED = 0.1
-"""Change of the motion over `slow` below which its amount is rounded [-]: a sharp kink has no useful derivative."""
-EMPTY = 0.05
-"""Share of a cell that is filled below which the mean of what is in it fades [-]."""
-LOOSE = 0.3
-"""Share of a cell that is filled below which a force is that on so much material [-]."""
-LARGEST = 3.0
-"""The weight of the material that a force approaches at most [-]."""
-
-
-def traction_features(
-    positions: Tensor, velocity: Tensor, solids: Tensor, conditions: Conditions, *, cutoff: float, slow: Tensor
-) -> Tensor:
-    """Traction and damping of each particle [-], shape [N, 2 D].
-
-    velocity: newest displacements [m per step], shape [N, D]; solids: direction and friction of the nearest solid, the
-    last D + 1 of `gns.solids.solid_features`; slow: v0 [m per step].
-    """
-    dimension = positions.shape[1]
-    size = conditions.of_particles(conditions.size)
-    floor, wall = (
-        conditions.of_particles(each).unsqueeze(1) for each in (conditions.floor_friction, conditions.wall_friction)
-    )
-    lower = (1.0 - positions / cutoff).clamp(min=0.0)
-    upper = (1.0 - (size - positions) / cutoff).clamp(min=0.0)
-    traction = torch.zeros_like(velocity)
-    for axis in range(dimension):
-        along = torch.cat([velocity[:, other : other + 1] * float(other != axis) for other in range(dimension)], dim=1)
-        near = (floor if axis == UP else wall) * lower[:, axis : axis + 1] + wall * upper[:, axis : axis + 1]
-        traction = traction - near * unit(along, slow)
-    direction, friction = solids[:, :dimension], solids[:, dimension:]
-    square = direction.square().sum(dim=1, keepdim=True)
-    normal = direction / torch.where(square > 0.0, square, 1.0).sqrt()
-    along = velocity - (velocity * normal).sum(dim=1, keepdim=True) * normal
-    traction = traction - friction * unit(along, slow)
-    damping = conditions.of_particles(conditions.damping).unsqueeze(1)
-    return torch.cat((traction, -damping * unit(velocity, slow)), dim=1)
+DAMPING = 5.0
+"""Factor that brings the coefficient of damping to the size of the other features [-]."""
+ROUGHNESS = (0.45, 0.27)
+"""Mean and standard deviation to which the friction of floor and walls is normalised [-]."""
+INCLINED = 4.0
+"""Factor that brings gravity along the floor to the size of the other features [-]."""
+REFERENCE_COHESION = 50.0
+"""Scale of the logarithm of the cohesion [Pa], about the weight of 3 mm of sand: a thin front that has any does not run
+as far as a dry one."""
+SQUARE_FLOOR = 1.0e-12
+"""Added to d^2: particles that the floor or a corner stopped can coincide, where the root has no finite slope."""
 
 
-def basal_friction(velocity: Tensor, conditions: Conditions, *, step: float, slow: Tensor) -> Tensor:
-    """Basal friction of each particle over its weight [-], shape [N, D].
-
-    velocity: newest displacements [m per step], shape [N, D]; step: [s]; slow: v0 [m per step].
-    """
-    gravity = conditions.of_particles(conditions.gravity) * step**2
-    level = torch.ones_like(velocity[:1])
-    level[:, UP] = 0.0
-    trial = level * (velocity + gravity)
-    normal = -gravity[:, UP].clamp(max=0.0)
-    rough = torch.minimum(conditions.of_particles(conditions.floor_friction), conditions.friction)
-    most = (rough * normal).unsqueeze(1)
-    # On a smooth floor too the root has a slope at zero.
-    rounded = 1.0e-3 * slow
-    size = (trial.square().sum(dim=1, keepdim=True) + most.square() + rounded**2).sqrt()
-    return -most * trial / size / (GRAVITY * step**2)
+def constants(x: Moment) -> Tensor:
+    """Friction and cohesion; friction of floor and walls, damping and gravity of the sample; shape [N, 5 + D]."""
+    conditions, normalisation = x.conditions, x.normalisation
+    friction = (conditions.friction - normalisation.friction_mean) / normalisation.friction_std
+    cohesion = 0.5 * (conditions.cohesion / REFERENCE_COHESION).log1p()
+    mean, deviation = ROUGHNESS
+    rough = (torch.stack((conditions.floor_friction, conditions.wall_friction), dim=1) - mean) / deviation
+    inclined = torch.full_like(conditions.gravity[0], INCLINED / GRAVITY)
+    inclined[UP] = 1.0 / GRAVITY
+    shared = torch.cat((rough, DAMPING * conditions.damping.unsqueeze(1), inclined * conditions.gravity), dim=1)
+    own = torch.stack((friction, cohesion), dim=1)
+    return torch.cat((own, conditions.of_particles(shared).expand(len(own), -1)), dim=1)
 
 
-def damped_motion(damping: Tensor, displacements: Tensor, *, step: float, slow: Tensor) -> Tensor:
-    """Local damping of each particle over its weight [-], shape [N, D].
+CONSTANTS = {"friction, cohesion, floor, walls, damping, gravity": Feature(lambda s: 5 + s.dimension, constants)}
+"""Of a node, constant during a rollout: they also scale and shift the latents of each message-passing step."""
 
-    damping: that of `traction_features` [-], shape [N, D]; displacements: past ones [m per step], shape [H, N, D];
-    step: [s]; slow: v0 [m per step].
-    """
-    velocity = displacements[-1]
-    change = velocity - displacements[-2] if len(displacements) > 1 else torch.zeros_like(velocity)
-    size = (change.square().sum(dim=1, keepdim=True) + (ROUNDED * slow) ** 2).sqrt()
-    return damping * size / (GRAVITY * step**2)
+NODES = {
+    "past displacements": Feature(
+        lambda s: s.history * s.dimension,
+        lambda x: (x.state.displacements / x.normalisation.displacement_scale).movedim(0, 1).flatten(1),
+    ),
+    "their changes": Feature(
+        lambda s: (s.history - 1) * s.dimension,
+        lambda x: (x.changes / x.normalisation.acceleration_scale).movedim(0, 1).flatten(1),
+    ),
+    "solids within the radius": Feature(lambda s: 3 * s.dimension + 2, lambda x: x.solids),
+    "volume": Feature(lambda s: 1, lambda x: (x.conditions.volume / x.settings.particle_volume).unsqueeze(1) - 1.0),
+    **CONSTANTS,
+    "column on the grid": Feature(lambda s: columns(CHANNELS, s), lambda x: x.column),
+    "tractions of surfaces and damping": Feature(
+        lambda s: 2 * s.dimension, lambda x: torch.cat((x.traction, x.damping), dim=1)
+    ),
+    "cohesion over the weight above": Feature(lambda s: 1, lambda x: x.strength),
+    "forces of pressure and internal friction": Feature(lambda s: 2 * s.dimension, lambda x: x.internal),
+    "basal friction and damped motion": Feature(
+        lambda s: 2 * s.dimension, lambda x: torch.cat((x.basal, x.damped), dim=1)
+    ),
+}
+"""Of a node, from a `Moment`."""
+
+EDGES = {
+    "offset over the radius": Feature(lambda s: s.dimension, lambda offset: offset),
+    "distance over the radius": Feature(
+        lambda s: 1, lambda offset: (offset.square().sum(dim=1, keepdim=True) + SQUARE_FLOOR).sqrt()
+    ),
+}
+"""Of an edge, from the offset of its sender from its receiver over the radius [-], shape [E, D]."""
 
 
-def unit(vectors: Tensor, slow: Tensor) -> Tensor:
-    """Directions of vectors [N, D], which fade where they are shorter than `slow`."""
-    return vectors / (vectors.square().sum(dim=1, keepdim=True) + slow**2).sqrt()
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """What a network is given of a state of N particles."""
 
+    features: Tensor
+    """`NODES`, shape [N, F]."""
+    constant: Tensor
+    """`CONSTANTS`, shape [N, M]."""
+    graph: Graph
+    stencil: Stencil
+    """The particles on the background grid."""
+    fraction: Tensor
+    """Volume of each particle over that of a grid cell [-], shape [N, 1]."""
+    nodes: Tensor
+    """`CHANNELS` of the grid, shape [B * nodes, C]."""
 
-def strength(cohesion: Tensor, overburden: Tensor, *, weight: float, cell: float) -> Tensor:
-    """Cohesion against the weight of the column above, r / (1 + r) [-], shape [N, 1].
-
-    cohesion: [Pa], shape [N]; overburden: height of that column [m], shape [N]; weight: rho g [N/m^3].
-    """
-    ratio = cohesion / (weight * (overburden + cell))
-    return (ratio / (1.0 + ratio)).unsqueeze(1)
-
-
-def internal_forces(
-    stencil: Stencil, moved: Tensor, above: Tensor, conditions: Conditions, *, weight: float, slow: Tensor
-) -> Tensor:
-    """f_s, then f_p at the particles [-], shape [N, 2 D].
-
-    moved: newest displacements [m per step], shape [N, D]; above: height of the column of material above each node [m],
-    shape [B * nodes]; weight: rho g [N/m^3]; slow: d0 times the cell [m per step]. Walls bear no shear here: that is a
-    feature apart.
-    """
-    cell, dimension, shape, size = stencil.cell, moved.shape[1], (stencil.samples, *stencil.shape), conditions.size
-    strengths = torch.stack((conditions.friction, conditions.cohesion / weight), dim=1)
-    carried = torch.cat((torch.ones_like(moved[:, :1]), moved, strengths), dim=1)
-    sums = stencil.scatter((conditions.volume / cell**dimension).unsqueeze(1) * carried)
-    filled = sums[:, :1]
-    means = sums[:, 1:] / (filled + EMPTY)
-    strength = means[:, dimension + 1] + above * means[:, dimension]
-    fields = torch.cat((means[:, :dimension], strength.unsqueeze(1), above.unsqueeze(1)), dim=1).view(*shape, -1)
-    fields = stencil.within(fields, size, range(dimension))
-    gradient = [torch.gradient(fields, spacing=cell, dim=axis + 1)[0] for axis in range(dimension)]
-    mean = sum(gradient[axis][..., axis] for axis in range(dimension)) / dimension
-    rate = {
-        (i, j): 0.5 * (gradient[j][..., i] + gradient[i][..., j]) - (mean if i == j else 0.0)
-        for i in range(dimension)
-        for j in range(i, dimension)
-    }
-    square = sum((1.0 if i == j else 2.0) * each.square() for (i, j), each in rate.items())
-    # Not the root alone: it has no slope at zero.
-    scale = fields[..., dimension] / ((0.5 * square + (slow / cell) ** 2).sqrt() + slow / cell)
-    stress = stencil.within(torch.stack([scale * each for each in rate.values()], dim=-1), size, range(dimension))
-    slopes = [torch.gradient(stress, spacing=cell, dim=axis + 1)[0] for axis in range(dimension)]
-    index = {pair: number for number, pair in enumerate(rate)}
-    divergence = [
-        torch.stack([slopes[j][..., index[min(i, j), max(i, j)]].reshape(-1) for j in range(dimension)]).sum(dim=0)
-        for i in range(dimension)
-    ]
-    shear = torch.stack(divergence, dim=1) / filled.clamp(min=LOOSE)
-    pressure = torch.stack([gradient[axis][..., dimension + 1].reshape(-1) for axis in range(dimension)], dim=1)
-    return stencil.gather(LARGEST * torch.tanh(torch.cat((shear, -pressure), dim=1) / LARGEST))
+    @staticmethod
+    def of_moment(moment: Moment) -> "Inputs":
+        """Those of the particles at one moment."""
+        settings, conditions = moment.settings, moment.conditions
+        features = {name: each.compute(moment) for name, each in NODES.items()}
+        return Inputs(
+            features=torch.cat(list(features.values()), dim=1),
+            constant=torch.cat([features[name] for name in CONSTANTS], dim=1),
+            graph=radius_graph(moment.state.positions, settings.radius, conditions.batch),
+            stencil=moment.stencil,
+            fraction=(conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1),
+            nodes=moment.nodes,
+        )

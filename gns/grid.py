@@ -13,7 +13,7 @@ from torch import Tensor
 
 from gns.settings import UP
 from gns.solids import Below, Boxes, rotated
-from gns.state import Conditions, Ground
+from gns.state import Conditions, Feature, Ground
 
 REFERENCE_HEIGHT = 0.1
 """Unit of overburden and height [m]."""
@@ -139,10 +139,8 @@ def spread(values: Tensor, axis: int, dimension: int) -> Tensor:
     return values.view(len(values), *(-1 if other == axis else 1 for other in range(dimension)))
 
 
-def column_features(stencil: Stencil, volume: Tensor, size: Tensor) -> Tensor:
+def column_features(stencil: Stencil, conditions: Conditions) -> Tensor:
     """The column of material through each node: [packing, overburden, height, slope], shape [B * nodes, D + 2].
-
-    volume: of each particle [m^D], shape [N]; size: of the boxes [m], shape [B, D].
 
     | packing    | volume of the particles over the volume of the node's cell [-]             |
     | overburden | height of the column of material above the node [-], in REFERENCE_HEIGHTs |
@@ -154,7 +152,8 @@ def column_features(stencil: Stencil, volume: Tensor, size: Tensor) -> Tensor:
     """
     shape, cell = stencil.shape, stencil.cell
     dimension = len(shape)
-    filled = stencil.scatter(volume.unsqueeze(1)).view(stencil.samples, *shape) / cell**dimension
+    size = conditions.size
+    filled = stencil.scatter(conditions.volume.unsqueeze(1)).view(stencil.samples, *shape) / cell**dimension
     # A node on a wall stands for half a cell: divide, or the material beside a wall would look loose.
     begin, end = stencil.cells(size)
     shares = [
@@ -202,6 +201,13 @@ def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
         terms = ",".join("bk" + name for name in parts)
         room = room * (1.0 - torch.einsum(f"{terms}->b{axes}", *parts.values())).clamp(min=0.0)
     return (1.0 - room).clamp(min=0.0).reshape(-1, 1)
+
+
+CHANNELS = {
+    "packing, overburden, height and slope of the column": Feature(lambda s: s.dimension + 2, column_features),
+    "share of the cell that is no room": Feature(lambda s: 1, occupancy),
+}
+"""Of a node of the grid, from a stencil and the conditions."""
 
 
 def _edges(begin: Tensor, end: Tensor) -> Tensor:

@@ -90,14 +90,7 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
     history = torch.from_numpy(known[-settings.history - 1 :])
     return InitialState(
         state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
-        conditions=conditions_of(
-            scene,
-            cell,
-            friction=torch.from_numpy(particles.friction[kept]),
-            cohesion=torch.from_numpy(particles.cohesion[kept]),
-            volume=torch.from_numpy(volumes),
-            units=units,
-        ),
+        conditions=conditions_of(scene, cell, particles.friction[kept], particles.cohesion[kept], volumes, units),
         scene=scene,
         step=step,
         steps=max(0, round(scene.duration / step) - len(known) + 1),
@@ -132,9 +125,7 @@ def check(scene: Scene, settings: ModelSettings) -> None:
     check_known(scene, "the model")
 
 
-def conditions_of(
-    scene: Scene, spacing: float, *, friction: Tensor, cohesion: Tensor, volume: Tensor, units: Units
-) -> Conditions:
+def conditions_of(scene: Scene, spacing: float, friction: Any, cohesion: Any, volume: Any, units: Units) -> Conditions:
     """The conditions of a flow of `scene`; spacing: between two elevations of the ground [m]; others: `Conditions`."""
 
     def one(values: Any) -> Tensor:
@@ -150,9 +141,9 @@ def conditions_of(
     lower, extent = (np.array([getattr(each, key) for each in scene.baffles], np.float32) for key in ("lower", "size"))
     turn = np.radians([each.turned_deg for each in scene.baffles])
     return Conditions(
-        friction=friction,
-        cohesion=cohesion,
-        volume=volume,
+        friction=torch.as_tensor(friction),
+        cohesion=torch.as_tensor(cohesion),
+        volume=torch.as_tensor(volume),
         size=one(scene.domain.size),
         gravity=one(scene.gravity_vector),
         floor_friction=one(floor),

@@ -18,9 +18,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gns.correction import length_of
+from gns.features import NODES
 from gns.samples import Batch, Ends, measured
 from gns.settings import TrainingSettings
 from gns.simulator import Simulator
+from gns.state import computed
 from gns.unroll import step_activation_bytes, unroll
 
 MARGIN = 1.5
@@ -85,8 +87,8 @@ class EndLoss(nn.Module):
         """Mean and standard deviation of the correction's features, those of these batches."""
         found = []
         for each in batches:
-            given, _ = self.simulator.inputs(each.end, each.conditions)
-            found.append(self.correction.features(each.state, each.end, given, each.conditions))
+            end = self.simulator.moment(each.end, each.conditions)
+            found.append(self.correction.features(each.state, end, computed(NODES, end)))
         every = torch.cat(found)
         self.correction.mean.copy_(every.mean(dim=0))
         # What hardly varies in training, as the friction of the walls may, is not enlarged.

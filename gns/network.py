@@ -1,165 +1,19 @@
-"""The network: encoder, processor, decoder (Sanchez-Gonzalez et al. 2020), with a background grid beside the messages.
+"""The network: encoder, processor, decoder (Sanchez-Gonzalez et al. 2020).
 
-    x = encoder(features)
-    x = processor(x)            rounds of: grid context, then message-passing steps
-    a, c = decoder(x)           normalised acceleration of each node, and shares of known ones
-
-A message-passing step carries information over one cutoff radius, while a step of the model spans many. So latents are
-scattered to a coarse grid around the material, convolved there, and interpolated back to the nodes of the graph: a
-receptive field as wide as the flow for little more time (the idea of CoRGI, arXiv 2511.22938).
+x = encoder(features)
+x = processor(x)            `gns.processor`: grid context and message passing
+a, c = decoder(x)           normalised acceleration of each node, and shares of known forces
 """
 
 import math
 from collections import OrderedDict
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
-from gns.graph import Graph, mean_envelope_sum
-from gns.grid import Stencil
-from gns.messages import messages
-from gns.settings import ModelSettings, column_count
-
-
-@dataclass(frozen=True, kw_only=True)
-class Inputs:
-    """What a network is given of a state of N particles."""
-
-    features: Tensor
-    """Shape [N, F]."""
-    constant: Tensor
-    """What is constant for a particle, shape [N, M]."""
-    graph: Graph
-    stencil: Stencil
-    """The particles on the background grid."""
-    fraction: Tensor
-    """Volume of each particle over that of a grid cell [-], shape [N, 1]."""
-    nodes: Tensor
-    """Channels of the grid's nodes, shape [B * nodes, `column_count`]."""
-
-
-def mlp(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
-    """A multilayer perceptron of `mlp_layers` hidden layers of `width`, with SiLU between."""
-    modules: list[nn.Module] = []
-    for _ in range(settings.mlp_layers):
-        modules += [nn.Linear(inputs, settings.width), nn.SiLU()]
-        inputs = settings.width
-    return nn.Sequential(*modules, nn.Linear(inputs, outputs))
-
-
-class Interaction(nn.Module):
-    """m [N, C] from node latents x [N, C] and a graph, by the messages of Sanchez-Gonzalez et al. 2020, made cheap.
-
-    Their message is a network of the concatenation [x_i, x_j, e_ij]. Its first layer splits into W_i x_i + W_j x_j +
-    W_e e_ij, so that two of three products are per node. Its last layer is linear, hence may follow the sum over the
-    neighbours: it is per node too, part of the node's update. What is left per edge is the sum in `gns.messages`. The
-    edges carry no latents of their own; their features enter every step anew.
-    """
-
-    def __init__(self, width: int, dimension: int) -> None:
-        super().__init__()
-        self.from_receiver = nn.Linear(width, width)
-        self.from_sender = nn.Linear(width, width, bias=False)
-        self.from_offset = nn.Linear(dimension + 1, width, bias=False)
-
-    def forward(self, x: Tensor, graph: Graph) -> Tensor:
-        """The sum of the messages to each node."""
-        return messages(self.from_receiver(x), self.from_sender(x), self.from_offset.weight.T, graph)
-
-
-class MessagePassingStep(nn.Module):
-    """One step: x_i <- x_i + mlp(y_i, sum of the messages to i), where y_i = (1 + g_i) norm(x_i) + b_i.
-
-    Scale g and shift b are linear in what is constant for a particle (FiLM: Perez et al., visual reasoning with a
-    general conditioning layer, AAAI 2018).
-    """
-
-    def __init__(self, settings: ModelSettings, constant: int) -> None:
-        super().__init__()
-        self.norm = nn.LayerNorm(settings.width)
-        self.interaction = Interaction(settings.width, settings.dimension)
-        self.update = mlp(2 * settings.width, settings.width, settings)
-        self.film = nn.Linear(constant, 2 * settings.width)
-        nn.init.zeros_(self.film.weight)
-        nn.init.zeros_(self.film.bias)
-        self.scale = 1.0 / mean_envelope_sum(settings.radius, settings.particle_volume, settings.dimension)
-
-    def forward(self, x: Tensor, constant: Tensor, graph: Graph) -> Tensor:
-        """Latents [N, C] to latents [N, C]; constant: [N, M]."""
-        normal = self.norm(x)
-        scale, shift = self.film(constant).chunk(2, dim=1)
-        normal = torch.addcmul(normal + shift, normal, scale)
-        messages = self.scale * self.interaction(normal, graph)
-        return x + torch.as_tensor(self.update(torch.cat((normal, messages), dim=1)))
-
-
-class Convolution(nn.Conv2d):
-    """Kernels of 3 nodes along each axis, `dilation` nodes apart, channels last; around the grid are zeros.
-
-    In 3D it is done as one in 2D, over planes that carry the channels of their neighbours too: on a CPU torch's own
-    takes five times as long at these sizes.
-    """
-
-    def __init__(self, channels: int, dimension: int, dilation: int) -> None:
-        planes = 3 ** (dimension - 2)
-        super().__init__(planes * channels, channels, 3, padding=dilation, dilation=dilation)
-
-    def forward(self, field: Tensor) -> Tensor:
-        """[B, X, Y, C] to the same shape, in 3D [B, X, Y, Z, C]."""
-        if field.dim() == 4:
-            return super().forward(field.movedim(-1, 1)).movedim(1, -1)
-        width, count = self.dilation[0], field.shape[1]
-        padded = functional.pad(field, (0, 0, 0, 0, 0, 0, width, width))
-        beside = torch.cat([padded[:, index * width : index * width + count] for index in range(3)], dim=-1)
-        return super().forward(beside.flatten(0, 1).movedim(-1, 1)).movedim(1, -1).reshape(field.shape)
-
-
-class GridContext(nn.Module):
-    """Latents of the graph's nodes [N, C] to an increment of them [N, C] by convolutions on the grid."""
-
-    def __init__(self, settings: ModelSettings) -> None:
-        super().__init__()
-        count = settings.grid_channels
-        self.to_grid = nn.Linear(settings.width, count)
-        self.mix = nn.Linear(count + column_count(settings.dimension), count)
-        self.layers = nn.ModuleList(
-            Convolution(count, settings.dimension, 2**layer) for layer in range(settings.grid_layers)
-        )
-        self.from_grid = nn.Linear(count, settings.width)
-
-    def forward(self, x: Tensor, given: Inputs) -> Tensor:
-        """Scatter, convolve, interpolate; x: latents [N, C]."""
-        stencil = given.stencil
-        inputs = torch.cat((stencil.scatter(self.to_grid(x) * given.fraction), given.nodes), dim=1)
-        field = masked(functional.silu(self.mix(inputs)).view(stencil.samples, *stencil.shape, -1), stencil)
-        for layer in self.layers:
-            field = masked(field + functional.silu(layer(field)), stencil)
-        return torch.as_tensor(self.from_grid(stencil.gather(field.reshape(-1, field.shape[-1]))))
-
-
-def masked(field: Tensor, stencil: Stencil) -> Tensor:
-    """The field, zero where a sample alone would have no nodes: what is beside it makes no difference."""
-    return field if stencil.own is None else field * stencil.own
-
-
-class Processor(nn.Module):
-    """Rounds of a grid context, each followed by an equal share of the message-passing steps."""
-
-    def __init__(self, settings: ModelSettings, constant: int) -> None:
-        super().__init__()
-        self.contexts = nn.ModuleList(GridContext(settings) for _ in range(settings.rounds))
-        self.steps = nn.ModuleList(MessagePassingStep(settings, constant) for _ in range(settings.layers))
-
-    def forward(self, x: Tensor, given: Inputs) -> Tensor:
-        """Latents [N, C] to latents [N, C]."""
-        per_round = len(self.steps) // len(self.contexts)
-        for index, context in enumerate(self.contexts):
-            x = x + context(x, given)
-            for step in self.steps[index * per_round : (index + 1) * per_round]:
-                x = step(x, given.constant, given.graph)
-        return x
+from gns.features import Inputs
+from gns.processor import Processor, mlp
+from gns.settings import ModelSettings
 
 
 class Decoder(nn.Module):
@@ -185,13 +39,14 @@ class Decoder(nn.Module):
 class Network(nn.Module):
     """Features of the nodes to normalised accelerations and the shares of known forces."""
 
-    def __init__(self, features: int, constant: int, known: int, settings: ModelSettings) -> None:
+    def __init__(self, features: int, known: int, settings: ModelSettings) -> None:
+        """features: columns F of the nodes; known: number K of known forces."""
         super().__init__()
         self.half_precision = False
         """Whether products before the decoder are in bfloat16, as a training has them where that is faster."""
         # Its weights are `encoder.mlp.0.weight` and so on in the files of models.
         self.encoder = nn.Sequential(OrderedDict(mlp=mlp(features, settings.width, settings)))
-        self.processor = Processor(settings, constant)
+        self.processor = Processor(settings)
         self.decoder = Decoder(known, settings)
 
     def forward(self, given: Inputs) -> Tensor:

@@ -16,17 +16,19 @@ from tqdm import tqdm
 from datasets import measures
 from datasets.errors import InputError, naming, require
 from datasets.particles import observed_cohesion
-from datasets.training import check_known, thin
+from datasets.scene import Scene
+from datasets.training import thin
 from datasets.trajectory import Floats, open_trajectory, trajectory_files
-from gns.initial import conditions_of
+from gns.forces import Normalisation
+from gns.initial import check, conditions_of
 from gns.settings import UP, ModelSettings, TrainingSettings
-from gns.simulator import Normalisation, Simulator
-from gns.state import Conditions, State, Tensors
+from gns.simulator import Simulator
+from gns.state import Conditions, State, Tensors, in_model_units
 from gns.units import Units
 from gns.unroll import unroll
 
 MOVING = 0.02
-"""Root mean square speed [m/s] above which a flow counts as moving."""
+"""Root mean square speed above which a flow counts as moving, in the units of the model [m/s]."""
 SHARE_EARLY = 0.12
 """Share of the samples not of the first frame that start just after it, with a history from the initial velocities."""
 SHARE_MOVING = 0.70
@@ -41,10 +43,11 @@ SAMPLED_TIMES = 2048
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """One trajectory at a model's step and in its units; all of its particles."""
+    """One trajectory at a model's step, with all of its particles."""
 
     name: str
     """The file it came from."""
+    scene: Scene
     positions: Floats
     """Positions one step apart [m], shape [T, N, D]; may be a map of the file, of which only what is used is read."""
     velocity0: Floats
@@ -53,6 +56,11 @@ class Flow:
     """Of these particles; N volumes, frictions and cohesions."""
     step: float
     """Time between two positions [s]."""
+
+    @property
+    def units(self) -> Units:
+        """What one unit of the model is in it."""
+        return self.conditions.units
 
     @property
     def volume(self) -> NDArray[np.float32]:
@@ -67,7 +75,7 @@ class Flow:
     def moves(self, time: int) -> bool:
         """Whether it moves from index `time` to the next."""
         displacements = self.positions[time + 1] - self.positions[time]
-        return float(np.square(displacements).sum(axis=1).mean()) > (MOVING * self.step) ** 2
+        return float(np.square(displacements).sum(axis=1).mean()) > (MOVING * self.units.speed * self.step) ** 2
 
 
 class Flows(Sequence[Flow]):
@@ -106,7 +114,7 @@ def flow_of(path: Path, settings: ModelSettings) -> Flow:
     """
     trajectory = open_trajectory(path)
     scene, frame_dt, units = trajectory.scene, trajectory.frame_dt, Units()
-    require(scene.dimension == settings.dimension, "", f"a {settings.dimension}D trajectory", f"{scene.dimension}D")
+    check(scene, settings)
     if scene.gravity > 0.0:
         own = Units.of_model(scene, settings)
         units = own if math.isclose(frame_dt, own.time * settings.step, rel_tol=1.0e-9) else units
@@ -114,32 +122,21 @@ def flow_of(path: Path, settings: ModelSettings) -> Flow:
     stride = round(step / frame_dt)
     fits = stride >= 1 and abs(stride * frame_dt - step) <= 1.0e-6 * step
     require(fits, "", f"frames {step:g} s apart or a whole fraction of it", f"{frame_dt:g}")
-    check_known(scene, "a model")
-    positions, velocity0 = trajectory.positions[::stride], trajectory.velocity0
+    positions, volumes = trajectory.positions[::stride], trajectory.volumes.astype(np.float32)
     cohesion = observed_cohesion(scene, np.asarray(positions[0]), trajectory.mass)
-    conditions = conditions_of(
-        scene,
-        units.length * settings.cell,
-        friction=torch.from_numpy(trajectory.friction),
-        cohesion=torch.from_numpy(cohesion),
-        volume=torch.from_numpy(trajectory.volumes.astype(np.float32)),
-        units=units,
-    )
-    if units != Units():
-        positions = (np.asarray(positions) / units.length).astype(np.float32)
-        velocity0 = (velocity0 / units.speed).astype(np.float32)
     return Flow(
         name=str(path),
+        scene=scene,
         positions=positions,
-        velocity0=velocity0,
-        conditions=conditions.in_model_units(),
-        step=settings.step,
+        velocity0=trajectory.velocity0,
+        conditions=conditions_of(scene, units.length * settings.cell, trajectory.friction, cohesion, volumes, units),
+        step=step,
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(Tensors):
-    """Samples side by side: where they start, what is constant during their rollout, and where it should lead."""
+    """Samples side by side in the units of the model: their starts, what stays constant, where they should lead."""
 
     state: State
     conditions: Conditions
@@ -152,7 +149,7 @@ def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: n
 
     Of a flow on disk it reads these frames, and as many before as a model's history, alone.
     """
-    cell, kept, known = settings.cell, settings.particles_per_cell, flow.conditions
+    cell, kept, known = flow.units.length * settings.cell, settings.particles_per_cell, flow.conditions
     particles, volumes = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     first = max(0, now - settings.history)
     frames = torch.from_numpy(np.asarray(flow.positions[first : now + 1 + steps, particles]))
@@ -160,8 +157,9 @@ def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: n
     conditions = dataclasses.replace(
         known, friction=known.friction[particles], cohesion=known.cohesion[particles], volume=torch.from_numpy(volumes)
     )
-    state = State.observed(given, velocity0, step=settings.step, history=settings.history)
-    return Batch(state=state, conditions=conditions, targets=frames[now + 1 - first :])
+    state = State.observed(given, velocity0, step=flow.step, history=settings.history)
+    state, conditions = in_model_units(state, conditions)
+    return Batch(state=state, conditions=conditions, targets=frames[now + 1 - first :] / flow.units.length)
 
 
 def batched(samples: Sequence[Batch]) -> Batch:
@@ -351,9 +349,9 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
         for time in rng.choice(times, min(share, times), replace=False):
             if not flow.moves(time):
                 continue
-            moved = np.diff(flow.positions[time : time + 3], axis=0)
-            change = moved[1] - moved[0]
-            change -= flow.conditions.gravity.numpy()[0] * flow.step**2
+            moved = np.diff(flow.positions[time : time + 3], axis=0) / flow.units.length
+            fall = flow.conditions.gravity.numpy()[0] * (flow.step**2 / flow.units.length)
+            change = moved[1] - moved[0] - fall
             displacement += float(np.square(moved[0], dtype=np.float64).sum())
             acceleration += float(np.square(change, dtype=np.float64).sum())
             count += change.size

@@ -16,7 +16,6 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +26,6 @@ from tabulate import tabulate
 
 from datasets import command_line, measures
 from datasets.errors import InputError
-from datasets.geometry.ground import interpolated
 from gns import card
 from gns.card import LEVELS, Calibration
 from gns.library import model_path
@@ -35,6 +33,16 @@ from gns.library import model_path
 if TYPE_CHECKING:
     from gns.samples import Flow
     from gns.simulator import Simulator
+
+
+FRONTS = {"front error, mean of absolute values": ".1f", "their median": ".1f", "mean": "+.1f", "worst": "+.1f"}
+MEANS = {
+    "profile": ("profile error", ".1f"),
+    "height": ("mean height", "+.1f"),
+    "thickness": ("thickness error", ".1f"),
+    "overlap": ("overlap in plan", ".0f"),
+}
+"""Columns of the table: of the front, and means of the other errors; and how they are written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,22 +71,13 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
         there = sample.to(simulator.displacement_scale.device)
         with torch.no_grad():
             deposit = unroll(simulator, there.state, there.conditions, steps)[-1].cpu().numpy()
-        size = tuple(flow.conditions.size[0].tolist())
-        start, end = flow.positions[0], flow.positions[-1]
-        truth = measures.Deposit.of_positions(start, end, flow.volume, size, ground_of(flow))
-        errors = truth.errors(deposit, sample.conditions.volume.numpy())
+        scene, length = flow.scene, flow.units.length
+        truth = measures.Deposit.of_positions(
+            flow.positions[0], flow.positions[-1], flow.volume, scene.domain.size, measures.ground_of(scene)
+        )
+        errors = truth.errors(length * deposit, length**scene.dimension * sample.conditions.volume.numpy())
         scores.append(Score(released=flow.released, at_wall=truth.at_wall, **vars(errors)))
     return scores
-
-
-def ground_of(flow: "Flow") -> measures.Ground:
-    """The ground of a flow in the units of the model."""
-    ground = flow.conditions.ground
-    if ground is None:
-        return lambda plan: np.zeros(len(plan))
-    heights = ground.elevation[0].double().numpy()
-    axes = [ground.spacing * np.arange(count, dtype=np.float64) for count in heights.shape]
-    return partial(interpolated, axes, heights)
 
 
 def validation_score(scores: Sequence[Score]) -> float:
@@ -119,27 +118,17 @@ def table(scores: Sequence[Score]) -> str:
         group = [score for score in scores if score.released == released]
         if not group:
             continue
-        front = 100.0 * np.array([score.front for score in group if not score.at_wall])
+        front = np.array([score.front for score in group if not score.at_wall])
         amounts = np.abs(front)
-        heads = ("front error, mean of absolute values", "their median", "mean", "worst")
+        mean = {name: float(np.mean([getattr(each, name) for each in group])) for name in MEANS}
         values = (amounts.mean(), np.median(amounts), front.mean(), front[amounts.argmax()]) if len(front) else ()
-        forms = (".1f", ".1f", "+.1f", "+.1f")
-        shown = [f"{value:{form}} %" for value, form in zip(values, forms, strict=False)] or ["-"] * len(heads)
-
-        def average(name: str, form: str, group: Sequence[Score] = group) -> str:
-            return f"{100.0 * np.mean([getattr(each, name) for each in group]):{form}} %"
-
+        fronts = [f"{100.0 * value:{form}} %" for value, form in zip(values, FRONTS.values(), strict=False)]
         rows.append(
-            {"start": title, "flows": len(group), "held by a wall": len(group) - len(front)}
-            | dict(zip(heads, shown, strict=True))
-            | {
-                "profile error": average("profile", ".1f"),
-                "mean height": average("height", "+.1f"),
-                "thickness error": average("thickness", ".1f"),
-                "overlap in plan": average("overlap", ".0f"),
-            }
+            [title, len(group), len(group) - len(front), *(fronts or ["-"] * len(FRONTS))]
+            + [f"{100.0 * mean[name]:{form}} %" for name, (_, form) in MEANS.items()]
         )
-    return tabulate(rows, "keys", "github", disable_numparse=True) + "\n"
+    heads = ["start", "flows", "held by a wall", *FRONTS, *(head for head, _ in MEANS.values())]
+    return tabulate(rows, heads, "github", disable_numparse=True) + "\n"
 
 
 def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, keep: bool = False) -> None:

@@ -1,7 +1,7 @@
 """What a simulation step takes and gives: state and conditions, and how they move between units and devices."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -9,7 +9,29 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from gns.settings import ModelSettings
 from gns.units import Units
+
+
+@dataclass(frozen=True)
+class Feature:
+    """An input of the network."""
+
+    count: Callable[[ModelSettings], int]
+    """How many columns it has."""
+    compute: Callable[..., Tensor]
+    """These, scaled to about one [-], shape [rows, count]."""
+
+
+def columns(features: Mapping[str, Feature], settings: ModelSettings) -> int:
+    """Number of columns of `features`."""
+    return sum(each.count(settings) for each in features.values())
+
+
+def computed(features: Mapping[str, Feature], *given: Any) -> Tensor:
+    """The columns of `features` beside each other in their order, each computed from what is `given`."""
+    return torch.cat([each.compute(*given) for each in features.values()], dim=1)
+
 
 ABSENT = -10.0
 """Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
@@ -39,10 +61,6 @@ class State(Tensors):
     """Positions [m], shape [N, D]."""
     displacements: Tensor
     """The last H displacements [m per step], newest last, shape [H, N, D]."""
-
-    def over(self, length: float) -> "State":
-        """The same state with lengths in another unit, `length` [m]."""
-        return State(positions=self.positions / length, displacements=self.displacements / length)
 
     @staticmethod
     def moving(positions: Tensor, velocities: Tensor, *, step: float, history: int) -> "State":
@@ -126,26 +144,6 @@ class Conditions(Tensors):
             return values.sum(dim=0, keepdim=True)
         return values.new_zeros(len(self.size), values.shape[1]).index_add(0, self.batch, values)
 
-    def in_model_units(self) -> "Conditions":
-        """These conditions in the units of the model."""
-        units = self.units
-        if units == Units():
-            return self
-        length = units.length
-        ground = self.ground
-        if ground is not None:
-            ground = dataclasses.replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length)
-        return dataclasses.replace(
-            self,
-            cohesion=self.cohesion / units.stress,
-            volume=self.volume / length ** self.size.shape[1],
-            size=self.size / length,
-            gravity=self.gravity * (units.time**2 / length),
-            baffles=None if self.baffles is None else self.baffles / length,
-            ground=ground,
-            units=Units(),
-        )
-
     @staticmethod
     def joined(samples: Sequence["Conditions"]) -> "Conditions":
         """Samples side by side, of one each, all in the same units, differentiably.
@@ -174,6 +172,27 @@ class Conditions(Tensors):
         counts = torch.tensor([len(each.friction) for each in samples])
         batch = torch.arange(len(samples)).repeat_interleave(counts)
         return Conditions(batch=batch, units=samples[0].units, **found)
+
+
+def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditions]:
+    """A state and its conditions in the units of the model; nothing else scales what a simulator is given."""
+    units, ground = conditions.units, conditions.ground
+    if units == Units():
+        return state, conditions
+    length = units.length
+    if ground is not None:
+        ground = dataclasses.replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length)
+    scaled = dataclasses.replace(
+        conditions,
+        cohesion=conditions.cohesion / units.stress,
+        volume=conditions.volume / length ** conditions.size.shape[1],
+        size=conditions.size / length,
+        gravity=conditions.gravity * (units.time**2 / length),
+        baffles=None if conditions.baffles is None else conditions.baffles / length,
+        ground=ground,
+        units=Units(),
+    )
+    return State(positions=state.positions / length, displacements=state.displacements / length), scaled
 
 
 def level(ground: Ground | None, name: str, shape: Sequence[int], absent: float) -> Tensor:

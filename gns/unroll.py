@@ -8,7 +8,7 @@ from tqdm import tqdm
 from datasets.memory import trimming
 from gns.correction import stretched
 from gns.simulator import Simulator
-from gns.state import Conditions, State
+from gns.state import Conditions, State, in_model_units
 
 
 def unroll(
@@ -33,7 +33,7 @@ def unroll(
     """
     lean = trimming(simulator)
     length = conditions.units.length
-    state, conditions = start.over(length), conditions.in_model_units()
+    state, conditions = in_model_units(start, conditions)
     first, positions = state, [state.positions]
     for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
         if torch.is_grad_enabled() and step < steps - kept_steps:
@@ -64,7 +64,7 @@ def step_activation_bytes(simulator: Simulator, state: State, conditions: Condit
             saved[storage.data_ptr()] = storage
         return tensor
 
-    state, conditions = state.over(conditions.units.length), conditions.in_model_units()
+    state, conditions = in_model_units(state, conditions)
     inside = State(
         positions=state.positions.detach().clone().requires_grad_(),
         displacements=state.displacements.detach().clone().requires_grad_(),
