@@ -3,14 +3,10 @@
     x'_K = x_K + L/10 C(start, x_K, conditions)     C: `gns.network.Network`, one pass a rollout
     x'_k = x_k + w_k (x'_K - x_K),                  w_k = sum_{j <= k} |v_j|^2 / sum_{j <= K} |v_j|^2
 
-An error that the steps add up alike in each flow of a kind, as of a front that comes short, is hard for them to
-unlearn: a gradient through all of them costs as much as a hundred passes of C, which sees end, start and surroundings
-at once. K is any step, as it was in training; the way to it is stretched in proportion to the motion.
-
-| symbol | variable       | unit           |
-| L      | `body_length`  | m              |
-| x_k    | `positions[k]` | m              |
-| v_k    | their changes  | m per step     |
+with L = `length_of`, positions x_k and their changes v_k. An error that the steps add up alike in each flow of a kind,
+such as a front that comes short, is hard for them to unlearn: a gradient through all of them costs as much as a hundred
+passes of C, which sees end, start and surroundings at once. K is any step; the way to it is stretched in proportion to
+the motion.
 """
 
 import dataclasses

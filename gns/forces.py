@@ -1,7 +1,7 @@
 """The particles at one moment, what surrounds them, and the forces that known laws give.
 
-A network of sums learns slowly what is a product of its inputs, as the coefficient of a surface with the direction of
-the motion. So these products are features, and five of them are forces, of which the network gives the shares.
+A network of sums is slow to learn products of its inputs, such as a coefficient of friction times the direction of the
+motion. So these are features, and some of them are forces, of which the network gives the shares.
 
     traction = -sum_s mu_s w_s u(v - (v . n_s) n_s)      Coulomb friction of floor, walls and the nearest solid
     damping  = -alpha u(v)                               u(v) = v / sqrt(|v|^2 + v0^2)
@@ -40,6 +40,8 @@ from gns.settings import GRAVITY, UP, ModelSettings
 from gns.solids import solid_features
 from gns.state import Conditions, State, computed
 
+FORCES = ("basal friction", "traction", "damping", "shear", "pressure")
+"""The known forces, of which the network gives the shares."""
 SLOW = 0.1
 """Displacement over the root mean square one below which the direction of motion fades [-]."""
 ROUNDED = 0.1
@@ -101,8 +103,8 @@ class Moment:
 
     @property
     def forces(self) -> Tensor:
-        """The known forces over the weight of the particles [-], shape [N, K, D]."""
-        return torch.stack([getattr(self, name) for name in FORCES], dim=1)
+        """`FORCES` over the weight of the particles [-], shape [N, K, D]."""
+        return torch.stack((self.basal, self.traction, self.damped, *self.internal.chunk(2, dim=1)), dim=1)
 
     @cached_property
     def traction(self) -> Tensor:
@@ -157,16 +159,6 @@ class Moment:
         ratio = self.conditions.cohesion / (self.weight * (above + self.settings.cell))
         return (ratio / (1.0 + ratio)).unsqueeze(1)
 
-    @property
-    def shear(self) -> Tensor:
-        """Shear on the grid [-], shape [N, D]."""
-        return self.internal[:, : self.settings.dimension]
-
-    @property
-    def pressure(self) -> Tensor:
-        """Pressure on the grid [-], shape [N, D]."""
-        return self.internal[:, self.settings.dimension :]
-
     @cached_property
     def internal(self) -> Tensor:
         """Shear, then pressure [-], shape [N, 2 D]; walls bear no shear here: that is the traction."""
@@ -176,8 +168,7 @@ class Moment:
         strengths = torch.stack((conditions.friction, conditions.cohesion / self.weight), dim=1)
         carried = torch.cat((torch.ones_like(strengths[:, :1]), self.velocity, strengths), dim=1)
         sums = stencil.scatter((conditions.volume / cell**dimension).unsqueeze(1) * carried)
-        filled = sums[:, :1]
-        means = sums[:, 1:] / (filled + EMPTY)
+        filled, means = sums[:, :1], sums[:, 1:] / (sums[:, :1] + EMPTY)
         # Strength over rho g is a length.
         strength = means[:, dimension + 1] + above * means[:, dimension]
         fields = torch.cat((means[:, :dimension], strength.unsqueeze(1), above.unsqueeze(1)), dim=1).view(*shape, -1)
@@ -207,7 +198,3 @@ class Moment:
     def unit(self, vectors: Tensor) -> Tensor:
         """Directions of vectors [..., D], which fade where they are shorter than `slow`."""
         return vectors / (vectors.square().sum(dim=-1, keepdim=True) + self.slow**2).sqrt()
-
-
-FORCES = ("basal", "traction", "damped", "shear", "pressure")
-"""The properties that are known forces."""

@@ -66,26 +66,24 @@ class InitialState(Tensors):
 def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:
     """The initial state of `scene` for a model of these settings; which particles stay is always the same choice.
 
-    frames: a run of the scene by the MPM, whose last frame is where the rollout begins; without it the rollout begins
-    at rest, that is at time 0. Raises InputError for a scene outside of what the model represents (`check`), and for
-    frames that do not fit.
+    frames: a run of the scene by the MPM, whose last frame is where the rollout begins; without it that is time 0.
+    Raises InputError for a scene that no such model represents (`check`), and for frames that do not fit.
     """
     check(scene, settings)
     units = Units.of_model(scene, settings)
     step = units.time * settings.step
     particles = initial_particles(scene)
-    if frames is None:
-        known = particles.positions[None].astype(np.float32)
-    else:
-        if frames.positions.shape[1] != len(particles.friction):
-            message = f"expected the {len(particles.friction)} particles of the scene, got {frames.positions.shape[1]}"
+    known, velocity0 = (each.astype(np.float32) for each in (particles.positions[None], particles.velocities))
+    if frames is not None:
+        if frames.positions.shape[1] != known.shape[1]:
+            message = f"expected the {known.shape[1]} particles of the scene, got {frames.positions.shape[1]}"
             raise InputError(message, where="start", key="positions")
-        known = resampled(frames, step)
-    velocity0 = (particles.velocities if frames is None else frames.velocity0).astype(np.float32)
-    require_memory(scene, settings, units, step)
-    rng = np.random.default_rng(0)
-    cell = units.length * settings.cell
-    kept, volumes = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
+        known, velocity0 = resampled(frames, step), frames.velocity0
+    cell, some = units.length * settings.cell, settings.particles_per_cell
+    steps, count = scene.duration / step, some * released_volume(scene) / cell**scene.dimension
+    instead = f"{count:.3g} particles over {steps:.3g} steps; a shorter time"
+    memory.require(4.0 * steps * count * scene.dimension, "a rollout", instead, key="duration")
+    kept, volumes = thin(known[0], particles.volume, cell=cell, kept=some, rng=np.random.default_rng(0))
     known, velocity0 = known[:, kept], velocity0[kept]
     history = torch.from_numpy(known[-settings.history - 1 :])
     return InitialState(
@@ -98,14 +96,6 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
         velocity0=velocity0,
         indices=kept,
     )
-
-
-def require_memory(scene: Scene, settings: ModelSettings, units: Units, step: float) -> None:
-    """Raise InputError for a rollout of more steps than fit into memory: how many, what to change."""
-    steps = scene.duration / step
-    kept = settings.particles_per_cell * released_volume(scene) / (units.length * settings.cell) ** scene.dimension
-    instead = f"{kept:.3g} particles over {steps:.3g} steps; a shorter time"
-    memory.require(4.0 * steps * kept * scene.dimension, "a rollout", instead, key="duration")
 
 
 def resampled(frames: Trajectory, step: float) -> Floats:

@@ -3,11 +3,9 @@
     m_i = sum_j w_ij silu(a_i + b_j + W_x (x_j - x_i) + W_d d_ij)
     d_ij = |x_j - x_i|,   w_ij = (1 - d_ij^2)^2
 
-`MessageSum` is the definition, a MessagePassing of PyTorch Geometric, and what runs on a GPU and in double precision.
-On a CPU `FusedSum` gives the same within rounding: torch has no operation for this sum, and those to build it (gather,
-product, sigmoid, scatter) move every edge through memory eight times. In the kernels of Numba an edge stays in
-registers, a vector of channels at a time. What is linear in the offset is a product per node, W_x x_j and -W_x x_i:
-of an edge only its distance is left.
+`MessageSum` is the definition, and what runs on a GPU and in double precision. On a CPU `FusedSum` gives the same
+within rounding: operations of torch (gather, product, sigmoid, scatter) move every edge through memory eight times; in
+the kernels of Numba it stays in registers. What is linear in the offset is a product per node, W_x x_j and -W_x x_i.
 
 | symbol     | variable             | meaning                                                        |
 | a_i, b_j   | `receiver`, `sender` | linear in the latents of receiver and sender, shape [N, C]     |

@@ -1,14 +1,11 @@
 """How good a model is: whole rollouts of held-out flows. `python -m gns.score DATASET... --model MODEL`.
 
-The half-width of a prediction (`gns.predict`) is a share of the extent of its deposit, the quantile of the absolute
-errors e over the extent on n held-out flows (split conformal prediction, Angelopoulos & Bates, Conformal prediction: a
-gentle introduction, Foundations and Trends in Machine Learning 16, 2023, chapter 1):
+A prediction (`gns.predict`) is within the share q of the extent of its deposit with a probability of at least `level`,
+by the absolute errors e over the extent on n held-out flows (split conformal prediction, Angelopoulos & Bates,
+Conformal prediction: a gentle introduction, Foundations and Trends in Machine Learning 16, 2023, chapter 1):
 
     q = the ceil((n + 1) level)-th smallest e        where there are so many: whatever their distribution
     q = rms(e) t_n((1 + level) / 2)                  of fewer flows: Gaussian errors of unknown variance, by Student
-
-A new flow that is drawn as those n were is within q with a probability of at least `level`. Which quantiles count:
-`gns.card.Card.calibration`.
 """
 
 import dataclasses
@@ -56,12 +53,12 @@ class Score(measures.Errors):
 
 
 def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
-    """Roll out `flows` from their starts. The deposits are compared with all particles that the flows have."""
+    """Compare rollouts of `flows` from their starts with all particles that the flows have."""
     # Here, because torch takes seconds, which --help should not.
     import torch
 
     from gns.samples import stretch
-    from gns.unroll import unroll
+    from gns.simulator import unroll
 
     settings, rng = simulator.settings, np.random.default_rng(0)
     scores: list[Score] = []
@@ -109,10 +106,7 @@ def quantile(errors: NDArray[np.float64], level: float) -> float:
 
 
 def table(scores: Sequence[Score]) -> str:
-    """Markdown: releases and moving starts apart, means over the flows of each.
-
-    Those of the front are without flows whose front a wall holds, which are counted.
-    """
+    """Markdown: means over flows released at rest and moving ones; of the front without those held by a wall."""
     rows = []
     for title, released in (("released at rest", True), ("moving", False)):
         group = [score for score in scores if score.released == released]
@@ -154,8 +148,7 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
 
     torch.set_num_threads(threads)
     path = model_path(model)
-    loaded = checkpoint.load(path)
-    settings = loaded.simulator.settings
+    simulator = checkpoint.load(path).simulator
     if not datasets:
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
     described = card.read(path) if keep else None
@@ -165,18 +158,17 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
             raise InputError(message, key="DATASET")
     elif keep:
         raise InputError("expected the model's card, which a training writes", where=str(card.card_path(path)))
-    lines = []
-    for dataset in datasets:
-        flows = flows_of(dataset, split, settings, progress=True)
-        lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(loaded.simulator, flows)))
-    text = "\n".join(lines)
+
+    def scored(dataset: Path, split: str) -> list[Score]:
+        return evaluate(simulator, flows_of(dataset, split, simulator.settings, progress=True))
+
+    text = "\n".join(f"{dataset.name}, {split}\n\n" + table(scored(dataset, split)) for dataset in datasets)
     print(text)
     if described is not None:
         scores: dict[str, list[Score]] = {}
         for dataset in datasets:
-            valid = flows_of(dataset, "valid", settings, progress=True)
             # Folders of a name are parts of one dataset.
-            scores.setdefault(dataset.name, []).extend(evaluate(loaded.simulator, valid))
+            scores.setdefault(dataset.name, []).extend(scored(dataset, "valid"))
         found = {name: calibrated(each) for name, each in scores.items()}
         card.write(path, dataclasses.replace(described, scores=text).keeping(found))
         print(f"bands by {sum(each.flows for each in found.values())} flows are on {card.card_path(path)}")

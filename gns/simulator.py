@@ -1,17 +1,20 @@
-"""The simulator: one step of a granular flow, learned."""
+"""The simulator: one step of a granular flow, learned; and the rollout, the loop that all who need one step through."""
 
 import dataclasses
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor, UntypedStorage, nn
+from torch.utils.checkpoint import checkpoint
+from tqdm import tqdm
 
+from datasets.memory import trimming
 from gns.contact import keep_out
-from gns.correction import Correction
+from gns.correction import Correction, stretched
 from gns.features import NODES, Inputs
 from gns.forces import FORCES, Moment, Normalisation
 from gns.network import Network
 from gns.settings import GRAVITY, ModelSettings
-from gns.state import Conditions, State
+from gns.state import Conditions, State, in_model_units
 
 AT_REST = 0.2
 """Root mean square speed of a deposit at rest over the speed of rest, at most [-]."""
@@ -27,14 +30,11 @@ class Simulator(nn.Module):
         v' <- v' r^4 / (1 + r^4)         r = |v'| / (rest_speed dt): static friction
         v' <- 0                          in a flow that is at rest (`moving`), but not while training
 
-    | symbol | variable                                | unit             |
-    | A, c   | `Network`                               | -                |
-    | F      | `gns.forces.FORCES`, over the weight    | -                |
-    | s      | `acceleration_scale`                    | m per step^2     |
-    | v, v'  | `State.displacements[-1]`, before, after | m per step       |
-
-    Absolute positions are no features: offsets to neighbours, distances to walls and baffles within the cutoff radius,
-    and the column on the background grid are.
+    | symbol | variable                                 | unit         |
+    | A, c   | `Network`                                | -            |
+    | F      | `Moment.forces`, over the weight         | -            |
+    | s      | `acceleration_scale`                     | m per step^2 |
+    | v, v'  | `State.displacements[-1]`, before, after | m per step   |
     """
 
     displacement_scale: Tensor
@@ -88,19 +88,76 @@ class Simulator(nn.Module):
 def moving(displacements: Tensor, limit: float, conditions: Conditions) -> Tensor:
     """1 for particles of flows whose displacements [m], [N, D], are above `limit` [m] (rms), else 0; shape [N or 1, 1].
 
-    Below it the deposit is at rest, as a run of the MPM ends where its kinetic energy is small: what remains are errors
-    of the acceleration. Positions that rest have the gradient of those before.
+    Below it the deposit is at rest, as in a run of the MPM. Positions that rest have the gradient of those before.
     """
     square = displacements.detach().square().sum(dim=1, keepdim=True)
     return conditions.of_particles((conditions.total(square - limit**2) > 0.0).to(square))
 
 
 def settled(displacements: Tensor, limit: float) -> Tensor:
-    """Displacements [m], shape [N, D], of which those well below `limit` [m] fade.
+    """Displacements [m], shape [N, D], of which those well below `limit` [m] fade: static friction.
 
-    A model of static friction: small errors of the acceleration no longer add up to an endless creep. Sand that begins
-    to move exceeds the limit after one step, unless its acceleration is below limit / dt^2. The fourth power leaves
-    of a tenth of the limit a ten-thousandth, and takes a sixteenth of twice the limit.
+    Small errors of the acceleration no longer add up to a creep. Sand that begins to move exceeds the limit after one
+    step, unless its acceleration is below limit / dt^2.
     """
     fourth = (displacements.square().sum(dim=1, keepdim=True) / limit**2).square()
     return displacements * (fourth / (1.0 + fourth))
+
+
+def unroll(
+    simulator: Simulator,
+    start: State,
+    conditions: Conditions,
+    steps: int,
+    *,
+    kept_steps: int = 0,
+    progress: bool = False,
+    corrected: bool = True,
+) -> Tensor:
+    """Positions [m] at the start and after each step, shape [steps + 1, N, D]; all of it in the units of the scene.
+
+    corrected: on the way to the end by the simulator's correction, where it has one (`gns.correction`); kept_steps: the
+    last steps that keep their activations (`step_activation_bytes` each) where gradients are recorded. Other steps keep
+    their state alone, and are computed again in the backward pass, with the same result. For a gradient with respect to
+    state or conditions the weights should be frozen, as `gns.load` gives them: it is then much cheaper.
+    """
+    lean = trimming(simulator)
+    length = conditions.units.length
+    state, conditions = in_model_units(start, conditions)
+    first, positions = state, [state.positions]
+    for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
+        if torch.is_grad_enabled() and step < steps - kept_steps:
+            state = checkpoint(lean, state, conditions, use_reentrant=False, preserve_rng_state=False)
+        else:
+            state = simulator(state, conditions)
+        positions.append(state.positions)
+    moved = torch.stack(positions)
+    if corrected and simulator.correction is not None and steps > 0:
+        moved = stretched(moved, simulator.end_correction(first, state, conditions), conditions)
+    return moved if length == 1.0 else moved * length
+
+
+def step_activation_bytes(simulator: Simulator, state: State, conditions: Conditions) -> int:
+    """Memory that one step's activations take until the backward pass [bytes], measured where the state has a gradient.
+
+    Every storage that autograd saves is counted once, weights and inputs left out.
+    """
+    given = [*simulator.parameters(), *simulator.buffers(), conditions.friction, conditions.cohesion, conditions.volume]
+    known = {each.untyped_storage().data_ptr() for each in given}
+    # By address, with the storage itself: that of one which is freed could be another's.
+    saved: dict[int, UntypedStorage] = {}
+
+    def keep(tensor: Tensor) -> Tensor:
+        storage = tensor.untyped_storage()
+        if storage.data_ptr() not in known:
+            saved[storage.data_ptr()] = storage
+        return tensor
+
+    state, conditions = in_model_units(state, conditions)
+    inside = State(
+        positions=state.positions.detach().clone().requires_grad_(),
+        displacements=state.displacements.detach().clone().requires_grad_(),
+    )
+    with torch.enable_grad(), torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        simulator(inside, conditions)
+    return sum(storage.nbytes() for storage in saved.values())

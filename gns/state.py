@@ -3,24 +3,22 @@
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.nn.utils.rnn import pad_sequence
 
 from gns.settings import ModelSettings
 from gns.units import Units
 
 
-@dataclass(frozen=True)
-class Feature:
-    """An input of the network."""
+class Feature(NamedTuple):
+    """An input of the network: its number of columns, and these, scaled to about one [-], shape [rows, columns]."""
 
     count: Callable[[ModelSettings], int]
-    """How many columns it has."""
     compute: Callable[..., Tensor]
-    """These, scaled to about one [-], shape [rows, count]."""
 
 
 def columns(features: Mapping[str, Feature], settings: ModelSettings) -> int:
@@ -39,10 +37,10 @@ ABSENT = -10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Tensors:
-    """A record of tensors; all of them move together, here and nowhere else."""
+    """A record of tensors, which move together."""
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
-        """The same record on another device, its real numbers in another precision; None leaves either as it is."""
+        """The same on another device, its real numbers in another precision; None leaves either as it is."""
         moved: dict[str, Any] = {}
         for each in dataclasses.fields(self):
             value = getattr(self, each.name)
@@ -148,20 +146,17 @@ class Conditions(Tensors):
     def joined(samples: Sequence["Conditions"]) -> "Conditions":
         """Samples side by side, of one each, all in the same units, differentiably.
 
-        One with fewer baffles than another gets boxes of no size far outside, one without terrain ground far below, and
-        a smaller raster goes on level.
+        Missing baffles become boxes of no size far outside, terrain ground far below; small rasters go on level.
         """
         names = ("friction", "cohesion", "volume", "size", "gravity", "floor_friction", "wall_friction", "damping")
         found: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in samples]) for name in names}
+        counts = [0 if each.baffles is None else each.baffles.shape[1] for each in samples]
         for name, absent in (("baffles", ABSENT), ("baffle_turn", 0.0), ("baffle_friction", 0.0)):
-            own = [getattr(each, name) for each in samples]
-            count = max((each.baffles.shape[1] for each in samples if each.baffles is not None), default=0)
-            if some := [each for each in own if each is not None]:
-                none, level_axes = some[0][:, :0], (0, 0) * (some[0].dim() - 2)
-                given = [none if each is None else each for each in own]
-                ends = [(*level_axes, 0, count - each.shape[1]) for each in given]
-                rows = [functional.pad(each, end, value=absent) for each, end in zip(given, ends, strict=True)]
-                found[name] = torch.cat(rows)
+            given = [getattr(each, name) for each in samples]
+            if some := [each for each in given if each is not None]:
+                none = [some[0].new_full((count, *some[0].shape[2:]), absent) for count in counts]
+                rows = [other if each is None else each[0] for each, other in zip(given, none, strict=True)]
+                found[name] = pad_sequence(rows, batch_first=True, padding_value=absent)
         if grounds := [each.ground for each in samples if each.ground is not None]:
             shape = [max(counts) for counts in zip(*(each.elevation.shape[1:] for each in grounds), strict=True)]
             rasters = {
@@ -169,8 +164,8 @@ class Conditions(Tensors):
                 for name, absent in (("elevation", ABSENT), ("friction", 0.0))
             }
             found["ground"] = Ground(**rasters, spacing=grounds[0].spacing)
-        counts = torch.tensor([len(each.friction) for each in samples])
-        batch = torch.arange(len(samples)).repeat_interleave(counts)
+        particles = torch.tensor([len(each.friction) for each in samples])
+        batch = torch.arange(len(samples)).repeat_interleave(particles)
         return Conditions(batch=batch, units=samples[0].units, **found)
 
 

@@ -1,12 +1,11 @@
 """The training: the loop that lowers a loss (`gns.losses`) within a budget of minutes or updates.
 
-Matrices are trained by Muon (Jordan et al. 2024), whose steps have singular values of about one, their length matched
-to Adam's (Liu et al. 2025, arXiv 2502.16982, section 2.2), so that both share a learning rate; all else by Adam. What
-is scored and shipped is a running average of the weights. Either the steps of a model are trained or, by whole rollouts
-of these as they are, its correction (`gns.correction`): where the steps change, an older correction is left out.
+Matrices are trained by Muon (Jordan et al. 2024), its steps as long as Adam's (Liu et al. 2025, arXiv 2502.16982,
+section 2.2), so that both share a learning rate; all else by Adam. A running average of the weights is scored and
+shipped. Either the steps of a model are trained, without an older correction, or its correction (`gns.correction`).
 
 Several processes (`torchrun --nproc-per-node N -m gns.train ...`) draw samples of their own, and train on the mean of
-their gradients: `DistributedDataParallel` takes it in its `forward`, so a model must be called as a module.
+their gradients, which `DistributedDataParallel` takes where a model is called as a module.
 """
 
 import dataclasses
@@ -36,7 +35,6 @@ from datasets.lock import locked
 from datasets.measures import Errors
 from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
-from datasets.trajectory import stored_scene, trajectory_files
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.correction import Correction
@@ -49,8 +47,6 @@ from gns.simulator import Simulator
 
 LAST = "last.pt"
 """The file of a run that --resume continues: weights, their average, optimisers, position."""
-NORMALISED = 24
-"""Batches by which the features of a new correction are normalised."""
 RECENT = 100
 """Updates over which the shown loss is a mean."""
 BAR = "{desc} {bar} {percentage:.0f} % [{elapsed} < {remaining}]"
@@ -66,10 +62,8 @@ class Position:
     """Updates made. They are the position in the data too: each has a random stream of its own."""
     best: float = math.inf
     """Smallest score of a validation."""
-    scored_seconds: float = 0.0
-    """Time of the last validation [s]."""
-    scored_updates: int = 0
-    """Updates before it."""
+    scored: tuple[float, int] = (0.0, 0)
+    """Seconds and updates at the last validation."""
     rows: list[dict[str, float]] = field(default_factory=list)
     """Of log.csv: one a validation."""
 
@@ -79,9 +73,9 @@ class Position:
 
     def due(self, training: TrainingSettings) -> bool:
         """Whether a validation is due: after its interval and at the end, if there were updates since the last one."""
-        since = self.progress(training) - share_of(training, self.scored_seconds, self.scored_updates)
+        since = self.progress(training) - share_of(training, *self.scored)
         interval = self.progress(training) >= 1.0 or since >= 1.0 / training.validations - 1.0e-9
-        return interval and self.updates > self.scored_updates
+        return interval and self.updates > self.scored[1]
 
 
 def share_of(training: TrainingSettings, seconds: float, updates: int) -> float:
@@ -123,9 +117,9 @@ def fit(
         torch.manual_seed(seed)
         flows, valid = load(datasets, model, training, progress=first)
         scenes: dict[str, list[Scene]] = {}
-        for path in datasets if first else ():
+        for path, some in zip(datasets, flows, strict=True):
             # Folders of a name are parts of one dataset.
-            scenes.setdefault(path.name, []).extend(map(stored_scene, trajectory_files(path / "train")))
+            scenes.setdefault(path.name, []).extend(flow.scene for flow in some)
         simulator = Simulator(model, statistics(flows)) if begin is None else continued(begin, model, training)
         run = Run(simulator.to(where), flows, training, out, seed)
         if resume:
@@ -159,8 +153,8 @@ def fit(
                 with stop.at_once():
                     run.validate(valid, scenes, provenance)
             run.losses.clear()
-            position.seconds = position.scored_seconds = clock() - begun
-            position.scored_updates = position.updates
+            position.seconds = clock() - begun
+            position.scored = position.seconds, position.updates
             if first:
                 run.save()
         if first:
@@ -182,8 +176,14 @@ class Run:
     ) -> None:
         self.simulator, self.training, self.out, self.seed = simulator, training, out, seed
         self.average: Any = AveragedModel(simulator, avg_fn=partial(averaged, training.average))
-        self.sampler, own_loss = sampler_and_loss(simulator, flows, training)
-        self.loss: nn.Module = DistributedDataParallel(own_loss) if distributed.is_initialized() else own_loss
+        self.sampler: Sampler
+        loss: nn.Module
+        if simulator.correction is None:
+            self.sampler, loss = Sampler(flows, simulator.settings, training), UnrolledLoss(simulator, training)
+        else:
+            self.sampler = rollouts = Rollouts(flows, simulator, training)
+            loss = EndLoss(simulator, rollouts)
+        self.loss = DistributedDataParallel(loss) if distributed.is_initialized() else loss
         self.free = [weight for weight in simulator.parameters() if weight.requires_grad]
         matrices = [weight for weight in self.free if weight.dim() == 2]
         others = [weight for weight in self.free if weight.dim() != 2]
@@ -225,13 +225,9 @@ class Run:
     def validate(
         self, flows: Sequence[Flow], scenes: Mapping[str, Sequence[Scene]], provenance: Mapping[str, Any]
     ) -> None:
-        """Score the averaged weights by rollouts, write a row of log.csv, keep them if they are the best so far.
-
-        scenes: of the training, for the card (`gns.card.describe`).
-        """
-        simulator, position, out = self.average.module, self.position, self.out
-        assert isinstance(simulator, Simulator)
-        scores = evaluate(simulator.eval(), flows)
+        """Score the average by rollouts of `flows`, write a row of log.csv, keep it with its card if it is the best."""
+        simulator, position, out = self.average.module.eval(), self.position, self.out
+        scores = evaluate(simulator, flows)
         total = validation_score(scores)
         row = {
             "minutes": round(position.seconds / 60.0, 2),
@@ -270,18 +266,6 @@ class Run:
             for name, part in self.parts.items():
                 part.load_state_dict(found[name])
             self.position = Position(**found["position"])
-
-
-def sampler_and_loss(
-    simulator: Simulator, flows: Sequence[Flows], training: TrainingSettings
-) -> tuple[Sampler, UnrolledLoss | EndLoss]:
-    """What is drawn, and its loss: stretches of flows for the steps, ends of whole rollouts for the correction."""
-    if simulator.correction is None:
-        return Sampler(flows, simulator.settings, training), UnrolledLoss(simulator, training)
-    rollouts, loss = Rollouts(flows, simulator.settings, training, simulator), EndLoss(simulator)
-    if not simulator.correction.normalised:
-        loss.normalise(rollouts.batch(0, np.random.default_rng(number)) for number in range(NORMALISED))
-    return rollouts, loss
 
 
 def averaged(decay: float, average: Tensor, current: Tensor, updates: Tensor) -> Tensor:

@@ -26,9 +26,8 @@ from datasets.errors import InputError
 from datasets.scene import Scene
 from gns import card
 from gns.initial import InitialState, initial_state
-from gns.simulator import Simulator
+from gns.simulator import Simulator, step_activation_bytes, unroll
 from gns.state import Conditions, State
-from gns.unroll import step_activation_bytes, unroll
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Vector, in_order
 from inverse.problem import Problem

@@ -175,7 +175,7 @@ def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(
                 end[:, 1] = 5.0e-6
             return end[None]
 
-        monkeypatch.setattr("gns.unroll.unroll", unroll)
+        monkeypatch.setattr("gns.simulator.unroll", unroll)
         simulator.settings = dataclasses.replace(settings, particles_per_cell=4)
         return evaluate(simulator, [flow])[0]
 

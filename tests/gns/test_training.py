@@ -15,7 +15,8 @@ import torch
 from datasets import command_line
 from datasets.scene import Baffle, Domain, Solid
 from datasets.trajectory import Trajectory
-from gns import card, checkpoint, training
+from gns import card, checkpoint
+from gns import training as loop
 from gns.losses import UnrolledLoss, rollout_loss
 from gns.samples import Sampler, flows_of
 from gns.settings import ModelSettings, TrainingSettings
@@ -104,7 +105,7 @@ def test_a_run_that_was_stopped_goes_on(
 ) -> None:
     flags = ("--updates", "6", "--validations", "2")
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
-    inner, calls = getattr(training, call), itertools.count(1)
+    inner, calls = getattr(loop, call), itertools.count(1)
 
     def outer(*given: Any, **named: Any) -> Any:
         if next(calls) == number:
@@ -114,7 +115,7 @@ def test_a_run_that_was_stopped_goes_on(
         return inner(*given, **named)
 
     with monkeypatch.context() as patch:
-        patch.setattr(training, call, outer)
+        patch.setattr(loop, call, outer)
         assert run(dataset, tmp_path, *flags) == 128 + signal.SIGTERM
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
     assert last(tmp_path)["position"]["updates"] == done
