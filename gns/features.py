@@ -1,8 +1,8 @@
 """The features: what the network is given of nodes and edges, in the order of its columns.
 
 To add a feature is to add an entry to `NODES`, to `EDGES` or to the channels of the background grid
-(`gns.grid.CHANNELS`): its name, how many columns it has, and how they are computed and scaled. All else follows: the
-width of the network, training, rollout and card. Absolute positions are no features.
+(`gns.grid.CHANNELS`): its name, its number of columns, and how they are computed and scaled. All else
+follows: the width of the network, training, rollout and card. Absolute positions are no features.
 """
 
 from dataclasses import dataclass

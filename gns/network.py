@@ -38,7 +38,7 @@ class Interaction(nn.Module):
 
     Their message is a network of [x_i, x_j, e_ij]. Its first layer splits into W_i x_i + W_j x_j + W_e e_ij, two of
     which are per node; its last layer is linear and follows the sum over the neighbours, in the update of the node.
-    What is left per edge is the sum in `gns.messages`. Edges carry no latents; their features enter every step anew.
+    What is left per edge is the sum in `gns.messages`. Edges carry no latents, their features enter each step.
     """
 
     def __init__(self, settings: ModelSettings) -> None:

@@ -1,7 +1,8 @@
 """The quantities whose ranges bound a surrogate's validity, without units as the model sees them.
 
-With l, g and rho, length of the released body, gravity and density (`gns.units.Units`), lengths are over l, speeds over
-sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the training data, or outside, at any size.
+With length l of the released body, gravity g and density rho (`gns.units.Units`), lengths are over l,
+speeds over sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the training data, or outside,
+at any size.
 """
 
 import dataclasses

@@ -116,8 +116,8 @@ def unroll(
 ) -> Tensor:
     """Positions [m] at the start and after each step, shape [steps + 1, N, D]; all of it in the units of the scene.
 
-    corrected: on the way to the end by the simulator's correction, where it has one (`gns.correction`); kept_steps: the
-    last steps that keep their activations (`step_activation_bytes` each) where gradients are recorded. Other steps keep
+    corrected: on the way to the end by the simulator's correction, where it has one; kept_steps: the last steps that
+    keep their activations (`step_activation_bytes` each) where gradients are recorded. Other steps keep
     their state alone, and are computed again in the backward pass, with the same result. For a gradient with respect to
     state or conditions the weights should be frozen, as `gns.load` gives them: it is then much cheaper.
     """

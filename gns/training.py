@@ -2,7 +2,7 @@
 
 Matrices are trained by Muon (Jordan et al. 2024), its steps as long as Adam's (Liu et al. 2025, arXiv 2502.16982,
 section 2.2), so that both share a learning rate; all else by Adam. A running average of the weights is scored and
-shipped. Either the steps of a model are trained, without an older correction, or its correction (`gns.correction`).
+shipped. Either the steps of a model are trained, without an older correction, or its correction alone.
 
 Several processes (`torchrun --nproc-per-node N -m gns.train ...`) draw samples of their own, and train on the mean of
 their gradients, which `DistributedDataParallel` takes where a model is called as a module.

@@ -5,8 +5,8 @@ Dry rigid grains know no length (Froude similarity; for granular columns e.g. La
 
     x / l,    t / sqrt(l / g),    v / sqrt(g l),    sigma / (rho g l)
 
-are the same in a flume and on a hillside. A model runs every scene at its own size (`gns.state.in_model_units`). The
-stiffness is left out, for sand that hardly yields under its own weight.
+are the same in a flume and on a hillside. A model runs every scene at its own size (`in_model_units`). The stiffness
+is left out, for sand that hardly yields under its own weight.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Learn the problem at hand: the MPM's flows all over its box, by which a model's rollouts are corrected.
 
 A shipped model interpolates between flows of many kinds. An inversion asks for one kind, with a few unknowns: some 64
-runs fill their box, and a minute's training of the correction (`gns.correction`) lowers the error several times.
+runs fill their box, and a minute's training of the correction (`gns.correction`) lowers the error severalfold.
 Parameters are points of a Sobol sequence between the prior bounds (Sobol, On the distribution of points in a cube, USSR
 Comput. Math. Math. Phys. 7 (1967) 86-112), each flow with a jitter seed of its own; every fifth is held out, for the
 scores and the band. Powers of two would not do: those of a Sobol sequence that are so many apart fill one slice of the
