@@ -18,7 +18,7 @@ from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from gns.ranges import Range, outside, ranges_of
 from gns.settings import ModelSettings
-from gns.units import Units
+from gns.surroundings.units import Units
 
 if TYPE_CHECKING:
     from gns.simulator import Simulator

@@ -24,9 +24,9 @@ from datasets import files
 from datasets.errors import InputError, naming, require
 from datasets.files import file_size, json_object, reading
 from datasets.records import from_mapping
-from gns.forces import Normalisation
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
+from gns.surroundings.forces import Normalisation
 
 WHAT = "whole weights of a model"
 FORMAT = "4"

@@ -15,9 +15,9 @@ from datasets.library import read_scene
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from gns import card, checkpoint
-from gns.initial import initial_state
 from gns.library import model_path, shipped
 from gns.simulator import Simulator, unroll
+from gns.surroundings.initial import initial_state
 
 
 def load(model: str | Path) -> Simulator:

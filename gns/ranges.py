@@ -1,6 +1,6 @@
 """The quantities whose ranges bound a surrogate's validity, without units as the model sees them.
 
-With length l of the released body, gravity g and density rho (`gns.units.Units`), lengths are over l,
+With length l of the released body, gravity g and density rho (`gns.surroundings.units.Units`), lengths are over l,
 speeds over sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the training data, or outside,
 at any size.
 """
@@ -18,7 +18,7 @@ from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.particles import height
 from datasets.scene import Scene, coefficient
 from gns.settings import ModelSettings
-from gns.units import Units
+from gns.surroundings.units import Units
 
 MARGIN = 0.1
 """Admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale."""

@@ -28,8 +28,8 @@ from gns.card import LEVELS, Calibration
 from gns.library import model_path
 
 if TYPE_CHECKING:
-    from gns.samples import Flow
     from gns.simulator import Simulator
+    from gns.training.samples import Flow
 
 
 FRONTS = {"front error, mean of absolute values": ".1f", "their median": ".1f", "mean": "+.1f", "worst": "+.1f"}
@@ -57,8 +57,8 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
     # Here, because torch takes seconds, which --help should not.
     import torch
 
-    from gns.samples import stretch
     from gns.simulator import unroll
+    from gns.training.samples import stretch
 
     settings, rng = simulator.settings, np.random.default_rng(0)
     scores: list[Score] = []
@@ -144,7 +144,7 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
     import torch
 
     from gns import checkpoint
-    from gns.samples import flows_of
+    from gns.training.samples import flows_of
 
     torch.set_num_threads(threads)
     path = model_path(model)

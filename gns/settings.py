@@ -33,7 +33,7 @@ class ModelSettings(Record):
     """Past displacements among the node features."""
     body_length: float | None = None
     """Length of a released body in the training data [m], the root of its volume, to which scenes are scaled
-    (`gns.units.Units`); None for scenes that are run as they are."""
+    (`gns.surroundings.units.Units`); None for scenes that are run as they are."""
     density: float = 1800.0
     """Density in the training data [kg/m^3]."""
     rest_speed: float = 0.03
@@ -80,7 +80,7 @@ class TrainingSettings:
     """How a model is fitted, and how long."""
 
     correct: bool = False
-    """Train the correction of whole rollouts alone (`gns.correction`); unroll and loss_scale mean nothing."""
+    """Train the correction of whole rollouts alone (`gns.network.correction`); unroll and loss_scale mean nothing."""
     rollouts: int = 2
     """Rollouts of each flow that a correction learns from: other particles of it, in another symmetry, from the start
     or later on."""

@@ -8,13 +8,13 @@ from torch.utils.checkpoint import checkpoint
 from tqdm import tqdm
 
 from datasets.memory import trimming
-from gns.contact import keep_out
-from gns.correction import Correction, stretched
-from gns.features import NODES, Inputs
-from gns.forces import FORCES, Moment, Normalisation
-from gns.network import Network
+from gns.network.correction import Correction, stretched
+from gns.network.features import NODES, Inputs
+from gns.network.network import Network
 from gns.settings import GRAVITY, ModelSettings
-from gns.state import Conditions, State, in_model_units
+from gns.surroundings.contact import keep_out
+from gns.surroundings.forces import FORCES, Moment, Normalisation
+from gns.surroundings.state import Conditions, State, in_model_units
 
 AT_REST = 0.2
 """Root mean square speed of a deposit at rest over the speed of rest, at most [-]."""

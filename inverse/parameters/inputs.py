@@ -8,7 +8,7 @@ from torch import Tensor
 
 from datasets.geometry.ground import ground_raster
 from datasets.particles import initial_particles
-from gns.initial import InitialState
+from gns.surroundings.initial import InitialState
 from inverse.parameters.kind import Constant, Extent, Kind
 
 

@@ -13,9 +13,9 @@ from datasets.trajectory import Trajectory
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.library import model_path
-from gns.samples import flows_of, stretch
 from gns.simulator import Simulator
-from gns.units import Units
+from gns.surroundings.units import Units
+from gns.training.samples import flows_of, stretch
 from inverse.adapt import main
 from inverse.adaptation import DATA, adapt, definition, deposits
 from inverse.parameters import Parameter

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from gns.settings import UP
-from gns.solids import Below, Boxes, rotated
-from gns.state import Conditions, Feature, Ground
+from gns.surroundings.solids import Below, Boxes, rotated
+from gns.surroundings.state import Conditions, Feature, Ground
 
 REFERENCE_HEIGHT = 0.1
 """Unit of overburden and height [m]."""

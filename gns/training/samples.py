@@ -19,13 +19,13 @@ from datasets.particles import observed_cohesion
 from datasets.scene import Scene
 from datasets.training import thin
 from datasets.trajectory import Floats, open_trajectory, trajectory_files
-from gns.forces import Normalisation
-from gns.initial import check, conditions_of
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator, unroll
-from gns.solids import Below
-from gns.state import Conditions, State, Tensors, in_model_units
-from gns.units import Units
+from gns.surroundings.forces import Normalisation
+from gns.surroundings.initial import check, conditions_of
+from gns.surroundings.solids import Below
+from gns.surroundings.state import Conditions, State, Tensors, in_model_units
+from gns.surroundings.units import Units
 
 MOVING = 0.02
 """Root mean square speed above which a flow counts as moving, in the units of the model [m/s]."""

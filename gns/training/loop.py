@@ -1,4 +1,4 @@
-"""The training: the loop that lowers a loss (`gns.losses`) within a budget of minutes or updates.
+"""The training: the loop that lowers a loss (`gns.training.losses`) within a budget of minutes or updates.
 
 Matrices are trained by Muon (Jordan et al. 2024), its steps as long as Adam's (Liu et al. 2025, arXiv 2502.16982,
 section 2.2), so that both share a learning rate; all else by Adam. A running average of the weights is scored and
@@ -37,13 +37,13 @@ from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
 from gns import card, checkpoint
 from gns.checkpoint import Model
-from gns.correction import Correction
 from gns.library import BEST
-from gns.losses import EndLoss, UnrolledLoss
-from gns.samples import Flow, Flows, Rollouts, Sampler, flows_of, statistics
+from gns.network.correction import Correction
 from gns.score import evaluate, table, validation_score
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
+from gns.training.losses import EndLoss, UnrolledLoss
+from gns.training.samples import Flow, Flows, Rollouts, Sampler, flows_of, statistics
 
 LAST = "last.pt"
 """The file of a run that --resume continues: weights, their average, optimisers, position."""

@@ -16,12 +16,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gns.correction import length_of
-from gns.features import NODES
-from gns.samples import Batch, Ends, Rollouts, measured
+from gns.network.correction import length_of
+from gns.network.features import NODES
 from gns.settings import TrainingSettings
 from gns.simulator import Simulator, step_activation_bytes, unroll
-from gns.state import computed
+from gns.surroundings.state import computed
+from gns.training.samples import Batch, Ends, Rollouts, measured
 
 MARGIN = 1.5
 """Some batches have more neighbours a particle than the one whose memory was measured."""

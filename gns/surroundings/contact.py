@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from gns.settings import UP
-from gns.solids import Below, Boxes, close_to, upward
-from gns.state import Conditions, Ground
+from gns.surroundings.solids import Below, Boxes, close_to, upward
+from gns.surroundings.state import Conditions, Ground
 
 SKIN = 1.0e-5
 """Distance from a face at which particles are held [m]: neither rounding nor the joint of two baffles admits one."""

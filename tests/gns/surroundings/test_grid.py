@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.grid import REFERENCE_HEIGHT, Stencil, column_features, occupancy, stencil_of
-from gns.solids import Boxes
-from tests.gns.surroundings import ROOM, conditions, plane, scattered, turned_boxes
+from gns.surroundings.grid import REFERENCE_HEIGHT, Stencil, column_features, occupancy, stencil_of
+from gns.surroundings.solids import Boxes
+from tests.gns.scenery import ROOM, conditions, plane, scattered, turned_boxes
 
 BOX = torch.ones(1, 2, dtype=torch.float64)
 

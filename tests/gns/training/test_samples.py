@@ -19,15 +19,15 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Solid
 from datasets.trajectory import Trajectory
-from gns.features import Inputs
-from gns.initial import conditions_of, initial_state
-from gns.losses import UnrolledLoss
-from gns.samples import Batch, Flow, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
+from gns.network.features import Inputs
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
-from gns.state import Ground, State, in_model_units
-from gns.training import LAST, joined, rank
-from gns.units import Units
+from gns.surroundings.initial import conditions_of, initial_state
+from gns.surroundings.state import Ground, State, in_model_units
+from gns.surroundings.units import Units
+from gns.training.loop import LAST, joined, rank
+from gns.training.losses import UnrolledLoss
+from gns.training.samples import Batch, Flow, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
 from tests.gns.conftest import TINY, rows, spreading
 from tests.scenes import scene_of
 
@@ -295,7 +295,7 @@ def test_samples_in_3d_come_in_all_eight_symmetries(deep: Batch) -> None:
     assert len(found) == 8
 
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 STEPS = 3
 
 

@@ -35,10 +35,10 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from gns.grid import CHANNELS, REFERENCE_HEIGHT, Stencil, stencil_of
 from gns.settings import GRAVITY, UP, ModelSettings
-from gns.solids import solid_features
-from gns.state import Conditions, State, computed
+from gns.surroundings.grid import CHANNELS, REFERENCE_HEIGHT, Stencil, stencil_of
+from gns.surroundings.solids import solid_features
+from gns.surroundings.state import Conditions, State, computed
 
 FORCES = ("basal friction", "traction", "damping", "shear", "pressure")
 """The known forces, of which the network gives the shares."""

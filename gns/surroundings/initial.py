@@ -17,8 +17,8 @@ from datasets.scene import Scene, coefficient
 from datasets.training import check_known, thin
 from datasets.trajectory import Floats, Trajectory, brackets
 from gns.settings import ModelSettings
-from gns.state import Conditions, Ground, State, Tensors
-from gns.units import Units
+from gns.surroundings.state import Conditions, Ground, State, Tensors
+from gns.surroundings.units import Units
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,9 +23,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gns.features import EDGES, SQUARE_FLOOR
-from gns.graph import Graph
-from gns.state import computed
+from gns.network.features import EDGES, SQUARE_FLOOR
+from gns.network.graph import Graph
+from gns.surroundings.state import computed
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 """Sums may be reordered, which is what lets them fill vectors; NaN and infinity keep their meaning."""

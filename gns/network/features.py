@@ -1,7 +1,7 @@
 """The features: what the network is given of nodes and edges, in the order of its columns.
 
 To add a feature is to add an entry to `NODES`, to `EDGES` or to the channels of the background grid
-(`gns.grid.CHANNELS`): its name, its number of columns, and how they are computed and scaled. All else
+(`gns.surroundings.grid.CHANNELS`): its name, its number of columns, and how they are computed and scaled. All else
 follows: the width of the network, training, rollout and card. Absolute positions are no features.
 """
 
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gns.forces import Moment
-from gns.graph import Graph, radius_graph
-from gns.grid import CHANNELS, Stencil
+from gns.network.graph import Graph, radius_graph
 from gns.settings import GRAVITY, UP
-from gns.state import Feature, columns
+from gns.surroundings.forces import Moment
+from gns.surroundings.grid import CHANNELS, Stencil
+from gns.surroundings.state import Feature, columns
 
 DAMPING = 5.0
 """Factor that brings the coefficient of damping to the size of the other features [-]."""

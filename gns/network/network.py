@@ -16,12 +16,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gns.features import CONSTANTS, EDGES, Inputs
-from gns.graph import Graph, mean_envelope_sum
-from gns.grid import CHANNELS, Stencil
-from gns.messages import messages
+from gns.network.features import CONSTANTS, EDGES, Inputs
+from gns.network.graph import Graph, mean_envelope_sum
+from gns.network.messages import messages
 from gns.settings import ModelSettings
-from gns.state import columns
+from gns.surroundings.grid import CHANNELS, Stencil
+from gns.surroundings.state import columns
 
 
 def mlp(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
@@ -38,7 +38,7 @@ class Interaction(nn.Module):
 
     Their message is a network of [x_i, x_j, e_ij]. Its first layer splits into W_i x_i + W_j x_j + W_e e_ij, two of
     which are per node; its last layer is linear and follows the sum over the neighbours, in the update of the node.
-    What is left per edge is the sum in `gns.messages`. Edges carry no latents, their features enter each step.
+    What is left per edge is the sum in `gns.network.messages`. Edges carry no latents, their features enter each step.
     """
 
     def __init__(self, settings: ModelSettings) -> None:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from gns.settings import UP
-from gns.state import Conditions, Ground
+from gns.surroundings.state import Conditions, Ground
 
 ROUNDING = 0.1
 """Radius of edges over the cutoff radius for outward directions, whose gradients have no bound at sharp ones [-]."""

@@ -11,7 +11,7 @@ from torch.nn import functional
 from torch.nn.utils.rnn import pad_sequence
 
 from gns.settings import ModelSettings
-from gns.units import Units
+from gns.surroundings.units import Units
 
 
 class Feature(NamedTuple):

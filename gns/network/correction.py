@@ -1,6 +1,6 @@
 """The correction: where a rollout ends, moved to where the MPM's flow does, by a network that learns whole rollouts.
 
-    x'_K = x_K + L/10 C(start, x_K, conditions)     C: `gns.network.Network`, one pass a rollout
+    x'_K = x_K + L/10 C(start, x_K, conditions)     C: `gns.network.network.Network`, one pass a rollout
     x'_k = x_k + w_k (x'_K - x_K),                  w_k = sum_{j <= k} |v_j|^2 / sum_{j <= K} |v_j|^2
 
 with L = `length_of`, positions x_k and their changes v_k. An error that the steps add up alike in each flow of a kind,
@@ -14,12 +14,12 @@ import dataclasses
 import torch
 from torch import Tensor, nn
 
-from gns.contact import keep_out
-from gns.features import NODES, Inputs
-from gns.forces import Moment
-from gns.network import Network
+from gns.network.features import NODES, Inputs
+from gns.network.network import Network
 from gns.settings import GRAVITY, ModelSettings
-from gns.state import Conditions, State, columns
+from gns.surroundings.contact import keep_out
+from gns.surroundings.forces import Moment
+from gns.surroundings.state import Conditions, State, columns
 
 WIDTH = 64
 """Of its latent vectors; a wider one overfits."""
