@@ -1,8 +1,8 @@
 """The card of a surrogate: what it is, what it was trained on, how well it does, and whether a scene is within.
 
-A training leaves `best.json` beside its weights `best.safetensors`. For each dataset of the training it has the least
-and the greatest value of each quantity (`gns.ranges`). A network interpolates; outside of all ranges its error is
-unknown. `python -m gns.score DATASET... --model MODEL --keep` adds scores and the calibration of the bands.
+A training leaves `best.json` beside its weights `best.safetensors`, with the range of each quantity (`gns.ranges`) in
+each dataset; outside of all ranges the error is unknown. `python -m gns.score DATASET... --model MODEL --keep` adds
+scores and the calibration of the bands.
 """
 
 import dataclasses
@@ -17,8 +17,8 @@ from datasets.files import read_json
 from datasets.records import Record, from_mapping
 from datasets.scene import Scene
 from gns.ranges import Range, outside, ranges_of
-from gns.settings import ModelSettings, features
-from gns.units import Units
+from gns.settings import ModelSettings
+from gns.surroundings.units import Units
 
 if TYPE_CHECKING:
     from gns.simulator import Simulator
@@ -95,22 +95,14 @@ class Card(Record):
         return found
 
     def calibration(self, scene: Scene, level: str = "0.95") -> Calibration | None:
-        """That of the dataset with the narrowest band of `level` whose ranges hold `scene`; the widest where none does.
-
-        None where no dataset has one.
-        """
-        known = [each for each in self.datasets.values() if each.calibration is not None]
-        holding = [each.calibration for each in known if not outside(scene, each.ranges)]
-
-        def width(calibration: Calibration | None) -> float:
-            return calibration.front[level] if calibration is not None else 0.0
-
-        if holding:
-            return min(holding, key=width)
-        return max((each.calibration for each in known), key=width, default=None)
+        """The narrowest at `level` of the datasets whose ranges hold `scene`, else the widest; None where none is."""
+        bands = [(each.ranges, each.calibration) for each in self.datasets.values() if each.calibration is not None]
+        if holding := [band for ranges, band in bands if not outside(scene, ranges)]:
+            return min(holding, key=lambda band: band.front[level])
+        return max((band for _, band in bands), key=lambda band: band.front[level], default=None)
 
     def keeping(self, calibrations: Mapping[str, Calibration | None]) -> "Card":
-        """This card with calibrations of datasets by name; of those that it does not have none is kept."""
+        """This card with calibrations of its datasets by name."""
         datasets = {
             name: dataclasses.replace(each, calibration=calibrations.get(name, each.calibration))
             for name, each in self.datasets.items()
@@ -122,21 +114,17 @@ def describe(
     simulator: "Simulator", provenance: Mapping[str, Any], scenes: Mapping[str, Sequence[Scene]], scores: str = ""
 ) -> Card:
     """The card of a model of this history that was trained on these scenes, by definition or folder."""
-    settings = simulator.settings
     datasets = {}
     for name, some in scenes.items():
-        across = [Units.of_body(scene).length / scene.domain.cell for scene in some]
-        datasets[name] = Dataset(
-            scenes=len(some),
-            cells_across=(round(min(across), 2), round(max(across), 2)),
-            ranges=ranges_of(some, settings),
-        )
+        across = [round(Units.of_body(scene).length / scene.domain.cell, 2) for scene in some]
+        ranges = ranges_of(some, simulator.settings)
+        datasets[name] = Dataset(scenes=len(some), cells_across=(min(across), max(across)), ranges=ranges)
     return Card(
-        settings=settings,
-        features=features(settings),
+        settings=simulator.settings,
+        features=simulator.features,
         normalisation={name: float(value) for name, value in simulator.named_buffers(recurse=False)},
         training=Training(
-            command=str(provenance.get("command", "")),
+            command=provenance.get("command", ""),
             seed=provenance.get("seed"),
             updates=total_updates(provenance) or None,
         ),

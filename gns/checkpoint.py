@@ -25,7 +25,8 @@ from datasets.errors import InputError, naming, require
 from datasets.files import file_size, json_object, reading
 from datasets.records import from_mapping
 from gns.settings import ModelSettings
-from gns.simulator import Normalisation, Simulator
+from gns.simulator import Simulator
+from gns.surroundings.forces import Normalisation
 
 WHAT = "whole weights of a model"
 FORMAT = "4"
@@ -65,7 +66,11 @@ def load(path: Path) -> Model:
             raise InputError(f"expected a model of format {FORMAT}", key="format")
         described, provenance = (json_object(metadata.get(key, ""), key) for key in ("settings", "provenance"))
         settings = from_mapping(ModelSettings, described)
-        check(settings, tensors)
+        for name, tensor in tensors.items():
+            require(bool(torch.isfinite(tensor).all()), name, "finite numbers", "others")
+        layers = settings.layers * (settings.mlp_layers + 1) + settings.rounds * (settings.grid_layers + 1)
+        expected = f"at most {len(tensors)} layers, from the tensors in the file"
+        require(layers <= len(tensors), "settings", expected, layers)
     # Built without memory: what it has is that of the tensors in the file.
     with reading(path, "weights of a model of these settings"), torch.device("meta"):
         simulator = Simulator(settings, BLANK, corrected=any(name.startswith("correction.") for name in tensors))
@@ -78,12 +83,3 @@ def read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     file_size(path, WHAT)
     with reading(path, WHAT), safe_open(path, framework="pt") as file:
         return {name: file.get_tensor(name).float() for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
-
-
-def check(settings: ModelSettings, tensors: Mapping[str, Tensor]) -> None:
-    """Raise InputError where tensors are no finite numbers, or fewer than the layers of such a model."""
-    for name, tensor in tensors.items():
-        if not torch.isfinite(tensor).all():
-            raise InputError("expected finite numbers", key=name)
-    built = settings.layers * (settings.mlp_layers + 1) + settings.rounds * (settings.grid_layers + 1)
-    require(built <= len(tensors), "settings", f"at most {len(tensors)} layers, from the tensors in the file", built)

@@ -15,17 +15,15 @@ from datasets.library import read_scene
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory
 from gns import card, checkpoint
-from gns.initial import initial_state
 from gns.library import model_path, shipped
-from gns.simulator import Simulator
-from gns.unroll import unroll
+from gns.simulator import Simulator, unroll
+from gns.surroundings.initial import initial_state
 
 
 def load(model: str | Path) -> Simulator:
-    """A trained simulator: a file, or the name of a model that ships, such as `flow2d`.
+    """A trained simulator with frozen weights: a file, or the name of a model that ships, such as `flow2d`.
 
-    Its weights are frozen: a gradient with respect to the flow costs a fraction of one that is recorded for the weights
-    too. Raises InputError, which names the file.
+    Raises InputError, which names the file.
     """
     return checkpoint.load(model_path(model)).simulator
 
@@ -44,18 +42,9 @@ def simulate(
         trajectory.positions[-1]                    # the deposit [m], shape [N, D]
         trajectory.volume                           # what each particle stands for [m^D], shape [N]
 
-    Parameters
-    ----------
-    scene
-        A scene, the path of one in TOML, or the name of a shipped one.
-    model
-        A simulator, its file, or the name of a shipped one; the shipped one of the scene's dimension unless given.
-    start
-        A run of the scene by the MPM, from whose last frame the rollout goes on; at rest (time 0) unless given.
-    device
-        Where the model runs.
-    progress
-        Show a progress bar.
+    scene: a scene, the path of one in TOML, or the name of a shipped one; model: a simulator, its file, or the name of
+    a shipped one, that of the scene's dimension where absent; start: a run of the scene by the MPM, from whose last
+    frame the rollout goes on, where absent it begins at time 0; device: where the model runs; progress: show a bar.
 
     Returns the trajectory at the model's step, the frames of `start` included; its summary has what
     `python -m gns.rollout` writes. Raises InputError.

@@ -1,7 +1,8 @@
 """The quantities whose ranges bound a surrogate's validity, without units as the model sees them.
 
-With l, g and rho, length of the released body, gravity and density (`gns.units.Units`), lengths are over l, speeds over
-sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the training data, or outside, at any size.
+With length l of the released body, gravity g and density rho (`gns.surroundings.units.Units`), lengths are over l,
+speeds over sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is within the training data, or outside,
+at any size.
 """
 
 import dataclasses
@@ -17,7 +18,7 @@ from datasets.geometry.ground import ground_raster
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
 from datasets.scene import Scene, coefficient
 from gns.settings import ModelSettings
-from gns.units import Units
+from gns.surroundings.units import Units
 
 MARGIN = 0.1
 """Admitted extrapolation beyond a range, as a fraction of its width on the quantity's scale."""

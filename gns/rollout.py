@@ -48,7 +48,7 @@ def rollout(
     import torch
 
     from gns.inference import load, simulate
-    from gns.initial import check
+    from gns.surroundings.initial import check
 
     torch.set_num_threads(threads)
     if device == "cuda" and not torch.cuda.is_available():

@@ -1,14 +1,11 @@
 """How good a model is: whole rollouts of held-out flows. `python -m gns.score DATASET... --model MODEL`.
 
-The half-width of a prediction (`gns.predict`) is a share of the extent of its deposit, the quantile of the absolute
-errors e over the extent on n held-out flows (split conformal prediction, Angelopoulos & Bates, Conformal prediction: a
-gentle introduction, Foundations and Trends in Machine Learning 16, 2023, chapter 1):
+A prediction (`gns.predict`) is within the share q of the extent of its deposit with a probability of at least `level`,
+by the absolute errors e over the extent on n held-out flows (split conformal prediction, Angelopoulos & Bates,
+Conformal prediction: a gentle introduction, Foundations and Trends in Machine Learning 16, 2023, chapter 1):
 
     q = the ceil((n + 1) level)-th smallest e        where there are so many: whatever their distribution
     q = rms(e) t_n((1 + level) / 2)                  of fewer flows: Gaussian errors of unknown variance, by Student
-
-A new flow that is drawn as those n were is within q with a probability of at least `level`. Which quantiles count:
-`gns.card.Card.calibration`.
 """
 
 import dataclasses
@@ -16,7 +13,6 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,14 +23,23 @@ from tabulate import tabulate
 
 from datasets import command_line, measures
 from datasets.errors import InputError
-from datasets.geometry.ground import interpolated
 from gns import card
 from gns.card import LEVELS, Calibration
 from gns.library import model_path
 
 if TYPE_CHECKING:
-    from gns.samples import Flow
     from gns.simulator import Simulator
+    from gns.training.samples import Flow
+
+
+FRONTS = {"front error, mean of absolute values": ".1f", "their median": ".1f", "mean": "+.1f", "worst": "+.1f"}
+MEANS = {
+    "profile": ("profile error", ".1f"),
+    "height": ("mean height", "+.1f"),
+    "thickness": ("thickness error", ".1f"),
+    "overlap": ("overlap in plan", ".0f"),
+}
+"""Columns of the table: of the front, and means of the other errors; and how they are written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +53,12 @@ class Score(measures.Errors):
 
 
 def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
-    """Roll out `flows` from their starts. The deposits are compared with all particles that the flows have."""
+    """Compare rollouts of `flows` from their starts with all particles that the flows have."""
     # Here, because torch takes seconds, which --help should not.
     import torch
 
-    from gns.samples import stretch
-    from gns.unroll import unroll
+    from gns.simulator import unroll
+    from gns.training.samples import stretch
 
     settings, rng = simulator.settings, np.random.default_rng(0)
     scores: list[Score] = []
@@ -63,22 +68,13 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
         there = sample.to(simulator.displacement_scale.device)
         with torch.no_grad():
             deposit = unroll(simulator, there.state, there.conditions, steps)[-1].cpu().numpy()
-        size = tuple(flow.conditions.size[0].tolist())
-        start, end = flow.positions[0], flow.positions[-1]
-        truth = measures.Deposit.of_positions(start, end, flow.volume, size, ground_of(flow))
-        errors = truth.errors(deposit, sample.conditions.volume.numpy())
+        scene, length = flow.scene, flow.units.length
+        truth = measures.Deposit.of_positions(
+            flow.positions[0], flow.positions[-1], flow.volume, scene.domain.size, measures.ground_of(scene)
+        )
+        errors = truth.errors(length * deposit, length**scene.dimension * sample.conditions.volume.numpy())
         scores.append(Score(released=flow.released, at_wall=truth.at_wall, **vars(errors)))
     return scores
-
-
-def ground_of(flow: "Flow") -> measures.Ground:
-    """The ground of a flow in the units of the model."""
-    ground = flow.conditions.ground
-    if ground is None:
-        return lambda plan: np.zeros(len(plan))
-    heights = ground.elevation[0].double().numpy()
-    axes = [ground.spacing * np.arange(count, dtype=np.float64) for count in heights.shape]
-    return partial(interpolated, axes, heights)
 
 
 def validation_score(scores: Sequence[Score]) -> float:
@@ -110,36 +106,23 @@ def quantile(errors: NDArray[np.float64], level: float) -> float:
 
 
 def table(scores: Sequence[Score]) -> str:
-    """Markdown: releases and moving starts apart, means over the flows of each.
-
-    Those of the front are without flows whose front a wall holds, which are counted.
-    """
+    """Markdown: means over flows released at rest and moving ones; of the front without those held by a wall."""
     rows = []
     for title, released in (("released at rest", True), ("moving", False)):
         group = [score for score in scores if score.released == released]
         if not group:
             continue
-        front = 100.0 * np.array([score.front for score in group if not score.at_wall])
+        front = np.array([score.front for score in group if not score.at_wall])
         amounts = np.abs(front)
-        heads = ("front error, mean of absolute values", "their median", "mean", "worst")
+        mean = {name: float(np.mean([getattr(each, name) for each in group])) for name in MEANS}
         values = (amounts.mean(), np.median(amounts), front.mean(), front[amounts.argmax()]) if len(front) else ()
-        forms = (".1f", ".1f", "+.1f", "+.1f")
-        shown = [f"{value:{form}} %" for value, form in zip(values, forms, strict=False)] or ["-"] * len(heads)
-
-        def average(name: str, form: str, group: Sequence[Score] = group) -> str:
-            return f"{100.0 * np.mean([getattr(each, name) for each in group]):{form}} %"
-
+        fronts = [f"{100.0 * value:{form}} %" for value, form in zip(values, FRONTS.values(), strict=False)]
         rows.append(
-            {"start": title, "flows": len(group), "held by a wall": len(group) - len(front)}
-            | dict(zip(heads, shown, strict=True))
-            | {
-                "profile error": average("profile", ".1f"),
-                "mean height": average("height", "+.1f"),
-                "thickness error": average("thickness", ".1f"),
-                "overlap in plan": average("overlap", ".0f"),
-            }
+            [title, len(group), len(group) - len(front), *(fronts or ["-"] * len(FRONTS))]
+            + [f"{100.0 * mean[name]:{form}} %" for name, (_, form) in MEANS.items()]
         )
-    return tabulate(rows, "keys", "github", disable_numparse=True) + "\n"
+    heads = ["start", "flows", "held by a wall", *FRONTS, *(head for head, _ in MEANS.values())]
+    return tabulate(rows, heads, "github", disable_numparse=True) + "\n"
 
 
 def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, keep: bool = False) -> None:
@@ -161,12 +144,11 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
     import torch
 
     from gns import checkpoint
-    from gns.samples import flows_of
+    from gns.training.samples import flows_of
 
     torch.set_num_threads(threads)
     path = model_path(model)
-    loaded = checkpoint.load(path)
-    settings = loaded.simulator.settings
+    simulator = checkpoint.load(path).simulator
     if not datasets:
         raise InputError("expected at least one dataset, a folder that python -m mpm.generate made", key="DATASET")
     described = card.read(path) if keep else None
@@ -176,18 +158,17 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
             raise InputError(message, key="DATASET")
     elif keep:
         raise InputError("expected the model's card, which a training writes", where=str(card.card_path(path)))
-    lines = []
-    for dataset in datasets:
-        flows = flows_of(dataset, split, settings, progress=True)
-        lines.append(f"{dataset.name}, {split}\n\n" + table(evaluate(loaded.simulator, flows)))
-    text = "\n".join(lines)
+
+    def scored(dataset: Path, split: str) -> list[Score]:
+        return evaluate(simulator, flows_of(dataset, split, simulator.settings, progress=True))
+
+    text = "\n".join(f"{dataset.name}, {split}\n\n" + table(scored(dataset, split)) for dataset in datasets)
     print(text)
     if described is not None:
         scores: dict[str, list[Score]] = {}
         for dataset in datasets:
-            valid = flows_of(dataset, "valid", settings, progress=True)
             # Folders of a name are parts of one dataset.
-            scores.setdefault(dataset.name, []).extend(evaluate(loaded.simulator, valid))
+            scores.setdefault(dataset.name, []).extend(scored(dataset, "valid"))
         found = {name: calibrated(each) for name, each in scores.items()}
         card.write(path, dataclasses.replace(described, scores=text).keeping(found))
         print(f"bands by {sum(each.flows for each in found.values())} flows are on {card.card_path(path)}")

@@ -33,7 +33,7 @@ class ModelSettings(Record):
     """Past displacements among the node features."""
     body_length: float | None = None
     """Length of a released body in the training data [m], the root of its volume, to which scenes are scaled
-    (`gns.units.Units`); None for scenes that are run as they are."""
+    (`gns.surroundings.units.Units`); None for scenes that are run as they are."""
     density: float = 1800.0
     """Density in the training data [kg/m^3]."""
     rest_speed: float = 0.03
@@ -75,39 +75,12 @@ class ModelSettings(Record):
         return self.cell**self.dimension / self.particles_per_cell
 
 
-def constant_count(dimension: int) -> int:
-    """Features of what is constant for a particle: friction, cohesion, floor, walls, damping, direction of gravity."""
-    return 5 + dimension
-
-
-def column_count(dimension: int) -> int:
-    """Channels of a node of the grid: `gns.grid.column_features`, and the share of its cell without room."""
-    return dimension + 3
-
-
-def features(settings: ModelSettings) -> dict[str, int]:
-    """Features of a particle in their order -> how many numbers; `gns.simulator.Simulator` joins them."""
-    dimension = settings.dimension
-    return {
-        "past displacements": settings.history * dimension,
-        "their changes": (settings.history - 1) * dimension,
-        "solids within the radius": 3 * dimension + 2,
-        "volume": 1,
-        "friction, cohesion, floor, walls, damping, gravity": constant_count(dimension),
-        "column on the grid": column_count(dimension),
-        "tractions of surfaces and damping": 2 * dimension,
-        "cohesion over the weight above": 1,
-        "forces of pressure and internal friction": 2 * dimension,
-        "basal friction and damped motion": 2 * dimension,
-    }
-
-
 @dataclass(frozen=True, kw_only=True)
 class TrainingSettings:
     """How a model is fitted, and how long."""
 
     correct: bool = False
-    """Train the correction of whole rollouts alone (`gns.correction`); unroll and loss_scale mean nothing."""
+    """Train the correction of whole rollouts alone (`gns.network.correction`); unroll and loss_scale mean nothing."""
     rollouts: int = 2
     """Rollouts of each flow that a correction learns from: other particles of it, in another symmetry, from the start
     or later on."""

@@ -53,7 +53,7 @@ def train(
 
     from gns import checkpoint
     from gns.library import model_path
-    from gns.training import fit
+    from gns.training.loop import fit
 
     torch.set_num_threads(threads)
     begun = None if begin is None else checkpoint.load(model_path(begin))

@@ -1,7 +1,7 @@
 """Learn the problem at hand: the MPM's flows all over its box, by which a model's rollouts are corrected.
 
 A shipped model interpolates between flows of many kinds. An inversion asks for one kind, with a few unknowns: some 64
-runs fill their box, and a minute's training of the correction (`gns.correction`) lowers the error several times.
+runs fill their box, and a minute's training of the correction (`gns.network.correction`) lowers the error severalfold.
 Parameters are points of a Sobol sequence between the prior bounds (Sobol, On the distribution of points in a cube, USSR
 Comput. Math. Math. Phys. 7 (1967) 86-112), each flow with a jitter seed of its own; every fifth is held out, for the
 scores and the band. Powers of two would not do: those of a Sobol sequence that are so many apart fill one slice of the
@@ -27,14 +27,14 @@ from datasets.processes import processors
 from datasets.scene import Scene
 from datasets.trajectory import Trajectory, trajectory_files
 from gns import card, checkpoint
-from gns.initial import check
 from gns.library import model_path, shipped
-from gns.samples import Flow, flows_of
 from gns.score import Score, calibrated, evaluate, table
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
-from gns.training import LAST, fit
-from gns.units import Units
+from gns.surroundings.initial import check
+from gns.surroundings.units import Units
+from gns.training.loop import LAST, fit
+from gns.training.samples import Flow, flows_of
 from inverse.forward.gns import require_predicted
 from inverse.parameters import Vector
 from inverse.posterior.emulator import fewest_runs, fitted

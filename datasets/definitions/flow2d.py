@@ -1,7 +1,7 @@
 """flow2d: the training set of the shipped 2D surrogate, ten kinds of flows of fine truth.
 
 Every scene releases about `AREA` of material, over terrain down to six tenths of it: a surrogate scales a scene to that
-size (`gns.state`), so that one serves a flume and a hillside. The MPM computes it on cells of `CELL`, 57 across the
+size, so that one serves a flume and a hillside. The MPM computes it on cells of `CELL`, 57 across the
 length of the body, where its own error is about a per cent; what is stored is one particle of each cell, with the
 volume of all in it. Sand is rigid at this size (E = 200 rho g l; twice as much moves fronts by 0.3 %). Layers of other
 sand than the scene's turn with it in variants, so that single ones leave `FRICTION_DEG`.

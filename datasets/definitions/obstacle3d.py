@@ -1,6 +1,6 @@
 """obstacle3d: the training set of the shipped 3D surrogate, ten kinds of flows of fine truth.
 
-Every scene releases `VOLUME` of material, as in `flow2d`: a surrogate scales a scene to that size (`gns.state`). The
+Every scene releases `VOLUME` of material, as in `flow2d`: a surrogate scales a scene to that size. The
 MPM computes it on cells of `CELL`, 19 across the body; what is stored (`STORAGE`) is one particle of each larger cell,
 of which a surrogate takes one of about four.
 """

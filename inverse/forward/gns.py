@@ -25,10 +25,9 @@ from torch import Tensor
 from datasets.errors import InputError
 from datasets.scene import Scene
 from gns import card
-from gns.initial import InitialState, initial_state
-from gns.simulator import Simulator
-from gns.state import Conditions, State
-from gns.unroll import step_activation_bytes, unroll
+from gns.simulator import Simulator, step_activation_bytes, unroll
+from gns.surroundings.initial import InitialState, initial_state
+from gns.surroundings.state import Conditions, State
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Vector, in_order
 from inverse.problem import Problem

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from datasets.geometry.ground import ground_raster
 from datasets.material import sine_of_slope
-from gns.initial import InitialState
+from gns.surroundings.initial import InitialState
 from inverse.parameters.kind import Constant, Extent, Kind
 
 

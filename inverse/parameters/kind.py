@@ -13,7 +13,7 @@ from torch import Tensor
 from datasets.errors import InputError
 from datasets.material import Material
 from datasets.scene import DOMAIN_SIDES, Scene
-from gns.initial import InitialState
+from gns.surroundings.initial import InitialState
 
 Vector = NDArray[np.float64]
 """One value per parameter, in the order of the problem and the units of the names; shape [U]."""

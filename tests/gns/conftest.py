@@ -13,12 +13,12 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Mass
 from datasets.trajectory import Trajectory
-from gns.initial import conditions_of
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
-from gns.state import Conditions, State
+from gns.surroundings.initial import conditions_of
+from gns.surroundings.state import Conditions, State
+from gns.surroundings.units import Units
 from gns.train import train
-from gns.units import Units
 from tests.flows import flow_of
 from tests.scenes import scene_of
 

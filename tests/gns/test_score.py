@@ -14,11 +14,11 @@ import gns
 from datasets import command_line, measures
 from datasets.errors import InputError
 from gns import card, checkpoint
-from gns.samples import Flow, flows_of
 from gns.score import Score, calibrated, evaluate, score, table, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
-from gns.state import Conditions, State
+from gns.surroundings.state import Conditions, State
+from gns.training.samples import Flow, flows_of
 from tests.gns.conftest import NORMALISATION, spreading
 from tests.refusals import refused_by
 from validation.bench.stability.exact_solutions import FreeFlight
@@ -175,7 +175,7 @@ def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(
                 end[:, 1] = 5.0e-6
             return end[None]
 
-        monkeypatch.setattr("gns.unroll.unroll", unroll)
+        monkeypatch.setattr("gns.simulator.unroll", unroll)
         simulator.settings = dataclasses.replace(settings, particles_per_cell=4)
         return evaluate(simulator, [flow])[0]
 

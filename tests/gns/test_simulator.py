@@ -11,10 +11,9 @@ from torch import Tensor
 
 import gns
 from datasets.library import read_scene
-from gns.initial import initial_state
-from gns.simulator import Simulator, moving
-from gns.state import Conditions, State
-from gns.unroll import step_activation_bytes, unroll
+from gns.simulator import Simulator, moving, step_activation_bytes, unroll
+from gns.surroundings.initial import initial_state
+from gns.surroundings.state import Conditions, State
 from tests.gns.conftest import Cloud
 from validation.bench.stability.exact_solutions import FreeFlight
 

@@ -30,8 +30,8 @@ def network_rows(*, rounds: int, device: str = "cpu") -> list[dict[str, str]]:
     import torch
 
     import gns
-    from gns.initial import initial_state
     from gns.library import models
+    from gns.surroundings.initial import initial_state
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -18,10 +18,10 @@ from datasets.errors import InputError
 from datasets.processes import processors
 from datasets.scene import Scene
 from gns import card, checkpoint
-from gns.initial import check
 from gns.library import model_path, shipped
 from gns.ranges import outside
 from gns.simulator import Simulator
+from gns.surroundings.initial import check
 from inverse.answer import Purpose
 from inverse.forward import Forward
 from inverse.forward.gns import Flow, GnsForward, band_of

@@ -8,10 +8,10 @@ import numpy as np
 from datasets.definitions import read_definition
 from gns.checkpoint import load
 from gns.library import model_path
-from gns.samples import flows_of
 from gns.score import evaluate, table
 from gns.settings import TrainingSettings
-from gns.training import fit
+from gns.training.loop import fit
+from gns.training.samples import flows_of
 from mpm.generate import generate
 
 piles = read_definition(str(Path(__file__).with_name("piles.toml")))

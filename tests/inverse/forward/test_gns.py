@@ -8,8 +8,7 @@ import torch
 
 from datasets.scene import Mass
 from gns.settings import ModelSettings
-from gns.simulator import Normalisation, Simulator
-from gns.unroll import unroll
+from gns.simulator import Normalisation, Simulator, unroll
 from inverse.forward.gns import GnsForward
 from inverse.observations import FrontSettings, GaugesSettings, Rollout
 from inverse.parameters import Parameter

@@ -3,17 +3,17 @@
 Weights are multilinear; all of it is differentiable in the positions, the ground and the baffles.
 """
 
-import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import reduce
 
 import torch
 from torch import Tensor
 
 from gns.settings import UP
-from gns.solids import Below, Boxes, rotated
-from gns.state import Conditions, Ground
+from gns.surroundings.solids import Below, Boxes, rotated
+from gns.surroundings.state import Conditions, Feature, Ground
 
 REFERENCE_HEIGHT = 0.1
 """Unit of overburden and height [m]."""
@@ -31,7 +31,7 @@ CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 class Stencil:
     """The grid nodes around each particle and their weights.
 
-    The grid of a sample covers its particles alone. Nodes lie at whole multiples of the cell from the box's lower
+    The grid of a sample covers its particles alone, with nodes at whole multiples of the cell from the box's lower
     corner. Grid values are flat, shape [B * nodes, C], node index fastest in the last axis of `shape`.
     """
 
@@ -71,9 +71,9 @@ class Stencil:
         ]
 
     def within(self, field: Tensor, size: Tensor, axes: Iterable[int]) -> Tensor:
-        """A field [B, X, Y(, Z), ...] whose values beyond the walls are those of the last node before the wall.
+        """A field [B, X, Y(, Z), ...] whose values beyond the walls across `axes` are those of the last node before.
 
-        size: of the boxes [m], shape [B, D]; axes: across which. A derivative at a wall then has no step in it.
+        A derivative at a wall then has no step in it. size: of the boxes [m], shape [B, D].
         """
         for axis in axes:
             count = field.shape[axis + 1]
@@ -85,10 +85,7 @@ class Stencil:
         return field
 
     def cells(self, size: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-        """Where the nodes' cells, of the same edge around them, begin and end in the box [0, size] along each axis [m].
-
-        size: [m], shape [B, D]; each of the results is of shape [B, nodes along an axis].
-        """
+        """Where the nodes' cells begin and end in the box [0, size] along each axis [m], each [B, nodes along it]."""
         nodes = self.coordinates(size)
         begin = [(node - 0.5 * self.cell).clamp(min=0.0) for node in nodes]
         end = [torch.minimum(node + 0.5 * self.cell, size[:, axis, None]) for axis, node in enumerate(nodes)]
@@ -113,25 +110,16 @@ def stencil_of(positions: Tensor, size: Tensor, cell: float, batch: Tensor | Non
     shape = tuple(int(count) for count in counts.amax(dim=0).tolist())
     own = None
     if len(size) > 1:
-        own = torch.ones(len(size), *shape, 1, dtype=positions.dtype, device=positions.device)
-        for axis, count in enumerate(shape):
-            part = torch.arange(count, device=positions.device) < counts[:, axis, None]
-            own = own * spread(part, axis, dimension).unsqueeze(-1)
+        parts = [torch.arange(count, device=base.device) < counts[:, axis, None] for axis, count in enumerate(shape)]
+        own = reduce(torch.mul, (spread(part, axis, dimension) for axis, part in enumerate(parts)))
+        own = own.unsqueeze(-1).to(scaled)
     above = scaled - base
-    strides = [math.prod(shape[axis + 1 :]) for axis in range(dimension)]
-    inside = base - origin.index_select(0, index)
-    corner = (inside * torch.tensor(strides, device=base.device)).sum(dim=1) + index * math.prod(shape)
-    nodes: list[Tensor] = []
-    weights: list[Tensor] = []
-    for bits in itertools.product((0, 1), repeat=dimension):
-        nodes.append(corner + sum(bit * stride for bit, stride in zip(bits, strides, strict=True)))
-        weight = torch.ones_like(scaled[:, 0])
-        for axis, bit in enumerate(bits):
-            weight = weight * (above[:, axis] if bit else 1.0 - above[:, axis])
-        weights.append(weight)
-    return Stencil(
-        shape=shape, origin=origin, cell=cell, nodes=torch.stack(nodes), weights=torch.stack(weights), own=own
-    )
+    strides = torch.tensor([math.prod(shape[axis + 1 :]) for axis in range(dimension)], device=base.device)
+    corner = ((base - origin.index_select(0, index)) * strides).sum(dim=1) + index * math.prod(shape)
+    bits = torch.cartesian_prod(*[torch.arange(2, device=base.device)] * dimension)
+    nodes = corner + (bits * strides).sum(dim=1, keepdim=True)
+    weights = reduce(torch.mul, torch.where(bits.unsqueeze(1) > 0, above, 1.0 - above).unbind(dim=2))
+    return Stencil(shape=shape, origin=origin, cell=cell, nodes=nodes, weights=weights, own=own)
 
 
 def spread(values: Tensor, axis: int, dimension: int) -> Tensor:
@@ -139,22 +127,18 @@ def spread(values: Tensor, axis: int, dimension: int) -> Tensor:
     return values.view(len(values), *(-1 if other == axis else 1 for other in range(dimension)))
 
 
-def column_features(stencil: Stencil, volume: Tensor, size: Tensor) -> Tensor:
-    """The column of material through each node: [packing, overburden, height, slope], shape [B * nodes, D + 2].
+def column_features(stencil: Stencil, conditions: Conditions) -> Tensor:
+    """The column of material through each node, shape [B * nodes, D + 2].
 
-    volume: of each particle [m^D], shape [N]; size: of the boxes [m], shape [B, D].
-
-    | packing    | volume of the particles over the volume of the node's cell [-]             |
-    | overburden | height of the column of material above the node [-], in REFERENCE_HEIGHTs |
-    | height     | height of the whole column at the node's x (and z) [-], likewise          |
-    | slope      | derivative of that height along x (and z) [-], zero along y: left out     |
-
-    A released column and a settled deposit differ in the stress, which is no feature of the particles. The overburden
-    is its vertical part at rest, and the slope of the surface drives the flow.
+    | packing    | volume of the particles over the volume of the node's cell [-]                                |
+    | overburden | height of the column above the node, the vertical stress at rest, in REFERENCE_HEIGHTs [-]    |
+    | height     | height of the whole column at the node's x (and z), likewise [-]                              |
+    | slope      | derivative of that height along x (and z) [-]                                                 |
     """
     shape, cell = stencil.shape, stencil.cell
     dimension = len(shape)
-    filled = stencil.scatter(volume.unsqueeze(1)).view(stencil.samples, *shape) / cell**dimension
+    size = conditions.size
+    filled = stencil.scatter(conditions.volume.unsqueeze(1)).view(stencil.samples, *shape) / cell**dimension
     # A node on a wall stands for half a cell: divide, or the material beside a wall would look loose.
     begin, end = stencil.cells(size)
     shares = [
@@ -175,10 +159,9 @@ def column_features(stencil: Stencil, volume: Tensor, size: Tensor) -> Tensor:
 
 
 def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
-    """Share of each grid node's cell that is no room for material [-], shape [B * nodes, 1], flat as in `Stencil`.
+    """Share of each node's cell that lies beyond the walls, below the ground or in baffles [-], shape [B * nodes, 1].
 
-    A node's cell is the box of that edge around it. What is no room: what lies beyond the walls of the box, below the
-    ground and in baffles, which take their share of what the other two leave.
+    A cell is the box of that edge around its node. Baffles take their share of what walls and ground leave.
     """
     begin, end = stencil.cells(conditions.size)
     length = [last - first for first, last in zip(begin, end, strict=True)]
@@ -204,6 +187,13 @@ def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
     return (1.0 - room).clamp(min=0.0).reshape(-1, 1)
 
 
+CHANNELS = {
+    "packing, overburden, height and slope of the column": Feature(lambda s: s.dimension + 2, column_features),
+    "share of the cell that is no room": Feature(lambda s: 1, occupancy),
+}
+"""Of a node of the grid, from a stencil and the conditions."""
+
+
 def _edges(begin: Tensor, end: Tensor) -> Tensor:
     """Where cells that follow each other along an axis meet [m], shape [B, X + 1], of their begins and ends [B, X]."""
     return torch.cat((begin[:, :1], torch.minimum(end, end[:, -1:])), dim=1)
@@ -212,9 +202,9 @@ def _edges(begin: Tensor, end: Tensor) -> Tensor:
 def _area(boxes: Boxes, x: Tensor, z: Tensor) -> Tensor:
     """Area of turned boxes, in the plane in which they are turned, in each cell [m^2], shape [B, K, X, Z].
 
-    x, z: edges of the cells along the first and the last axis [m], shapes [B, X + 1] and [B, Z + 1]. F(x, z), the area
-    at smaller coordinates than these, is by Green's theorem -sum_e int min(zeta_e(s) - z, 0) ds over the edges e of the
-    box, each with its ordinate zeta_e(s) at abscissas s up to x; a cell has the mixed difference of F.
+    x, z: edges of the cells along the first and the last axis [m], [B, X + 1] and [B, Z + 1]. A cell has the mixed
+    difference of F(x, z), the area at smaller coordinates, by Green's theorem -sum_e int min(zeta_e(s) - z, 0) ds over
+    the edges e of the box, each with its ordinate zeta_e(s) at abscissas s up to x.
     """
     assert boxes.turn is not None
     half = torch.stack((boxes.half[..., 0], boxes.half[..., -1]), dim=-1)

@@ -1,9 +1,8 @@
 """The graph: particles are nodes, and pairs closer than a cutoff radius are edges, in PyTorch Geometric's layout.
 
-The neighbours are found on the CPU, whatever the model runs on, by a compiled cell list: it sorts the particles into
-cells no smaller than the radius, so that the neighbours of a particle lie in its own cell and those around it; along
-the first axis these are one run of sorted particles. Distances are compared in double precision, |x_j - x_i|^2 <= R^2,
-summed axis by axis. SciPy's cKDTree takes several times as long for its pairs in the same order.
+Neighbours are found on the CPU, in double precision, by a compiled cell list: the neighbours of a particle lie in its
+own cell and those around it, of which a row along the first axis is one run of the sorted particles. SciPy's cKDTree
+takes several times as long for its pairs in the same order.
 """
 
 import math
@@ -39,9 +38,8 @@ class Graph:
 def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) -> Graph:
     """The graph of `positions` [m], shape [N, D], D at most 3: all pairs no further apart than `radius` [m].
 
-    batch: the sample that each particle belongs to, shape [N]; there are no edges between samples. Messages are
-    continuously differentiable in the positions although neighbours come and go (`gns.messages`). Raises WorkFailed for
-    positions that are not finite.
+    batch: the sample that each particle belongs to, shape [N]; there are no edges between samples. Raises WorkFailed
+    for positions that are not finite.
     """
     points = positions.detach().double().cpu().numpy()
     if not np.isfinite(points).all():
@@ -56,7 +54,11 @@ def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) 
     while np.prod(extent / edge + 1.0) > most:
         edge *= 1.5
     counts = (extent / edge).astype(np.int64) + 1
-    edge_index, starts = map(torch.from_numpy, cell_list(axes, samples, radius, lower, edge, counts))
+    x, y, z = ((axes - lower[:, None]) / edge).astype(np.int64)
+    cells = ((samples * counts[2] + z) * counts[1] + y) * counts[0] + x
+    filled = np.bincount(cells, minlength=(samples.max(initial=0) + 1) * counts.prod())
+    first, order = np.append(0, np.cumsum(filled)), np.argsort(cells, kind="stable")
+    edge_index, starts = map(torch.from_numpy, neighbours(axes, cells, first, order, counts, radius))
     return Graph(
         edge_index=edge_index.to(positions.device),
         starts=starts.to(positions.device),
@@ -75,47 +77,26 @@ def mean_envelope_sum(radius: float, particle_volume: float, dimension: int) -> 
 
 
 @numba.njit(cache=True)
-def cell_list(
-    positions: Floats, samples: Integers, radius: float, lower: Floats, edge: float, counts: Integers
+def neighbours(
+    positions: Floats, cells: Integers, first: Integers, order: Integers, counts: Integers, radius: float
 ) -> tuple[Integers, Integers]:
-    """Pairs no further apart than the radius.
+    """`Graph.edge_index` and `Graph.starts` of the pairs no further apart than the radius.
 
-    positions: [m], finite, shape [3, N]; samples: the one that each particle belongs to, shape [N]; lower: corner of
-    the cells [m]; edge: of them [m]; counts: of them along each axis. Returns senders and receivers [2, E], sorted by
-    receiver, then by sender, and the first edge of each receiver, shape [N + 1].
+    positions: [m], shape [3, N]; cells: the one of each particle, shape [N], x fastest; first: where each cell begins
+    among the particles in the order of the cells, `order`, shape [N]; counts: of cells along each axis.
     """
-    count, (nx, ny, nz) = len(samples), counts
-    # Counting sort: the number of particles in each cell, the index of its first, then the particles in order.
-    number = np.empty(count, dtype=np.int64)
-    first = np.zeros((samples.max() + 1 if count else 1) * nz * ny * nx + 1, dtype=np.int64)
-    for i in range(count):
-        ix = int((positions[0, i] - lower[0]) / edge)
-        iy = int((positions[1, i] - lower[1]) / edge)
-        iz = int((positions[2, i] - lower[2]) / edge)
-        number[i] = ((samples[i] * nz + iz) * ny + iy) * nx + ix
-        first[number[i] + 1] += 1
-    for cell in range(len(first) - 1):
-        first[cell + 1] += first[cell]
-    cursor = first.copy()
-    order = np.empty(count, dtype=np.int64)
-    ordered = np.empty((3, count))
-    for i in range(count):
-        k = cursor[number[i]]
-        cursor[number[i]] += 1
-        order[k] = i
-        for axis in range(3):
-            ordered[axis, k] = positions[axis, i]
-    # The neighbours of each particle, in the order of the cells.
+    count, (nx, ny, nz) = len(cells), counts
+    ordered = positions[:, order]
     square = radius * radius
     starts = np.zeros(count + 1, dtype=np.int64)
     near = np.empty(32 * count + 64, dtype=np.int64)
     edges = 0
     for i in range(count):
         x, y, z = positions[0, i], positions[1, i], positions[2, i]
-        ix, iy, iz = number[i] % nx, number[i] // nx % ny, number[i] // (nx * ny) % nz
+        ix, iy, iz, sample = cells[i] % nx, cells[i] // nx % ny, cells[i] // (nx * ny) % nz, cells[i] // (nx * ny * nz)
         for jz in range(max(iz - 1, 0), min(iz + 2, nz)):
             for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
-                row = ((samples[i] * nz + jz) * ny + jy) * nx
+                row = ((sample * nz + jz) * ny + jy) * nx
                 begin, end = first[row + max(ix - 1, 0)], first[row + min(ix + 2, nx)]
                 if edges + end - begin > len(near):
                     longer = np.empty(2 * len(near) + end - begin, dtype=np.int64)

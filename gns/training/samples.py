@@ -16,21 +16,22 @@ from tqdm import tqdm
 from datasets import measures
 from datasets.errors import InputError, naming, require
 from datasets.particles import observed_cohesion
-from datasets.training import check_known, thin
+from datasets.scene import Scene
+from datasets.training import thin
 from datasets.trajectory import Floats, open_trajectory, trajectory_files
-from gns.initial import conditions_of
-from gns.settings import UP, ModelSettings, TrainingSettings
-from gns.simulator import Normalisation, Simulator
-from gns.state import Conditions, State, Tensors
-from gns.units import Units
-from gns.unroll import unroll
+from gns.settings import ModelSettings, TrainingSettings
+from gns.simulator import Simulator, unroll
+from gns.surroundings.forces import Normalisation
+from gns.surroundings.initial import check, conditions_of
+from gns.surroundings.solids import Below
+from gns.surroundings.state import Conditions, State, Tensors, in_model_units
+from gns.surroundings.units import Units
 
 MOVING = 0.02
-"""Root mean square speed [m/s] above which a flow counts as moving."""
-SHARE_EARLY = 0.12
-"""Share of the samples not of the first frame that start just after it, with a history from the initial velocities."""
-SHARE_MOVING = 0.70
-"""Share of them that starts while the flow moves; the rest starts anywhere: deposits at rest must stay."""
+"""Root mean square speed above which a flow counts as moving, in the units of the model [m/s]."""
+SHARE_EARLY, SHARE_MOVING = 0.12, 0.70
+"""Shares of the samples not of the first frame that start just after it, with a history from the initial velocities,
+and while the flow moves; the rest starts anywhere: deposits at rest must stay."""
 TRIES = 16
 """Random times among which one is chosen at which the flow moves."""
 MOMENTS = 3
@@ -41,10 +42,11 @@ SAMPLED_TIMES = 2048
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """One trajectory at a model's step and in its units; all of its particles."""
+    """One trajectory at a model's step, with all of its particles."""
 
     name: str
     """The file it came from."""
+    scene: Scene
     positions: Floats
     """Positions one step apart [m], shape [T, N, D]; may be a map of the file, of which only what is used is read."""
     velocity0: Floats
@@ -53,6 +55,11 @@ class Flow:
     """Of these particles; N volumes, frictions and cohesions."""
     step: float
     """Time between two positions [s]."""
+
+    @property
+    def units(self) -> Units:
+        """What one unit of the model is in it."""
+        return self.conditions.units
 
     @property
     def volume(self) -> NDArray[np.float32]:
@@ -67,14 +74,14 @@ class Flow:
     def moves(self, time: int) -> bool:
         """Whether it moves from index `time` to the next."""
         displacements = self.positions[time + 1] - self.positions[time]
-        return float(np.square(displacements).sum(axis=1).mean()) > (MOVING * self.step) ** 2
+        return float(np.square(displacements).sum(axis=1).mean()) > (MOVING * self.units.speed * self.step) ** 2
 
 
 class Flows(Sequence[Flow]):
-    """Flows on disk, each opened when it is asked for: all that is held of them is the names of their files."""
+    """Flows on disk, each opened when it is asked for."""
 
     def __init__(self, files: Sequence[Path], settings: ModelSettings) -> None:
-        self._files, self._settings = tuple(files), settings
+        self._files, self._settings = files, settings
 
     def __len__(self) -> int:
         return len(self._files)
@@ -85,10 +92,7 @@ class Flows(Sequence[Flow]):
 
 
 def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bool = False) -> Flows:
-    """The trajectories of a split (`train`, `valid`, `test`) of a dataset by file name, at the model's step.
-
-    Each is opened once to see that it is whole. Raises InputError.
-    """
+    """The flows of a split (`train`, `valid`, `test`) of a dataset, each opened once. Raises InputError."""
     files = trajectory_files(dataset / split)
     if not files:
         raise InputError(f"expected trajectories in {split}/*.npz or *.h5, there are none", where=str(dataset))
@@ -101,12 +105,12 @@ def flows_of(dataset: Path, split: str, settings: ModelSettings, *, progress: bo
 def flow_of(path: Path, settings: ModelSettings) -> Flow:
     """The flow in a file, every so many frames that they are a step of the model apart.
 
-    Where the frames are that in the units in which a rollout of the scene runs, so is the flow; other flows are taken
-    at the size that they have. Raises InputError.
+    Its units are those in which a rollout of the scene runs where its frames are apart by such a step; others are run
+    as they are. Raises InputError.
     """
     trajectory = open_trajectory(path)
     scene, frame_dt, units = trajectory.scene, trajectory.frame_dt, Units()
-    require(scene.dimension == settings.dimension, "", f"a {settings.dimension}D trajectory", f"{scene.dimension}D")
+    check(scene, settings)
     if scene.gravity > 0.0:
         own = Units.of_model(scene, settings)
         units = own if math.isclose(frame_dt, own.time * settings.step, rel_tol=1.0e-9) else units
@@ -114,32 +118,21 @@ def flow_of(path: Path, settings: ModelSettings) -> Flow:
     stride = round(step / frame_dt)
     fits = stride >= 1 and abs(stride * frame_dt - step) <= 1.0e-6 * step
     require(fits, "", f"frames {step:g} s apart or a whole fraction of it", f"{frame_dt:g}")
-    check_known(scene, "a model")
-    positions, velocity0 = trajectory.positions[::stride], trajectory.velocity0
+    positions, volumes = trajectory.positions[::stride], trajectory.volumes.astype(np.float32)
     cohesion = observed_cohesion(scene, np.asarray(positions[0]), trajectory.mass)
-    conditions = conditions_of(
-        scene,
-        units.length * settings.cell,
-        friction=torch.from_numpy(trajectory.friction),
-        cohesion=torch.from_numpy(cohesion),
-        volume=torch.from_numpy(trajectory.volumes.astype(np.float32)),
-        units=units,
-    )
-    if units != Units():
-        positions = (np.asarray(positions) / units.length).astype(np.float32)
-        velocity0 = (velocity0 / units.speed).astype(np.float32)
     return Flow(
         name=str(path),
+        scene=scene,
         positions=positions,
-        velocity0=velocity0,
-        conditions=conditions.in_model_units(),
-        step=settings.step,
+        velocity0=trajectory.velocity0,
+        conditions=conditions_of(scene, units.length * settings.cell, trajectory.friction, cohesion, volumes, units),
+        step=step,
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Batch(Tensors):
-    """Samples side by side: where they start, what is constant during their rollout, and where it should lead."""
+    """Samples side by side in the units of the model: their starts, what stays constant, where they should lead."""
 
     state: State
     conditions: Conditions
@@ -148,11 +141,8 @@ class Batch(Tensors):
 
 
 def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> Batch:
-    """A sample: the stretch of a flow with `steps` targets after index `now`; rng: which particles stay (`thin`).
-
-    Of a flow on disk it reads these frames, and as many before as a model's history, alone.
-    """
-    cell, kept, known = settings.cell, settings.particles_per_cell, flow.conditions
+    """A sample: the stretch of a flow with `steps` targets after index `now`; rng: which particles stay (`thin`)."""
+    cell, kept, known = flow.units.length * settings.cell, settings.particles_per_cell, flow.conditions
     particles, volumes = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
     first = max(0, now - settings.history)
     frames = torch.from_numpy(np.asarray(flow.positions[first : now + 1 + steps, particles]))
@@ -160,8 +150,9 @@ def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: n
     conditions = dataclasses.replace(
         known, friction=known.friction[particles], cohesion=known.cohesion[particles], volume=torch.from_numpy(volumes)
     )
-    state = State.observed(given, velocity0, step=settings.step, history=settings.history)
-    return Batch(state=state, conditions=conditions, targets=frames[now + 1 - first :])
+    state = State.observed(given, velocity0, step=flow.step, history=settings.history)
+    state, conditions = in_model_units(state, conditions)
+    return Batch(state=state, conditions=conditions, targets=frames[now + 1 - first :] / flow.units.length)
 
 
 def batched(samples: Sequence[Batch]) -> Batch:
@@ -187,10 +178,15 @@ class Sampler:
 
     def sample(self, steps: int, rng: np.random.Generator) -> Batch:
         """A sample with `steps` targets."""
-        flows = self._datasets[int(rng.choice(len(self._datasets), p=self._shares))]
-        flow = flows[int(rng.integers(len(flows)))]
+        dataset, index = self._drawn(rng)
+        flow = self._datasets[dataset][index]
         now = self._start(flow, len(flow.positions) - 1 - steps, rng)
         return turned(stretch(flow, self._settings, now=now, steps=steps, rng=rng), rng)
+
+    def _drawn(self, rng: np.random.Generator) -> tuple[int, int]:
+        """The number of a dataset, and that of a flow in it."""
+        dataset = int(rng.choice(len(self._datasets), p=self._shares))
+        return dataset, int(rng.integers(len(self._datasets[dataset])))
 
     def _start(self, flow: Flow, last: int, rng: np.random.Generator) -> int:
         """Index at which a sample starts, at most `last`."""
@@ -218,36 +214,28 @@ class Ends(Batch):
 class Rollouts(Sampler):
     """Draws ends of rollouts by a model as it is; each is rolled out once, where it is first drawn, and then kept."""
 
-    def __init__(
-        self,
-        datasets: Sequence[Sequence[Flow]],
-        settings: ModelSettings,
-        training: TrainingSettings,
-        simulator: Simulator,
-    ) -> None:
-        super().__init__(datasets, settings, training)
+    def __init__(self, datasets: Sequence[Sequence[Flow]], simulator: Simulator, training: TrainingSettings) -> None:
+        super().__init__(datasets, simulator.settings, training)
         self._simulator = simulator
-        self._kept: dict[tuple[int, ...], list[tuple[Batch, State, Tensor]]] = {}
+        self._kept: dict[tuple[int, ...], list[Ends]] = {}
 
     def batch(self, steps: int, rng: np.random.Generator) -> Ends:
         """Ends side by side: half of them the flow's own, the other at any time."""
-        drawn = [self._drawn(rng) for _ in range(self._training.batch)]
-        together = batched([sample for sample, _, _ in drawn])
-        end, whole = State.joined([end for _, end, _ in drawn]), torch.stack([whole for _, _, whole in drawn])
-        return Ends(**vars(together), end=end, whole=whole)
+        drawn = [self._end(rng) for _ in range(self._training.batch)]
+        end, whole = State.joined([each.end for each in drawn]), torch.cat([each.whole for each in drawn])
+        return Ends(**vars(batched(drawn)), end=end, whole=whole)
 
-    def _drawn(self, rng: np.random.Generator) -> tuple[Batch, State, Tensor]:
+    def _end(self, rng: np.random.Generator) -> Ends:
         """One of the ends of a random rollout, the last of them as often as all others."""
-        dataset = int(rng.choice(len(self._datasets), p=self._shares))
-        key = dataset, int(rng.integers(len(self._datasets[dataset]))), int(rng.integers(self._training.rollouts))
+        dataset, index = self._drawn(rng)
+        key = dataset, index, int(rng.integers(self._training.rollouts))
         if key not in self._kept:
-            self._kept[key] = self._rolled_out(self._datasets[dataset][key[1]], np.random.default_rng(key))
+            self._kept[key] = self._rolled_out(self._datasets[dataset][index], np.random.default_rng(key))
         ends = self._kept[key]
         return ends[-1] if rng.random() < 0.5 else ends[int(rng.integers(len(ends)))]
 
-    def _rolled_out(self, flow: Flow, rng: np.random.Generator) -> list[tuple[Batch, State, Tensor]]:
-        """A rollout of the flow to its end, and `MOMENTS` before it: what it began with, with one target, where the
-        model is then, and `measured` of the whole flow."""
+    def _rolled_out(self, flow: Flow, rng: np.random.Generator) -> list[Ends]:
+        """A rollout of the flow to its end, and `MOMENTS` before it."""
         settings, last = self._settings, len(flow.positions) - 1
         now, seed = self._start(flow, last - 1, rng), rng.integers(2**32)
         every = dataclasses.replace(settings, particles_per_cell=len(flow.volume))
@@ -261,10 +249,14 @@ class Rollouts(Sampler):
         moments = sorted({last - now, *(int(each) for each in rng.integers(1, last - now + 1, size=MOMENTS))})
         moved = torch.cat((sample.state.displacements, positions[1:] - positions[:-1]))
         return [
-            (
-                dataclasses.replace(sample, targets=sample.targets[step - 1 : step]),
-                State(positions=positions[step].clone(), displacements=moved[step : step + settings.history].clone()),
-                measured(whole.targets[step - 1], whole.conditions.volume),
+            Ends(
+                state=sample.state,
+                conditions=sample.conditions,
+                targets=sample.targets[step - 1 : step],
+                end=State(
+                    positions=positions[step].clone(), displacements=moved[step : step + settings.history].clone()
+                ),
+                whole=measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0),
             )
             for step in moments
         ]
@@ -277,7 +269,7 @@ def measured(positions: Tensor, volume: Tensor) -> Tensor:
     `datasets.measures` has them along x. positions: [m], shape [N, D]; volume: of the particles [m^D], shape [N].
     """
     found = []
-    for axis in (axis for axis in range(positions.shape[1]) if axis != UP):
+    for axis in range(0, positions.shape[1], 2):
         x, order = positions[:, axis].sort()
         ordered = volume[order]
         for line, along in ((x, ordered), (-x.flip(0), ordered.flip(0))):
@@ -293,7 +285,7 @@ def measured(positions: Tensor, volume: Tensor) -> Tensor:
 def turned(sample: Batch, rng: np.random.Generator) -> Batch:
     """The sample in a random one of the symmetries of its box."""
     axes = sample.targets.shape[2]
-    for axis in (axis for axis in range(axes) if axis != UP):
+    for axis in range(0, axes, 2):
         if rng.random() < 0.5:
             sample = reflected(sample, axis)
     return reflected(sample, None) if axes == 3 and rng.random() < 0.5 else sample
@@ -314,25 +306,24 @@ def reflected(sample: Batch, axis: int | None) -> Batch:
     def points(values: Tensor) -> Tensor:
         return origin + vectors(values)
 
-    def raster(values: Tensor) -> Tensor:
-        if axis is None or ground is None:
-            return values.mT
-        along = min(axis, 1) + 1
-        plan, end = ground.spacing * np.arange(values.shape[along]), float(origin[axis])
-        mirrored = np.apply_along_axis(lambda line: np.interp(end - plan, plan, line), along, values.numpy())
-        return torch.from_numpy(mirrored.astype(np.float32))
-
-    changes: dict[str, Any] = {"size": around.size[:, order], "gravity": vectors(around.gravity)}
-    if around.baffles is not None:
-        # What was the lower side is now the upper.
-        changes["baffles"] = points(around.baffles).sort(dim=2).values
-    if around.baffle_turn is not None:
-        changes["baffle_turn"] = -around.baffle_turn
     if ground is not None:
-        elevation, friction = raster(ground.elevation), raster(ground.friction)
-        changes["ground"] = dataclasses.replace(ground, elevation=elevation, friction=friction)
+        # A post of the mirrored raster is where the raster has its mirror image.
+        shape = ground.elevation.mT.shape if axis is None else ground.elevation.shape
+        plan = [ground.spacing * torch.arange(count) for count in shape[1:]]
+        posts = torch.stack(torch.meshgrid(plan[0], torch.zeros(1), *plan[1:], indexing="ij"), dim=-1)
+        image = Below(points(posts.flatten(0, -2)), ground, None)
+        elevation, friction = (image.value(each).view(shape) for each in (ground.elevation, ground.friction))
+        ground = dataclasses.replace(ground, elevation=elevation, friction=friction)
+    conditions = dataclasses.replace(
+        around,
+        size=around.size[:, order],
+        gravity=vectors(around.gravity),
+        # What was the lower side is now the upper.
+        baffles=None if around.baffles is None else points(around.baffles).sort(dim=2).values,
+        baffle_turn=None if around.baffle_turn is None else -around.baffle_turn,
+        ground=ground,
+    )
     state = State(positions=points(sample.state.positions), displacements=vectors(sample.state.displacements))
-    conditions = dataclasses.replace(around, **changes)
     return dataclasses.replace(sample, state=state, conditions=conditions, targets=points(sample.targets))
 
 
@@ -341,25 +332,21 @@ def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
 
     Of each flow as many random times are read as make `SAMPLED_TIMES` in all, at least two; always the same ones.
     """
-    displacement, acceleration, count = 0.0, 0.0, 0
-    friction = []
+    squares, count, friction = np.zeros(2), 0, []
     share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
     rng = np.random.default_rng(0)
     for flow in (flow for flows in datasets for flow in flows):
         friction.append(float(flow.conditions.friction.double().mean()))
         times = len(flow.positions) - 2
-        for time in rng.choice(times, min(share, times), replace=False):
-            if not flow.moves(time):
-                continue
-            moved = np.diff(flow.positions[time : time + 3], axis=0)
-            change = moved[1] - moved[0]
-            change -= flow.conditions.gravity.numpy()[0] * flow.step**2
-            displacement += float(np.square(moved[0], dtype=np.float64).sum())
-            acceleration += float(np.square(change, dtype=np.float64).sum())
-            count += change.size
+        fall = flow.conditions.gravity.numpy()[0] * (flow.step**2 / flow.units.length)
+        for time in filter(flow.moves, rng.choice(times, min(share, times), replace=False)):
+            moved, then = np.diff(flow.positions[time : time + 3], axis=0) / flow.units.length
+            squares += [np.square(each, dtype=np.float64).sum() for each in (moved, then - moved - fall)]
+            count += moved.size
+    displacement, acceleration = np.sqrt(squares / max(count, 1)).tolist()
     return Normalisation(
-        displacement_scale=float(np.sqrt(displacement / max(count, 1))) or 1.0,
-        acceleration_scale=float(np.sqrt(acceleration / max(count, 1))) or 1.0,
+        displacement_scale=displacement or 1.0,
+        acceleration_scale=acceleration or 1.0,
         friction_mean=float(np.mean(friction)),
         friction_std=float(np.std(friction)) or 1.0,
     )

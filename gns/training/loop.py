@@ -1,12 +1,11 @@
-"""The training: the loop that lowers a loss (`gns.losses`) within a budget of minutes or updates.
+"""The training: the loop that lowers a loss (`gns.training.losses`) within a budget of minutes or updates.
 
-Matrices are trained by Muon (Jordan et al. 2024), whose steps have singular values of about one, their length matched
-to Adam's (Liu et al. 2025, arXiv 2502.16982, section 2.2), so that both share a learning rate; all else by Adam. What
-is scored and shipped is a running average of the weights. Either the steps of a model are trained or, by whole rollouts
-of these as they are, its correction (`gns.correction`): where the steps change, an older correction is left out.
+Matrices are trained by Muon (Jordan et al. 2024), its steps as long as Adam's (Liu et al. 2025, arXiv 2502.16982,
+section 2.2), so that both share a learning rate; all else by Adam. A running average of the weights is scored and
+shipped. Either the steps of a model are trained, without an older correction, or its correction alone.
 
 Several processes (`torchrun --nproc-per-node N -m gns.train ...`) draw samples of their own, and train on the mean of
-their gradients: `DistributedDataParallel` takes it in its `forward`, so a model must be called as a module.
+their gradients, which `DistributedDataParallel` takes where a model is called as a module.
 """
 
 import dataclasses
@@ -36,21 +35,18 @@ from datasets.lock import locked
 from datasets.measures import Errors
 from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
-from datasets.trajectory import stored_scene, trajectory_files
 from gns import card, checkpoint
 from gns.checkpoint import Model
-from gns.correction import Correction
 from gns.library import BEST
-from gns.losses import EndLoss, UnrolledLoss
-from gns.samples import Flow, Flows, Rollouts, Sampler, flows_of, statistics
+from gns.network.correction import Correction
 from gns.score import evaluate, table, validation_score
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
+from gns.training.losses import EndLoss, UnrolledLoss
+from gns.training.samples import Flow, Flows, Rollouts, Sampler, flows_of, statistics
 
 LAST = "last.pt"
 """The file of a run that --resume continues: weights, their average, optimisers, position."""
-NORMALISED = 24
-"""Batches by which the features of a new correction are normalised."""
 RECENT = 100
 """Updates over which the shown loss is a mean."""
 BAR = "{desc} {bar} {percentage:.0f} % [{elapsed} < {remaining}]"
@@ -66,10 +62,8 @@ class Position:
     """Updates made. They are the position in the data too: each has a random stream of its own."""
     best: float = math.inf
     """Smallest score of a validation."""
-    scored_seconds: float = 0.0
-    """Time of the last validation [s]."""
-    scored_updates: int = 0
-    """Updates before it."""
+    scored: tuple[float, int] = (0.0, 0)
+    """Seconds and updates at the last validation."""
     rows: list[dict[str, float]] = field(default_factory=list)
     """Of log.csv: one a validation."""
 
@@ -79,9 +73,9 @@ class Position:
 
     def due(self, training: TrainingSettings) -> bool:
         """Whether a validation is due: after its interval and at the end, if there were updates since the last one."""
-        since = self.progress(training) - share_of(training, self.scored_seconds, self.scored_updates)
+        since = self.progress(training) - share_of(training, *self.scored)
         interval = self.progress(training) >= 1.0 or since >= 1.0 / training.validations - 1.0e-9
-        return interval and self.updates > self.scored_updates
+        return interval and self.updates > self.scored[1]
 
 
 def share_of(training: TrainingSettings, seconds: float, updates: int) -> float:
@@ -114,43 +108,33 @@ def fit(
     """
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
+    if training.correct and begin is None:
+        raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
     with ExitStack() as stack:
         where, first = stack.enter_context(joined(device)), rank() == 0
         if first:
             stack.enter_context(locked(out))
+        torch.manual_seed(seed)
         flows, valid = load(datasets, model, training, progress=first)
         scenes: dict[str, list[Scene]] = {}
-        for path in datasets if first else ():
+        for path, some in zip(datasets, flows, strict=True):
             # Folders of a name are parts of one dataset.
-            scenes.setdefault(path.name, []).extend(map(stored_scene, trajectory_files(path / "train")))
-        torch.manual_seed(seed)
-        if training.correct and begin is None:
-            raise InputError("expected a model to begin with, whose rollouts are corrected", key="--begin")
+            scenes.setdefault(path.name, []).extend(flow.scene for flow in some)
         simulator = Simulator(model, statistics(flows)) if begin is None else continued(begin, model, training)
-        simulator = simulator.to(where)
-        average = AveragedModel(simulator, avg_fn=partial(averaged, training.average))
-        sampler, own_loss = sampler_and_loss(simulator, flows, training)
-        free = [weight for weight in simulator.parameters() if weight.requires_grad]
-        matrices = [weight for weight in free if weight.dim() == 2]
-        others = [weight for weight in free if weight.dim() != 2]
-        optimisers: tuple[torch.optim.Optimizer, ...] = (
-            torch.optim.Muon(matrices, weight_decay=0.0, adjust_lr_fn="match_rms_adamw"),
-            torch.optim.Adam(others),
-        )
-        loss_of: nn.Module = DistributedDataParallel(own_loss) if distributed.is_initialized() else own_loss
-        parts = {"weights": simulator, "average": average, "muon": optimisers[0], "adam": optimisers[1]}
-        position = restored(out / LAST, model, parts) if resume else Position()
-        history = {
+        run = Run(simulator.to(where), flows, training, out, seed)
+        if resume:
+            run.restore()
+        provenance = {
             "command": " ".join([command, *sys.argv[1:]]),
             "seed": seed,
             "begin": None if begin is None else dict(begin.provenance),
             "datasets": [str(path) for path in datasets],
             "training": asdict(training),
         }
-        bar = stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
+        position, bar = run.position, stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
         stop = stack.enter_context(stopping())
         clock = time.process_time if training.clock == "cpu" else time.perf_counter
-        begun, losses = clock() - position.seconds, list[float]()
+        begun = clock() - position.seconds
         while True:
             position.seconds = clock() - begun
             # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
@@ -158,41 +142,23 @@ def fit(
             progress, due, stops = sums(*own, stop())
             if stops or (progress >= 1.0 and not due):
                 break
-            if due:
-                if first:
-                    # Saved before, so that a stop costs no updates, and after.
-                    save(out / LAST, model, parts, position)
-                    with stop.at_once():
-                        mean = float(np.mean(losses or [math.nan]))
-                        validate(average.module, valid, scenes, out, position, history, mean)
-                losses.clear()
-                position.seconds = position.scored_seconds = clock() - begun
-                position.scored_updates = position.updates
-                if first:
-                    save(out / LAST, model, parts, position)
+            if not due:
+                run.update(progress)
+                bar.set_description_str(run.shown(progress), refresh=False)
+                bar.update(100.0 * position.progress(training) - bar.n)
                 continue
-            steps = training.unroll[min(int(progress * len(training.unroll)), len(training.unroll) - 1)]
-            rate = learning_rate(training, progress, position.updates)
-            batch = sampler.batch(steps, np.random.default_rng([seed, rank(), position.updates]))
-            loss = loss_of(batch.to(where))
-            loss.backward()
-            norm = nn.utils.clip_grad_norm_(free, training.clip)
-            if not math.isfinite(norm):
-                number = position.updates + 1
-                raise WorkFailed(f"the gradient of update {number} is not finite; {LAST} is older and whole")
-            for optimiser in optimisers:
-                for group in optimiser.param_groups:
-                    group["lr"] = rate
-                optimiser.step()
-                optimiser.zero_grad()
-            average.update_parameters(simulator)
-            position.updates += 1
-            losses.append(loss.item())
-            shown = "ends" if training.correct else f"{steps} steps"
-            bar.set_description_str(f"{shown}, loss {np.mean(losses[-RECENT:]):.4f}", refresh=False)
-            bar.update(100.0 * position.progress(training) - bar.n)
+            if first:
+                # Saved before, so that a stop costs no updates, and after.
+                run.save()
+                with stop.at_once():
+                    run.validate(valid, scenes, provenance)
+            run.losses.clear()
+            position.seconds = clock() - begun
+            position.scored = position.seconds, position.updates
+            if first:
+                run.save()
         if first:
-            save(out / LAST, model, parts, position)
+            run.save()
         if stops:
             raise stop.interrupt
         # Or the line would follow the bar.
@@ -202,16 +168,104 @@ def fit(
             print(f"{out / BEST}: {total} updates in all")
 
 
-def sampler_and_loss(
-    simulator: Simulator, flows: Sequence[Flows], training: TrainingSettings
-) -> tuple[Sampler, UnrolledLoss | EndLoss]:
-    """What is drawn, and its loss: stretches of flows for the steps, ends of whole rollouts for the correction."""
-    if simulator.correction is None:
-        return Sampler(flows, simulator.settings, training), UnrolledLoss(simulator, training)
-    rollouts, loss = Rollouts(flows, simulator.settings, training, simulator), EndLoss(simulator)
-    if not simulator.correction.normalised:
-        loss.normalise(rollouts.batch(0, np.random.default_rng(number)) for number in range(NORMALISED))
-    return rollouts, loss
+class Run:
+    """A training: the model and its average, the samples and their loss, the optimisers, and the position."""
+
+    def __init__(
+        self, simulator: Simulator, flows: Sequence[Flows], training: TrainingSettings, out: Path, seed: int
+    ) -> None:
+        self.simulator, self.training, self.out, self.seed = simulator, training, out, seed
+        self.average: Any = AveragedModel(simulator, avg_fn=partial(averaged, training.average))
+        self.sampler: Sampler
+        loss: nn.Module
+        if simulator.correction is None:
+            self.sampler, loss = Sampler(flows, simulator.settings, training), UnrolledLoss(simulator, training)
+        else:
+            self.sampler = rollouts = Rollouts(flows, simulator, training)
+            loss = EndLoss(simulator, rollouts)
+        self.loss = DistributedDataParallel(loss) if distributed.is_initialized() else loss
+        self.free = [weight for weight in simulator.parameters() if weight.requires_grad]
+        matrices = [weight for weight in self.free if weight.dim() == 2]
+        others = [weight for weight in self.free if weight.dim() != 2]
+        muon = torch.optim.Muon(matrices, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
+        self.optimisers: tuple[torch.optim.Optimizer, ...] = muon, torch.optim.Adam(others)
+        names = "weights", "average", "muon", "adam"
+        self.parts: dict[str, Any] = dict(zip(names, (simulator, self.average, *self.optimisers), strict=True))
+        self.position, self.losses = Position(), list[float]()
+
+    def steps(self, progress: float) -> int:
+        """Steps that are unrolled at `progress` in [0, 1]."""
+        unrolled = self.training.unroll
+        return unrolled[min(int(progress * len(unrolled)), len(unrolled) - 1)]
+
+    def shown(self, progress: float) -> str:
+        """What is trained, and the recent loss."""
+        what = "ends" if self.training.correct else f"{self.steps(progress)} steps"
+        return f"{what}, loss {np.mean(self.losses[-RECENT:]):.4f}"
+
+    def update(self, progress: float) -> None:
+        """Draw a batch and lower its loss. Raises WorkFailed for a gradient that is not finite."""
+        updates = self.position.updates
+        rate = learning_rate(self.training, progress, updates)
+        batch = self.sampler.batch(self.steps(progress), np.random.default_rng([self.seed, rank(), updates]))
+        loss = self.loss(batch.to(self.free[0].device))
+        loss.backward()
+        norm = nn.utils.clip_grad_norm_(self.free, self.training.clip)
+        if not math.isfinite(norm):
+            raise WorkFailed(f"the gradient of update {updates + 1} is not finite; {LAST} is older and whole")
+        for optimiser in self.optimisers:
+            for group in optimiser.param_groups:
+                group["lr"] = rate
+            optimiser.step()
+            optimiser.zero_grad()
+        self.average.update_parameters(self.simulator)
+        self.position.updates += 1
+        self.losses.append(loss.item())
+
+    def validate(
+        self, flows: Sequence[Flow], scenes: Mapping[str, Sequence[Scene]], provenance: Mapping[str, Any]
+    ) -> None:
+        """Score the average by rollouts of `flows`, write a row of log.csv, keep it with its card if it is the best."""
+        simulator, position, out = self.average.module.eval(), self.position, self.out
+        scores = evaluate(simulator, flows)
+        total = validation_score(scores)
+        row = {
+            "minutes": round(position.seconds / 60.0, 2),
+            "updates": position.updates,
+            "loss": round(float(np.mean(self.losses or [math.nan])), 6),
+            "score": round(total, 4),
+        }
+        for name in (each.name for each in dataclasses.fields(Errors)):
+            row[name] = round(float(np.mean([abs(getattr(score, name)) for score in scores])), 4)
+        position.rows.append(row)
+        lines = [row, *(each.values() for each in position.rows)]
+        files.write_text(out / "log.csv", "".join(",".join(map(str, line)) + "\n" for line in lines))
+        tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
+        if total < position.best:
+            position.best = total
+            history = {**provenance, "score": total, "log": row}
+            checkpoint.save(out / BEST, simulator, history)
+            card.write(out / BEST, card.describe(simulator, history, scenes, table(scores)))
+            files.write_text(out / "scores.md", table(scores))
+
+    def save(self) -> None:
+        """Write what `restore` reads."""
+        states = {name: part.state_dict() for name, part in self.parts.items()}
+        settings, content = asdict(self.simulator.settings), io.BytesIO()
+        torch.save({"settings": settings, "position": asdict(self.position), **states}, content)
+        # By Python: torch's own writer raises a RuntimeError where the disk is full.
+        with files.replacing(self.out / LAST) as unfinished:
+            unfinished.write_bytes(content.getbuffer())
+
+    def restore(self) -> None:
+        """Go on where the run in `out` was. Raises InputError."""
+        with reading(self.out / LAST, f"the {LAST} of a run of these settings"):
+            found = torch.load(self.out / LAST, map_location="cpu", weights_only=True)
+            if found["settings"] != asdict(self.simulator.settings):
+                raise InputError("expected the model settings that the run was begun with")
+            for name, part in self.parts.items():
+                part.load_state_dict(found[name])
+            self.position = Position(**found["position"])
 
 
 def averaged(decay: float, average: Tensor, current: Tensor, updates: Tensor) -> Tensor:
@@ -256,63 +310,6 @@ def continued(model: Model, settings: ModelSettings, training: TrainingSettings)
         simulator.correction = Correction(settings)
     simulator.correction.train().requires_grad_(True)
     return simulator
-
-
-def validate(
-    simulator: nn.Module,
-    flows: Sequence[Flow],
-    scenes: Mapping[str, Sequence[Scene]],
-    out: Path,
-    position: Position,
-    history: Mapping[str, Any],
-    loss: float,
-) -> None:
-    """Score the averaged weights by rollouts, write a row of log.csv, keep them if they are the best so far.
-
-    scenes: of the training, for the card (`gns.card.describe`).
-    """
-    assert isinstance(simulator, Simulator)
-    scores = evaluate(simulator.eval(), flows)
-    total = validation_score(scores)
-    row = {
-        "minutes": round(position.seconds / 60.0, 2),
-        "updates": position.updates,
-        "loss": round(loss, 6),
-        "score": round(total, 4),
-    }
-    for name in (each.name for each in dataclasses.fields(Errors)):
-        row[name] = round(float(np.mean([abs(getattr(score, name)) for score in scores])), 4)
-    position.rows.append(row)
-    lines = [row, *(each.values() for each in position.rows)]
-    files.write_text(out / "log.csv", "".join(",".join(map(str, line)) + "\n" for line in lines))
-    tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
-    if total < position.best:
-        position.best = total
-        provenance = {**history, "score": total, "log": row}
-        checkpoint.save(out / BEST, simulator, provenance)
-        card.write(out / BEST, card.describe(simulator, provenance, scenes, table(scores)))
-        files.write_text(out / "scores.md", table(scores))
-
-
-def save(path: Path, settings: ModelSettings, parts: Mapping[str, Any], position: Position) -> None:
-    """Write what `restored` reads."""
-    states = {name: part.state_dict() for name, part in parts.items()}
-    content = io.BytesIO()
-    torch.save({"settings": asdict(settings), "position": asdict(position), **states}, content)
-    # By Python: torch's own writer raises a RuntimeError where the disk is full.
-    with files.replacing(path) as unfinished:
-        unfinished.write_bytes(content.getbuffer())
-
-
-def restored(path: Path, settings: ModelSettings, parts: Mapping[str, Any]) -> Position:
-    """Load the state of a run into its parts, and return its position. Raises InputError."""
-    with reading(path, f"the {LAST} of a run of these settings"):
-        found = torch.load(path, map_location="cpu", weights_only=True)
-        if found["settings"] != asdict(settings):
-            raise InputError("expected the model settings that the run was begun with")
-        for name, part in parts.items():
-            part.load_state_dict(found[name])
-        return Position(**found["position"])
 
 
 def rank() -> int:

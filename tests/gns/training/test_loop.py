@@ -15,13 +15,13 @@ import torch
 from datasets import command_line
 from datasets.scene import Baffle, Domain, Solid
 from datasets.trajectory import Trajectory
-from gns import card, checkpoint, training
-from gns.losses import UnrolledLoss, rollout_loss
-from gns.samples import Sampler, flows_of
+from gns import card, checkpoint
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.train import train
-from gns.training import LAST
+from gns.training.loop import LAST, loop
+from gns.training.losses import UnrolledLoss, rollout_loss
+from gns.training.samples import Sampler, flows_of
 from tests.gns.conftest import NORMALISATION, TINY, rows, run_train
 
 
@@ -88,7 +88,7 @@ def test_a_training_learns(dataset: Path, tmp_path: Path) -> None:
 def test_minutes_of_a_resumed_run_add_up(dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # A clock that goes on by a tenth of a second whenever it is read, however busy the machine is.
     ticks = itertools.count()
-    monkeypatch.setattr("gns.training.time.perf_counter", lambda: next(ticks) / 10.0)
+    monkeypatch.setattr("gns.training.loop.time.perf_counter", lambda: next(ticks) / 10.0)
     assert run(dataset, tmp_path, "--minutes", "0.02") == 0
     first = last(tmp_path)["position"]
     assert run(dataset, tmp_path, "--minutes", "0.04", "--resume") == 0
@@ -104,7 +104,7 @@ def test_a_run_that_was_stopped_goes_on(
 ) -> None:
     flags = ("--updates", "6", "--validations", "2")
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
-    inner, calls = getattr(training, call), itertools.count(1)
+    inner, calls = getattr(loop, call), itertools.count(1)
 
     def outer(*given: Any, **named: Any) -> Any:
         if next(calls) == number:
@@ -114,7 +114,7 @@ def test_a_run_that_was_stopped_goes_on(
         return inner(*given, **named)
 
     with monkeypatch.context() as patch:
-        patch.setattr(training, call, outer)
+        patch.setattr(loop, call, outer)
         assert run(dataset, tmp_path, *flags) == 128 + signal.SIGTERM
     assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == handlers
     assert last(tmp_path)["position"]["updates"] == done
@@ -128,7 +128,7 @@ def test_a_gradient_that_is_not_finite_ends_the_run_and_leaves_an_older_file(
 ) -> None:
     assert run(dataset, tmp_path, "--updates", "2", "--validations", "1") == 0
     before = (tmp_path / LAST).read_bytes()
-    monkeypatch.setattr("gns.losses.rollout_loss", lambda positions, *_: (positions * torch.nan).sum())
+    monkeypatch.setattr("gns.training.losses.rollout_loss", lambda positions, *_: (positions * torch.nan).sum())
     assert run(dataset, tmp_path, "--updates", "3", "--resume") == 1
     assert "the gradient of update 3 is not finite; last.pt is older and whole" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before

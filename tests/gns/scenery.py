@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from gns.state import Conditions, Ground
+from gns.surroundings.state import Conditions, Ground
 
 ROOM = {2: (1.0, 0.5), 3: (1.0, 0.5, 0.8)}
 PADDING = [[-10.0, -10.0, -10.0], [-10.0, -10.0, -10.0]]

@@ -11,23 +11,25 @@ resolve are far above s and count linearly only: they would drown the flow other
 | s      | `scale`            | a share of the accelerations per step [m]  |
 """
 
-from collections.abc import Iterable
-
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gns.correction import length_of
-from gns.samples import Batch, Ends, measured
+from gns.network.correction import length_of
+from gns.network.features import NODES
 from gns.settings import TrainingSettings
-from gns.simulator import Simulator
-from gns.unroll import step_activation_bytes, unroll
+from gns.simulator import Simulator, step_activation_bytes, unroll
+from gns.surroundings.state import computed
+from gns.training.samples import Batch, Ends, Rollouts, measured
 
 MARGIN = 1.5
 """Some batches have more neighbours a particle than the one whose memory was measured."""
 PLACE, END, SHARE = 0.1, 0.03, 0.02
 """Errors of a corrected end that count as one: of a particle over L, of the flow's ends and of equal shares of its
 volume over its extent."""
+NORMALISED = 24
+"""Batches by which the features of a new correction are normalised."""
 CONSTANT = 1.0e-3
 """Standard deviation of a feature below which it counts as constant [-]."""
 OF_ENDS = 0.3
@@ -75,18 +77,18 @@ class EndLoss(nn.Module):
     of all its particles: of the few that a rollout follows, single ones are the front.
     """
 
-    def __init__(self, simulator: Simulator) -> None:
+    def __init__(self, simulator: Simulator, rollouts: Rollouts) -> None:
+        """The features of a new correction are normalised by `NORMALISED` batches of the rollouts."""
         super().__init__()
         assert simulator.correction is not None
         self.simulator, self.correction = simulator, simulator.correction
         self.correction.network.half_precision = half_precision()
-
-    def normalise(self, batches: Iterable[Ends]) -> None:
-        """Mean and standard deviation of the correction's features, those of these batches."""
+        if self.correction.normalised:
+            return
         found = []
-        for each in batches:
-            given, _ = self.simulator.inputs(each.end, each.conditions)
-            found.append(self.correction.features(each.state, each.end, given, each.conditions))
+        for each in (rollouts.batch(0, np.random.default_rng(number)) for number in range(NORMALISED)):
+            end = simulator.moment(each.end, each.conditions)
+            found.append(self.correction.features(each.state, end, computed(NODES, end)))
         every = torch.cat(found)
         self.correction.mean.copy_(every.mean(dim=0))
         # What hardly varies in training, as the friction of the walls may, is not enlarged.

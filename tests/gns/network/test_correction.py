@@ -9,13 +9,12 @@ import torch
 
 from datasets import measures
 from gns import checkpoint
-from gns.correction import Correction, stretched
-from gns.losses import EndLoss
-from gns.samples import Rollouts, flows_of, measured
+from gns.network.correction import Correction, stretched
 from gns.settings import TrainingSettings
-from gns.simulator import Simulator
-from gns.state import Conditions, State
-from gns.unroll import unroll
+from gns.simulator import Simulator, unroll
+from gns.surroundings.state import Conditions, State
+from gns.training.losses import EndLoss
+from gns.training.samples import Rollouts, flows_of, measured
 from tests.gns.conftest import TINY, Cloud, rows, run_train
 
 
@@ -115,12 +114,14 @@ def test_ends_are_those_of_rollouts_and_kept(
     simulator = corrected.float()
     flows = flows_of(dataset, "train", simulator.settings)
     calls: list[int] = []
-    monkeypatch.setattr("gns.samples.unroll", lambda *given, **named: calls.append(given[3]) or unroll(*given, **named))
-    rollouts = Rollouts([flows], simulator.settings, TrainingSettings(batch=4, first=1.0), simulator)
+    monkeypatch.setattr(
+        "gns.training.samples.unroll", lambda *given, **named: calls.append(given[3]) or unroll(*given, **named)
+    )
+    rollouts = Rollouts([flows], simulator, TrainingSettings(batch=4, first=1.0))
     drawn = [rollouts.batch(1, np.random.default_rng(number)) for number in range(200)]
     assert len(calls) == 2 * len(flows)
     assert set(calls) == {len(flows[0].positions) - 1}
     for ends in drawn[:5]:
         assert ends.targets.shape == (1, *ends.end.positions.shape)
         assert ends.whole.shape == (4, 1, 2 + measures.SHARES)
-        assert EndLoss(simulator)(ends).isfinite()
+        assert EndLoss(simulator, rollouts)(ends).isfinite()

@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.contact import GRAZE, SKIN, keep_out
-from gns.solids import Below, Boxes, nearest_baffle, nearest_ground, solid_features
-from gns.state import Ground
-from tests.gns.surroundings import PADDING, ROOM, boxes, conditions, plane, scattered, turned_boxes
+from gns.surroundings.contact import GRAZE, SKIN, keep_out
+from gns.surroundings.solids import Below, Boxes, nearest_baffle, nearest_ground, solid_features
+from gns.surroundings.state import Ground
+from tests.gns.scenery import PADDING, ROOM, boxes, conditions, plane, scattered, turned_boxes
 
 CUTOFF = 0.06
 dimensions = pytest.mark.parametrize("dimension", [2, 3])

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from gns.settings import UP
-from gns.solids import Below, Boxes, close_to, upward
-from gns.state import Conditions, Ground
+from gns.surroundings.solids import Below, Boxes, close_to, upward
+from gns.surroundings.state import Conditions, Ground
 
 SKIN = 1.0e-5
 """Distance from a face at which particles are held [m]: neither rounding nor the joint of two baffles admits one."""
@@ -20,11 +20,10 @@ GRAZE = 1.0e-3
 def keep_out(positions: Tensor, before: Tensor, conditions: Conditions) -> Tensor:
     """Positions [m], shape [N, D], of particles that move from `before` towards `positions` and are stopped by solids.
 
-    The walls of the box [0, size] and the ground stop them, and so do the baffles: a particle whose path enters a
-    baffle, or crosses it, is held at a distance SKIN from the first face on its path, and its motion along that face
-    remains. A particle on a face follows it: the gradient in the corner is one. A particle that was inside before
-    counts as having been at the nearest face that is free. Where turned baffles leave no way along a face, as between
-    a face and a wall that it meets at an acute angle, the particle stays where it was.
+    The walls of the box [0, size] and the ground stop them. A particle whose path enters or crosses a baffle is held at
+    a distance SKIN from the first face on its path, and its motion along that face remains: the gradient in the corner
+    is one. A particle that was inside before counts as having been at the nearest free face. Where turned baffles leave
+    no way along a face, as where it meets a wall at an acute angle, the particle stays where it was.
     """
     size, batch, ground = conditions.of_particles(conditions.size), conditions.batch, conditions.ground
     kept = _clamped(positions, size)
@@ -109,10 +108,8 @@ def entered(start: Tensor, end: Tensor, half: Tensor, *, graze: float, slack: fl
     """The box that each path enters first, -1 where none; along which axis of it; whether along this axis. Each [n].
 
     start, end: of the paths in the axes of the boxes [m], both [n, K, D]; half: [n, K, D]. A path that cuts off less
-    than `graze` [m] of a box passes it; one that starts less than `slack` inside enters it.
-
-    By the slab method (Kay and Kajiya 1986): the path is inside between the last of the axes' entries and the first
-    of their exits.
+    than `graze` [m] of a box passes it; one that starts less than `slack` inside enters it. By the slab method (Kay and
+    Kajiya 1986): a path is inside between the last of the axes' entries and the first of their exits.
     """
     path = end - start
     still = path == 0.0

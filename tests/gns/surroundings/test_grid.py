@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from gns.grid import REFERENCE_HEIGHT, Stencil, column_features, occupancy, stencil_of
-from gns.solids import Boxes
-from tests.gns.surroundings import ROOM, conditions, plane, scattered, turned_boxes
+from gns.surroundings.grid import REFERENCE_HEIGHT, Stencil, column_features, occupancy, stencil_of
+from gns.surroundings.solids import Boxes
+from tests.gns.scenery import ROOM, conditions, plane, scattered, turned_boxes
 
 BOX = torch.ones(1, 2, dtype=torch.float64)
 
@@ -36,9 +36,9 @@ def bed(height: float, slope: float) -> torch.Tensor:
 
 def features(points: Stencil, count: int) -> torch.Tensor:
     """The column's features at the nodes that lie in the box, [x, y, 4], of particles of 1e-4 m^2."""
-    volume = torch.full((count,), 1e-4, dtype=torch.float64)
-    inside = [(axis[0] > -1e-9) & (axis[0] < 1.0 + 1e-9) for axis in points.coordinates(volume)]
-    return column_features(points, volume, BOX).view(*points.shape, 4)[inside[0]][:, inside[1]]
+    around = dataclasses.replace(conditions(count), volume=torch.full((count,), 1e-4, dtype=torch.float64), size=BOX)
+    inside = [(axis[0] > -1e-9) & (axis[0] < 1.0 + 1e-9) for axis in points.coordinates(BOX)]
+    return column_features(points, around).view(*points.shape, 4)[inside[0]][:, inside[1]]
 
 
 def test_a_level_bed_is_fully_packed_and_has_the_overburden_of_what_lies_above() -> None:

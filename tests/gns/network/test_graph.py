@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from datasets.errors import WorkFailed
-from gns.graph import mean_envelope_sum, radius_graph
-from gns.messages import messages
+from gns.network.graph import mean_envelope_sum, radius_graph
+from gns.network.messages import messages
 
 
 def assert_right(positions: Tensor, radius: float, batch: Tensor | None = None) -> None:

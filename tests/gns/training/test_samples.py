@@ -19,14 +19,15 @@ from datasets.material import Material
 from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Solid
 from datasets.trajectory import Trajectory
-from gns.initial import conditions_of, initial_state
-from gns.losses import UnrolledLoss
-from gns.samples import Batch, Flow, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
+from gns.network.features import Inputs
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
-from gns.state import Ground, State
-from gns.training import LAST, joined, rank
-from gns.units import Units
+from gns.surroundings.initial import conditions_of, initial_state
+from gns.surroundings.state import Ground, State, in_model_units
+from gns.surroundings.units import Units
+from gns.training.loop import LAST, joined, rank
+from gns.training.losses import UnrolledLoss
+from gns.training.samples import Batch, Flow, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
 from tests.gns.conftest import TINY, rows, spreading
 from tests.scenes import scene_of
 
@@ -48,8 +49,11 @@ def test_a_flow_takes_every_so_many_frames(tmp_path: Path) -> None:
             Flows([tmp_path / "a.npz"], ModelSettings(frame_dt=step, frames_per_step=1))[0]
 
 
-def test_training_and_rollout_give_the_network_the_same_numbers(tmp_path: Path) -> None:
-    """Particles and surroundings at the start, of masses whose cohesion grows with depth and whose friction varies."""
+@pytest.mark.parametrize("body_length", [None, 0.1])
+def test_training_and_rollout_give_the_network_the_same_numbers(
+    body_length: float | None, simulator: Simulator, tmp_path: Path
+) -> None:
+    """Of masses whose cohesion grows with depth and whose friction varies, over terrain and before a baffle."""
     clay = Material(friction_deg=25.0, cohesion=200.0, strength_gradient=3.0e3)
     ramp = Solid(kind="terrain", points=((0.0, 0.1), (0.4, 0.0), (0.6, 0.0)), friction=0.5)
     fields = (
@@ -70,9 +74,10 @@ def test_training_and_rollout_give_the_network_the_same_numbers(tmp_path: Path) 
         wall_friction=0.2,
         damping=0.1,
     )
-    settings, particles = ModelSettings(), initial_particles(scene)
-    rollout = initial_state(scene, settings)
-    units, frames = rollout.conditions.units, scene.frames
+    settings = simulator.settings = dataclasses.replace(simulator.settings, body_length=body_length)
+    units = Units.of_model(scene, settings)
+    scene = dataclasses.replace(scene, frame_dt=units.time * settings.step)
+    particles, frames = initial_particles(scene), scene.frames
     Trajectory(
         positions=np.repeat(particles.positions[None].astype(np.float32), frames, axis=0),
         time=scene.frame_dt * np.arange(frames),
@@ -82,17 +87,20 @@ def test_training_and_rollout_give_the_network_the_same_numbers(tmp_path: Path) 
     ).save(tmp_path / "a.npz")
     (flow,) = Flows([tmp_path / "a.npz"], settings)
     sample = stretch(flow, settings, now=0, steps=1, rng=np.random.default_rng(0))
-    assert units == Units()
-    for name, value in vars(rollout.state).items():
-        torch.testing.assert_close(getattr(sample.state, name), value, rtol=1e-5, atol=1e-7)
+    rollout = initial_state(scene, settings)
+    assert (rollout.conditions.units == Units()) is (body_length is None)
     assert rollout.conditions.cohesion.unique().numel() > 10
-    for name, value in vars(rollout.conditions.in_model_units()).items():
-        trained = getattr(sample.conditions, name)
-        pairs = [(trained, value)] if isinstance(value, torch.Tensor) else []
-        if name == "ground":
-            pairs = [(trained.elevation, value.elevation), (trained.friction, value.friction)]
-        for one, other in pairs:
-            torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-7, msg=lambda text, name=name: f"{name}: {text}")
+    own = in_model_units(rollout.state, rollout.conditions)
+    trained, rolled = (
+        {**tensors(state), **tensors(conditions), **tensors(Inputs.of_moment(moment)), "forces": moment.forces}
+        for state, conditions in ((sample.state, sample.conditions), own)
+        for moment in (simulator.moment(state, conditions),)
+    )
+    assert trained.keys() == rolled.keys()
+    assert {"cohesion", "displacements", "ground.elevation", "baffles", "features", "graph.edge_index"} <= set(rolled)
+    assert all(rolled[name].any() for name in ("displacements", "cohesion", "forces"))
+    for name, value in rolled.items():
+        torch.testing.assert_close(trained[name], value, rtol=1e-5, atol=1e-6, msg=lambda s, name=name: f"{name}: {s}")
 
 
 @pytest.mark.parametrize(("now", "given"), [(0, []), (2, [0, 1, 2]), (6, [3, 4, 5, 6])])
@@ -287,7 +295,7 @@ def test_samples_in_3d_come_in_all_eight_symmetries(deep: Batch) -> None:
     assert len(found) == 8
 
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 STEPS = 3
 
 

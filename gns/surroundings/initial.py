@@ -17,8 +17,8 @@ from datasets.scene import Scene, coefficient
 from datasets.training import check_known, thin
 from datasets.trajectory import Floats, Trajectory, brackets
 from gns.settings import ModelSettings
-from gns.state import Conditions, Ground, State, Tensors
-from gns.units import Units
+from gns.surroundings.state import Conditions, Ground, State, Tensors
+from gns.surroundings.units import Units
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,38 +66,29 @@ class InitialState(Tensors):
 def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:
     """The initial state of `scene` for a model of these settings; which particles stay is always the same choice.
 
-    frames: a run of the scene by the MPM, whose last frame is where the rollout begins; without it the rollout begins
-    at rest, that is at time 0. Raises InputError for a scene outside of what the model represents (`check`), and for
-    frames that do not fit.
+    frames: a run of the scene by the MPM, whose last frame is where the rollout begins; without it that is time 0.
+    Raises InputError for a scene that no such model represents (`check`), and for frames that do not fit.
     """
     check(scene, settings)
     units = Units.of_model(scene, settings)
     step = units.time * settings.step
     particles = initial_particles(scene)
-    if frames is None:
-        known = particles.positions[None].astype(np.float32)
-    else:
-        if frames.positions.shape[1] != len(particles.friction):
-            message = f"expected the {len(particles.friction)} particles of the scene, got {frames.positions.shape[1]}"
+    known, velocity0 = (each.astype(np.float32) for each in (particles.positions[None], particles.velocities))
+    if frames is not None:
+        if frames.positions.shape[1] != known.shape[1]:
+            message = f"expected the {known.shape[1]} particles of the scene, got {frames.positions.shape[1]}"
             raise InputError(message, where="start", key="positions")
-        known = resampled(frames, step)
-    velocity0 = (particles.velocities if frames is None else frames.velocity0).astype(np.float32)
-    require_memory(scene, settings, units, step)
-    rng = np.random.default_rng(0)
-    cell = units.length * settings.cell
-    kept, volumes = thin(known[0], particles.volume, cell=cell, kept=settings.particles_per_cell, rng=rng)
+        known, velocity0 = resampled(frames, step), frames.velocity0
+    cell, some = units.length * settings.cell, settings.particles_per_cell
+    steps, count = scene.duration / step, some * released_volume(scene) / cell**scene.dimension
+    instead = f"{count:.3g} particles over {steps:.3g} steps; a shorter time"
+    memory.require(4.0 * steps * count * scene.dimension, "a rollout", instead, key="duration")
+    kept, volumes = thin(known[0], particles.volume, cell=cell, kept=some, rng=np.random.default_rng(0))
     known, velocity0 = known[:, kept], velocity0[kept]
     history = torch.from_numpy(known[-settings.history - 1 :])
     return InitialState(
         state=State.observed(history, torch.from_numpy(velocity0), step=step, history=settings.history),
-        conditions=conditions_of(
-            scene,
-            cell,
-            friction=torch.from_numpy(particles.friction[kept]),
-            cohesion=torch.from_numpy(particles.cohesion[kept]),
-            volume=torch.from_numpy(volumes),
-            units=units,
-        ),
+        conditions=conditions_of(scene, cell, particles.friction[kept], particles.cohesion[kept], volumes, units),
         scene=scene,
         step=step,
         steps=max(0, round(scene.duration / step) - len(known) + 1),
@@ -105,14 +96,6 @@ def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | No
         velocity0=velocity0,
         indices=kept,
     )
-
-
-def require_memory(scene: Scene, settings: ModelSettings, units: Units, step: float) -> None:
-    """Raise InputError for a rollout of more steps than fit into memory: how many, what to change."""
-    steps = scene.duration / step
-    kept = settings.particles_per_cell * released_volume(scene) / (units.length * settings.cell) ** scene.dimension
-    instead = f"{kept:.3g} particles over {steps:.3g} steps; a shorter time"
-    memory.require(4.0 * steps * kept * scene.dimension, "a rollout", instead, key="duration")
 
 
 def resampled(frames: Trajectory, step: float) -> Floats:
@@ -132,9 +115,7 @@ def check(scene: Scene, settings: ModelSettings) -> None:
     check_known(scene, "the model")
 
 
-def conditions_of(
-    scene: Scene, spacing: float, *, friction: Tensor, cohesion: Tensor, volume: Tensor, units: Units
-) -> Conditions:
+def conditions_of(scene: Scene, spacing: float, friction: Any, cohesion: Any, volume: Any, units: Units) -> Conditions:
     """The conditions of a flow of `scene`; spacing: between two elevations of the ground [m]; others: `Conditions`."""
 
     def one(values: Any) -> Tensor:
@@ -150,9 +131,9 @@ def conditions_of(
     lower, extent = (np.array([getattr(each, key) for each in scene.baffles], np.float32) for key in ("lower", "size"))
     turn = np.radians([each.turned_deg for each in scene.baffles])
     return Conditions(
-        friction=friction,
-        cohesion=cohesion,
-        volume=volume,
+        friction=torch.as_tensor(friction),
+        cohesion=torch.as_tensor(cohesion),
+        volume=torch.as_tensor(volume),
         size=one(scene.domain.size),
         gravity=one(scene.gravity_vector),
         floor_friction=one(floor),

@@ -1,13 +1,12 @@
 """The units that a flow is the same in, at any size. Nothing here needs torch.
 
-Dry rigid grains know no length: a flow is determined by numbers without units (Froude similarity; for granular columns
-e.g. Lajeunesse, Monnier & Homsy, Phys. Fluids 17, 103302, 2005). With the length l of the released body, gravity g and
-density rho
+Dry rigid grains know no length (Froude similarity; for granular columns e.g. Lajeunesse, Monnier & Homsy, Phys. Fluids
+17, 103302, 2005). With the length l of the released body, gravity g and density rho
 
     x / l,    t / sqrt(l / g),    v / sqrt(g l),    sigma / (rho g l)
 
-are the same in a flume and on a hillside. A model runs every scene at its own size: lengths over `Units.length`, times
-over `time`, cohesion over `stress`. The stiffness is left out, for sand that hardly yields under its own weight.
+are the same in a flume and on a hillside. A model runs every scene at its own size (`in_model_units`). The stiffness
+is left out, for sand that hardly yields under its own weight.
 """
 
 import math

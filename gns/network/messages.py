@@ -3,11 +3,9 @@
     m_i = sum_j w_ij silu(a_i + b_j + W_x (x_j - x_i) + W_d d_ij)
     d_ij = |x_j - x_i|,   w_ij = (1 - d_ij^2)^2
 
-`MessageSum` is the definition, a MessagePassing of PyTorch Geometric, and what runs on a GPU and in double precision.
-On a CPU `FusedSum` gives the same within rounding: torch has no operation for this sum, and those to build it (gather,
-product, sigmoid, scatter) move every edge through memory eight times. In the kernels of Numba an edge stays in
-registers, a vector of channels at a time. What is linear in the offset is a product per node, W_x x_j and -W_x x_i:
-of an edge only its distance is left.
+`MessageSum` is the definition, and what runs on a GPU and in double precision. On a CPU `FusedSum` gives the same
+within rounding: operations of torch (gather, product, sigmoid, scatter) move every edge through memory eight times; in
+the kernels of Numba it stays in registers. What is linear in the offset is a product per node, W_x x_j and -W_x x_i.
 
 | symbol     | variable             | meaning                                                        |
 | a_i, b_j   | `receiver`, `sender` | linear in the latents of receiver and sender, shape [N, C]     |
@@ -25,7 +23,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gns.graph import Graph
+from gns.network.features import EDGES, SQUARE_FLOOR
+from gns.network.graph import Graph
+from gns.surroundings.state import computed
 
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 """Sums may be reordered, which is what lets them fill vectors; NaN and infinity keep their meaning."""
@@ -37,15 +37,14 @@ MAX_EXPONENT = np.float32(126.0)
 """Exponents of a float32 lie within this on both sides of zero."""
 BIAS, MANTISSA_BITS = np.int32(127), np.int32(23)
 """Layout of a float32."""
-
-
-SQUARE_FLOOR = np.float32(1.0e-12)
-"""Added to d^2: particles that the floor or a corner stopped can coincide, where the root has no finite slope."""
+FLOOR = np.float32(SQUARE_FLOOR)
+FUSED = ("offset over the radius", "distance over the radius")
+"""The features of an edge that the kernels know."""
 
 
 def messages(receiver: Tensor, sender: Tensor, weight: Tensor, graph: Graph) -> Tensor:
-    """m [N, C] from a [N, C], b [N, C], W_x and W_d [D + 1, C] and the graph."""
-    if not receiver.is_cpu or receiver.dtype == torch.float64:
+    """m [N, C] from a [N, C], b [N, C], the weight of `EDGES` (W_x and W_d) [D + 1, C] and the graph."""
+    if not receiver.is_cpu or receiver.dtype == torch.float64 or tuple(EDGES) != FUSED:
         total = _definition()(graph.edge_index, a=receiver, b=sender, x=graph.positions, weight=weight)
         return torch.as_tensor(total)
     # Products in half precision, as in a training, are summed in single.
@@ -76,10 +75,8 @@ def _definition() -> nn.Module:
         def message(self, a_i: Tensor, b_j: Tensor, x_i: Tensor, x_j: Tensor, weight: Tensor) -> Tensor:
             """The message along each edge [E, C]; i is its receiver, j its sender."""
             offset = x_j - x_i
-            square = offset.square().sum(dim=1, keepdim=True)
-            features = torch.cat((offset, (square + float(SQUARE_FLOOR)).sqrt()), dim=1)
-            envelope = (1.0 - square).clamp(min=0.0).square()
-            return envelope * functional.silu(a_i + b_j + features @ weight)
+            envelope = (1.0 - offset.square().sum(dim=1, keepdim=True)).clamp(min=0.0).square()
+            return envelope * functional.silu(a_i + b_j + computed(EDGES, offset) @ weight)
 
     return MessageSum()
 
@@ -158,7 +155,7 @@ def _sums(receiver, sender, weight, positions, senders, starts, total):  # type:
         for c in range(channels):
             m[c] = ZERO
         for e in range(len(near)):
-            b, distance, inside = sender[near[e]], np.sqrt(squares[e] + SQUARE_FLOOR), max(ONE - squares[e], ZERO)
+            b, distance, inside = sender[near[e]], np.sqrt(squares[e] + FLOOR), max(ONE - squares[e], ZERO)
             w = inside * inside
             for c in range(channels):
                 h = a[c] + b[c] + distance * weight[c]
@@ -180,7 +177,7 @@ def _gradients(  # type: ignore[no-untyped-def]
         for e in range(len(near)):
             j = near[e]
             b, to_b = sender[j], to_sender[j]
-            distance, inside = np.sqrt(squares[e] + SQUARE_FLOOR), max(ONE - squares[e], ZERO)
+            distance, inside = np.sqrt(squares[e] + FLOOR), max(ONE - squares[e], ZERO)
             w, to_envelope, to_distance = inside * inside, ZERO, ZERO
             # Loops that write to one array each: more of them the compiler cannot prove apart.
             for c in range(channels):

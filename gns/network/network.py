@@ -2,7 +2,7 @@
 
     x = encoder(features)
     x = processor(x)            rounds of: grid context, then message-passing steps
-    a, c = decoder(x)           normalised acceleration of each node, and shares of known ones
+    a, c = decoder(x)           normalised acceleration of each node, and shares of known forces
 
 A message-passing step carries information over one cutoff radius, while a step of the model spans many. So latents are
 scattered to a coarse grid around the material, convolved there, and interpolated back to the nodes of the graph: a
@@ -11,33 +11,17 @@ receptive field as wide as the flow for little more time (the idea of CoRGI, arX
 
 import math
 from collections import OrderedDict
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gns.graph import Graph, mean_envelope_sum
-from gns.grid import Stencil
-from gns.messages import messages
-from gns.settings import ModelSettings, column_count
-
-
-@dataclass(frozen=True, kw_only=True)
-class Inputs:
-    """What a network is given of a state of N particles."""
-
-    features: Tensor
-    """Shape [N, F]."""
-    constant: Tensor
-    """What is constant for a particle, shape [N, M]."""
-    graph: Graph
-    stencil: Stencil
-    """The particles on the background grid."""
-    fraction: Tensor
-    """Volume of each particle over that of a grid cell [-], shape [N, 1]."""
-    nodes: Tensor
-    """Channels of the grid's nodes, shape [B * nodes, `column_count`]."""
+from gns.network.features import CONSTANTS, EDGES, Inputs
+from gns.network.graph import Graph, mean_envelope_sum
+from gns.network.messages import messages
+from gns.settings import ModelSettings
+from gns.surroundings.grid import CHANNELS, Stencil
+from gns.surroundings.state import columns
 
 
 def mlp(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
@@ -52,17 +36,18 @@ def mlp(inputs: int, outputs: int, settings: ModelSettings) -> nn.Sequential:
 class Interaction(nn.Module):
     """m [N, C] from node latents x [N, C] and a graph, by the messages of Sanchez-Gonzalez et al. 2020, made cheap.
 
-    Their message is a network of the concatenation [x_i, x_j, e_ij]. Its first layer splits into W_i x_i + W_j x_j +
-    W_e e_ij, so that two of three products are per node. Its last layer is linear, hence may follow the sum over the
-    neighbours: it is per node too, part of the node's update. What is left per edge is the sum in `gns.messages`. The
-    edges carry no latents of their own; their features enter every step anew.
+    Their message is a network of [x_i, x_j, e_ij]. Its first layer splits into W_i x_i + W_j x_j + W_e e_ij, two of
+    which are per node; its last layer is linear and follows the sum over the neighbours, in the update of the node.
+    What is left per edge is the sum in `gns.network.messages`. Edges carry no latents, their features enter each step.
     """
 
-    def __init__(self, width: int, dimension: int) -> None:
+    def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
+        width = settings.width
         self.from_receiver = nn.Linear(width, width)
         self.from_sender = nn.Linear(width, width, bias=False)
-        self.from_offset = nn.Linear(dimension + 1, width, bias=False)
+        # Its weight is `from_offset.weight` in the files of models.
+        self.from_offset = nn.Linear(columns(EDGES, settings), width, bias=False)
 
     def forward(self, x: Tensor, graph: Graph) -> Tensor:
         """The sum of the messages to each node."""
@@ -76,12 +61,12 @@ class MessagePassingStep(nn.Module):
     general conditioning layer, AAAI 2018).
     """
 
-    def __init__(self, settings: ModelSettings, constant: int) -> None:
+    def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(settings.width)
-        self.interaction = Interaction(settings.width, settings.dimension)
+        self.interaction = Interaction(settings)
         self.update = mlp(2 * settings.width, settings.width, settings)
-        self.film = nn.Linear(constant, 2 * settings.width)
+        self.film = nn.Linear(columns(CONSTANTS, settings), 2 * settings.width)
         nn.init.zeros_(self.film.weight)
         nn.init.zeros_(self.film.bias)
         self.scale = 1.0 / mean_envelope_sum(settings.radius, settings.particle_volume, settings.dimension)
@@ -98,8 +83,7 @@ class MessagePassingStep(nn.Module):
 class Convolution(nn.Conv2d):
     """Kernels of 3 nodes along each axis, `dilation` nodes apart, channels last; around the grid are zeros.
 
-    In 3D it is done as one in 2D, over planes that carry the channels of their neighbours too: on a CPU torch's own
-    takes five times as long at these sizes.
+    In 3D by planes that carry the channels of their neighbours too: on a CPU torch's own takes five times as long.
     """
 
     def __init__(self, channels: int, dimension: int, dilation: int) -> None:
@@ -123,7 +107,7 @@ class GridContext(nn.Module):
         super().__init__()
         count = settings.grid_channels
         self.to_grid = nn.Linear(settings.width, count)
-        self.mix = nn.Linear(count + column_count(settings.dimension), count)
+        self.mix = nn.Linear(count + columns(CHANNELS, settings), count)
         self.layers = nn.ModuleList(
             Convolution(count, settings.dimension, 2**layer) for layer in range(settings.grid_layers)
         )
@@ -147,10 +131,10 @@ def masked(field: Tensor, stencil: Stencil) -> Tensor:
 class Processor(nn.Module):
     """Rounds of a grid context, each followed by an equal share of the message-passing steps."""
 
-    def __init__(self, settings: ModelSettings, constant: int) -> None:
+    def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.contexts = nn.ModuleList(GridContext(settings) for _ in range(settings.rounds))
-        self.steps = nn.ModuleList(MessagePassingStep(settings, constant) for _ in range(settings.layers))
+        self.steps = nn.ModuleList(MessagePassingStep(settings) for _ in range(settings.layers))
 
     def forward(self, x: Tensor, given: Inputs) -> Tensor:
         """Latents [N, C] to latents [N, C]."""
@@ -185,13 +169,14 @@ class Decoder(nn.Module):
 class Network(nn.Module):
     """Features of the nodes to normalised accelerations and the shares of known forces."""
 
-    def __init__(self, features: int, constant: int, known: int, settings: ModelSettings) -> None:
+    def __init__(self, features: int, known: int, settings: ModelSettings) -> None:
+        """features: columns F of the nodes; known: number K of known forces."""
         super().__init__()
         self.half_precision = False
         """Whether products before the decoder are in bfloat16, as a training has them where that is faster."""
         # Its weights are `encoder.mlp.0.weight` and so on in the files of models.
         self.encoder = nn.Sequential(OrderedDict(mlp=mlp(features, settings.width, settings)))
-        self.processor = Processor(settings, constant)
+        self.processor = Processor(settings)
         self.decoder = Decoder(known, settings)
 
     def forward(self, given: Inputs) -> Tensor:

@@ -1,8 +1,7 @@
 """Baffles and ground as geometry: signed distances, outward directions and friction, as features of the particles.
 
-Baffles are boxes that may be turned; the ground is a raster, multilinear between its elevations. Everything is
-differentiable in the corners and turns of the baffles and the elevations of the ground, as exactly as in the positions;
-any number of baffles costs next to nothing, because only the particles near one are processed.
+Baffles are boxes that may be turned; the ground is a raster, multilinear between its elevations. All is differentiable
+in positions, corners, turns and elevations. Only the particles near a baffle are processed.
 """
 
 import math
@@ -13,19 +12,15 @@ import torch
 from torch import Tensor
 
 from gns.settings import UP
-from gns.state import Conditions, Ground
+from gns.surroundings.state import Conditions, Ground
 
 ROUNDING = 0.1
-"""Radius to which edges are rounded for outward directions, over the cutoff radius: at sharp ones their gradients have
-no bound."""
+"""Radius of edges over the cutoff radius for outward directions, whose gradients have no bound at sharp ones [-]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Boxes:
-    """K boxes for each of n points, or for all of them (n = 1); the own axes of a box begin in its middle.
-
-    In 2D a box is turned from x to y, in 3D about the vertical from x to z.
-    """
+    """K boxes for each of n points, or for all (n = 1), turned in 2D from x to y, in 3D from x to z."""
 
     middle: Tensor
     """[m], shape [n, K, D]."""
@@ -151,26 +146,27 @@ def solid_features(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     nearest, and where the last one leaves the cutoff.
     """
     size = conditions.of_particles(conditions.size)
-    walls = torch.cat((positions, size - positions), dim=1) / cutoff
-    features = [walls.clamp(max=1.0)]
+    walls = (torch.cat((positions, size - positions), dim=1) / cutoff).clamp(max=1.0)
     near = []
     if conditions.baffles is not None:
         near.append(nearest_baffle(positions, conditions, cutoff))
     if conditions.ground is not None:
         near.append(nearest_ground(positions, conditions.ground, conditions.batch, cutoff))
     if not near:
-        features += [torch.ones_like(positions[:, :1]), positions.new_zeros(len(positions), positions.shape[1] + 1)]
-    elif len(near) == 1:
-        ((distance, direction, friction),) = near
-        features += [(distance / cutoff).unsqueeze(1), direction, friction.unsqueeze(1)]
-    else:
-        distance = torch.stack([each[0] for each in near])
-        weight = (1.0 - distance / cutoff).clamp(min=0.0)
-        total = weight.sum(dim=0)
-        weight = (weight / torch.where(total > 0.0, total, 1.0)).unsqueeze(2)
-        directed = torch.stack([torch.cat((each[1], each[2].unsqueeze(1)), dim=1) for each in near])
-        features += [(distance.min(dim=0).values / cutoff).unsqueeze(1), (weight * directed).sum(dim=0)]
-    return torch.cat(features, dim=1)
+        far = torch.ones_like(positions[:, :1])
+        return torch.cat((walls, far, torch.zeros_like(positions), torch.zeros_like(far)), dim=1)
+    distances, directions, frictions = (torch.stack(each) for each in zip(*near, strict=True))
+    weights = _shares(1.0 - distances / cutoff, dim=0).unsqueeze(2)
+    directed = torch.cat((directions, frictions.unsqueeze(2)), dim=2)
+    nearest = (distances.min(dim=0).values / cutoff).unsqueeze(1)
+    return torch.cat((walls, nearest, (weights * directed).sum(dim=0)), dim=1)
+
+
+def _shares(weights: Tensor, dim: int) -> Tensor:
+    """Those of weights, the negative ones of which count as zero, in their sum along `dim`; 0 where that is 0."""
+    weights = weights.clamp(min=0.0)
+    total = weights.sum(dim=dim, keepdim=True)
+    return weights / torch.where(total > 0.0, total, 1.0)
 
 
 def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> tuple[Tensor, Tensor, Tensor]:
@@ -180,9 +176,8 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     in its own axes, the distance of a box is |max(q, 0)| outside and max(q), negative, inside (the exact distance
     function of a box, e.g. Ericson, Real-time collision detection, 2004, section 5.1). It is cut off at `cutoff` [m].
     """
-    distance = positions.new_full((len(positions),), cutoff)
     direction = torch.zeros_like(positions)
-    rough = torch.zeros_like(distance)
+    distance, rough = torch.full_like(direction[:, 0], cutoff), torch.zeros_like(direction[:, 0])
     boxes = Boxes.of_conditions(conditions)
     near, row = close_to(boxes, positions, positions, cutoff, conditions.batch)
     if len(near) == 0:
@@ -194,9 +189,8 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
     outside = square > 0.0
     # The root has no slope at zero: on the surface the distance is that to the face.
     distances = torch.where(outside, torch.where(outside, square, 1.0).sqrt(), q.max(dim=2).values)
-    weight = (1.0 - distances / cutoff).clamp(min=0.0)
-    total = weight.sum(dim=1, keepdim=True)
-    weight = weight * (weight / torch.where(total > 0.0, total, 1.0))
+    weight = 1.0 - distances / cutoff
+    weight = weight.clamp(min=0.0) * _shares(weight, dim=1)
     normals = boxes.world_vectors(_normals(x, boxes.half, q, ROUNDING * cutoff))
     nearest = distances.min(dim=1).values.clamp(max=cutoff)
     assert conditions.baffle_friction is not None
@@ -209,10 +203,9 @@ def nearest_baffle(positions: Tensor, conditions: Conditions, cutoff: float) -> 
 
 
 def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Particles whose way from `first` to `last` [N, D] comes close to a baffle of their sample: index and sample.
+    """Particles whose way from `first` to `last` [N, D] comes within about `margin` [m] of a baffle: index, sample.
 
-    To within `margin` [m], or what is about it: boxes are compared along the axes of the scene. A sample's baffles are
-    put into a single box first, which most particles are far from.
+    Boxes are compared along the axes of the scene, and first a single one around all of a sample's baffles.
     """
     with torch.no_grad():
         low, high = torch.minimum(first, last), torch.maximum(first, last)
@@ -230,10 +223,7 @@ def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Te
 
 
 def _normals(x: Tensor, half: Tensor, q: Tensor, radius: float) -> Tensor:
-    """Outward unit normals [n, K, D] of boxes whose edges are rounded to `radius` [m], at `x`, in their own axes.
-
-    They point from the box that is smaller by the radius on every side; q: of `nearest_baffle`, [n, K, D].
-    """
+    """Outward unit normals [n, K, D] of boxes with edges rounded to `radius` [m], at `x`; q: of `nearest_baffle`."""
     arm = (q + half.clamp(max=radius)).clamp(min=0.0)
     square = arm.square().sum(dim=2, keepdim=True)
     outside = square > 0.0

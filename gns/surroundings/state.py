@@ -1,15 +1,35 @@
 """What a simulation step takes and gives: state and conditions, and how they move between units and devices."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.nn.utils.rnn import pad_sequence
 
-from gns.units import Units
+from gns.settings import ModelSettings
+from gns.surroundings.units import Units
+
+
+class Feature(NamedTuple):
+    """An input of the network: its number of columns, and these, scaled to about one [-], shape [rows, columns]."""
+
+    count: Callable[[ModelSettings], int]
+    compute: Callable[..., Tensor]
+
+
+def columns(features: Mapping[str, Feature], settings: ModelSettings) -> int:
+    """Number of columns of `features`."""
+    return sum(each.count(settings) for each in features.values())
+
+
+def computed(features: Mapping[str, Feature], *given: Any) -> Tensor:
+    """The columns of `features` beside each other in their order, each computed from what is `given`."""
+    return torch.cat([each.compute(*given) for each in features.values()], dim=1)
+
 
 ABSENT = -10.0
 """Coordinates [m] of a box of zero size that stands for a baffle which a sample does not have, and of ground."""
@@ -17,10 +37,10 @@ ABSENT = -10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Tensors:
-    """A record of tensors; all of them move together, here and nowhere else."""
+    """A record of tensors, which move together."""
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
-        """The same record on another device, its real numbers in another precision; None leaves either as it is."""
+        """The same on another device, its real numbers in another precision; None leaves either as it is."""
         moved: dict[str, Any] = {}
         for each in dataclasses.fields(self):
             value = getattr(self, each.name)
@@ -39,10 +59,6 @@ class State(Tensors):
     """Positions [m], shape [N, D]."""
     displacements: Tensor
     """The last H displacements [m per step], newest last, shape [H, N, D]."""
-
-    def over(self, length: float) -> "State":
-        """The same state with lengths in another unit, `length` [m]."""
-        return State(positions=self.positions / length, displacements=self.displacements / length)
 
     @staticmethod
     def moving(positions: Tensor, velocities: Tensor, *, step: float, history: int) -> "State":
@@ -126,44 +142,21 @@ class Conditions(Tensors):
             return values.sum(dim=0, keepdim=True)
         return values.new_zeros(len(self.size), values.shape[1]).index_add(0, self.batch, values)
 
-    def in_model_units(self) -> "Conditions":
-        """These conditions in the units of the model."""
-        units = self.units
-        if units == Units():
-            return self
-        length = units.length
-        ground = self.ground
-        if ground is not None:
-            ground = dataclasses.replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length)
-        return dataclasses.replace(
-            self,
-            cohesion=self.cohesion / units.stress,
-            volume=self.volume / length ** self.size.shape[1],
-            size=self.size / length,
-            gravity=self.gravity * (units.time**2 / length),
-            baffles=None if self.baffles is None else self.baffles / length,
-            ground=ground,
-            units=Units(),
-        )
-
     @staticmethod
     def joined(samples: Sequence["Conditions"]) -> "Conditions":
         """Samples side by side, of one each, all in the same units, differentiably.
 
-        One with fewer baffles than another gets boxes of no size far outside, one without terrain ground far below, and
-        a smaller raster goes on level.
+        Missing baffles become boxes of no size far outside, terrain ground far below; small rasters go on level.
         """
         names = ("friction", "cohesion", "volume", "size", "gravity", "floor_friction", "wall_friction", "damping")
         found: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in samples]) for name in names}
+        counts = [0 if each.baffles is None else each.baffles.shape[1] for each in samples]
         for name, absent in (("baffles", ABSENT), ("baffle_turn", 0.0), ("baffle_friction", 0.0)):
-            own = [getattr(each, name) for each in samples]
-            count = max((each.baffles.shape[1] for each in samples if each.baffles is not None), default=0)
-            if some := [each for each in own if each is not None]:
-                none, level_axes = some[0][:, :0], (0, 0) * (some[0].dim() - 2)
-                given = [none if each is None else each for each in own]
-                ends = [(*level_axes, 0, count - each.shape[1]) for each in given]
-                rows = [functional.pad(each, end, value=absent) for each, end in zip(given, ends, strict=True)]
-                found[name] = torch.cat(rows)
+            given = [getattr(each, name) for each in samples]
+            if some := [each for each in given if each is not None]:
+                none = [some[0].new_full((count, *some[0].shape[2:]), absent) for count in counts]
+                rows = [other if each is None else each[0] for each, other in zip(given, none, strict=True)]
+                found[name] = pad_sequence(rows, batch_first=True, padding_value=absent)
         if grounds := [each.ground for each in samples if each.ground is not None]:
             shape = [max(counts) for counts in zip(*(each.elevation.shape[1:] for each in grounds), strict=True)]
             rasters = {
@@ -171,9 +164,30 @@ class Conditions(Tensors):
                 for name, absent in (("elevation", ABSENT), ("friction", 0.0))
             }
             found["ground"] = Ground(**rasters, spacing=grounds[0].spacing)
-        counts = torch.tensor([len(each.friction) for each in samples])
-        batch = torch.arange(len(samples)).repeat_interleave(counts)
+        particles = torch.tensor([len(each.friction) for each in samples])
+        batch = torch.arange(len(samples)).repeat_interleave(particles)
         return Conditions(batch=batch, units=samples[0].units, **found)
+
+
+def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditions]:
+    """A state and its conditions in the units of the model; nothing else scales what a simulator is given."""
+    units, ground = conditions.units, conditions.ground
+    if units == Units():
+        return state, conditions
+    length = units.length
+    if ground is not None:
+        ground = dataclasses.replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length)
+    scaled = dataclasses.replace(
+        conditions,
+        cohesion=conditions.cohesion / units.stress,
+        volume=conditions.volume / length ** conditions.size.shape[1],
+        size=conditions.size / length,
+        gravity=conditions.gravity * (units.time**2 / length),
+        baffles=None if conditions.baffles is None else conditions.baffles / length,
+        ground=ground,
+        units=Units(),
+    )
+    return State(positions=state.positions / length, displacements=state.displacements / length), scaled
 
 
 def level(ground: Ground | None, name: str, shape: Sequence[int], absent: float) -> Tensor:

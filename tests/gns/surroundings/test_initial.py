@@ -12,10 +12,10 @@ from datasets.material import Material
 from datasets.particles import initial_particles, released_volume
 from datasets.scene import Baffle, Mass, Scene, Solid
 from gns.inference import simulate
-from gns.initial import initial_state
 from gns.settings import GRAVITY, ModelSettings
 from gns.simulator import Simulator
-from gns.units import Units
+from gns.surroundings.initial import initial_state
+from gns.surroundings.units import Units
 from tests.scenes import scaled, scene_of
 
 SETTINGS = ModelSettings()

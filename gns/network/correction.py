@@ -1,16 +1,12 @@
 """The correction: where a rollout ends, moved to where the MPM's flow does, by a network that learns whole rollouts.
 
-    x'_K = x_K + L/10 C(start, x_K, conditions)     C: `gns.network.Network`, one pass a rollout
+    x'_K = x_K + L/10 C(start, x_K, conditions)     C: `gns.network.network.Network`, one pass a rollout
     x'_k = x_k + w_k (x'_K - x_K),                  w_k = sum_{j <= k} |v_j|^2 / sum_{j <= K} |v_j|^2
 
-An error that the steps add up alike in each flow of a kind, as of a front that comes short, is hard for them to
-unlearn: a gradient through all of them costs as much as a hundred passes of C, which sees end, start and surroundings
-at once. K is any step, as it was in training; the way to it is stretched in proportion to the motion.
-
-| symbol | variable       | unit           |
-| L      | `body_length`  | m              |
-| x_k    | `positions[k]` | m              |
-| v_k    | their changes  | m per step     |
+with L = `length_of`, positions x_k and their changes v_k. An error that the steps add up alike in each flow of a kind,
+such as a front that comes short, is hard for them to unlearn: a gradient through all of them costs as much as a hundred
+passes of C, which sees end, start and surroundings at once. K is any step; the way to it is stretched in proportion to
+the motion.
 """
 
 import dataclasses
@@ -18,10 +14,12 @@ import dataclasses
 import torch
 from torch import Tensor, nn
 
-from gns.contact import keep_out
-from gns.network import Inputs, Network
-from gns.settings import GRAVITY, ModelSettings, constant_count, features
-from gns.state import Conditions, State
+from gns.network.features import NODES, Inputs
+from gns.network.network import Network
+from gns.settings import GRAVITY, ModelSettings
+from gns.surroundings.contact import keep_out
+from gns.surroundings.forces import Moment
+from gns.surroundings.state import Conditions, State, columns
 
 WIDTH = 64
 """Of its latent vectors; a wider one overfits."""
@@ -43,37 +41,38 @@ class Correction(nn.Module):
 
     def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
-        axes, self.settings = settings.dimension, settings
-        count = sum(features(settings).values()) + 9 * axes
+        self.settings = settings
+        count = columns(NODES, settings) + 9 * settings.dimension
         self.register_buffer("mean", torch.zeros(count))
         self.register_buffer("std", torch.ones(count))
-        self.network = Network(count, constant_count(axes), 0, dataclasses.replace(settings, width=WIDTH))
+        self.network = Network(count, 0, dataclasses.replace(settings, width=WIDTH))
 
     @property
     def normalised(self) -> bool:
         """Whether mean and standard deviation of the features are known."""
         return bool((self.std != 1.0).any())
 
-    def forward(self, start: State, end: State, given: Inputs, conditions: Conditions) -> Tensor:
-        """x'_K - x_K [m], shape [N, D], before any contact; given: of the end, all in units of the model."""
-        found = (self.features(start, end, given, conditions) - self.mean) / self.std
+    def forward(self, start: State, end: Moment) -> Tensor:
+        """x'_K - x_K [m], shape [N, D], before any contact; all in units of the model."""
+        inputs, conditions = Inputs.of_moment(end), end.conditions
+        features = (self.features(start, end, inputs.features) - self.mean) / self.std
         if self.training:
             # Features that are the same all over a flow identify it: without noise the network overfits.
-            noise = NOISE * torch.randn(len(conditions.size), found.shape[1], dtype=found.dtype, device=found.device)
-            found = found + conditions.of_particles(noise)
-        moved = self.network(dataclasses.replace(given, features=found.clamp(-LARGEST, LARGEST)))
+            noise = NOISE * torch.randn(len(conditions.size), features.shape[1]).to(features)
+            features = features + conditions.of_particles(noise)
+        moved = self.network(dataclasses.replace(inputs, features=features.clamp(-LARGEST, LARGEST)))
         return DISPLACEMENT * length_of(self.settings) * torch.as_tensor(moved)
 
-    def features(self, start: State, end: State, given: Inputs, conditions: Conditions) -> Tensor:
-        """Features [N, F]: those given, and over L and (g L)^(1/2) per step
+    def features(self, start: State, end: Moment, nodes: Tensor) -> Tensor:
+        """Features [N, F]: those of the nodes at the end, and over L and (g L)^(1/2) per step
 
             x_K - x_0, x_0 - <x_0>, x_K - <x_K>, v_0, <v_0>, <x_K> - <x_0>, std(x_0), std(x_K), (x_K - <x_K>) / std(x_K)
 
         with means <> and deviations over the volume of the flow.
         """
-        length = length_of(self.settings)
+        length, conditions = length_of(self.settings), end.conditions
         speed = self.settings.step * (GRAVITY * length) ** 0.5
-        first, last, velocity = start.positions / length, end.positions / length, start.displacements[-1] / speed
+        first, last, velocity = start.positions / length, end.state.positions / length, start.displacements[-1] / speed
         whole = torch.cat((first, last, velocity), dim=1)
         middle = average(whole, conditions)
         here = whole - middle
@@ -82,7 +81,7 @@ class Correction(nn.Module):
         own_first, own_last, _ = here.chunk(3, dim=1)
         before, after, _ = spread.chunk(3, dim=1)
         places = (last - first, own_first, own_last, velocity, thrown, ended - begun, before, after, own_last / after)
-        return torch.cat((given.features, *(each.expand_as(first) for each in places)), dim=1)
+        return torch.cat((nodes, *(each.expand_as(first) for each in places)), dim=1)
 
 
 def average(values: Tensor, conditions: Conditions) -> Tensor:

@@ -1,0 +1,1 @@
+"""The network: features, graph, messages, encoder, processor and decoder, and the correction of a rollout."""

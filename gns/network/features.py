@@ -1,0 +1,110 @@
+"""The features: what the network is given of nodes and edges, in the order of its columns.
+
+To add a feature is to add an entry to `NODES`, to `EDGES` or to the channels of the background grid
+(`gns.surroundings.grid.CHANNELS`): its name, its number of columns, and how they are computed and scaled. All else
+follows: the width of the network, training, rollout and card. Absolute positions are no features.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from gns.network.graph import Graph, radius_graph
+from gns.settings import GRAVITY, UP
+from gns.surroundings.forces import Moment
+from gns.surroundings.grid import CHANNELS, Stencil
+from gns.surroundings.state import Feature, columns
+
+DAMPING = 5.0
+"""Factor that brings the coefficient of damping to the size of the other features [-]."""
+ROUGHNESS = (0.45, 0.27)
+"""Mean and standard deviation to which the friction of floor and walls is normalised [-]."""
+INCLINED = 4.0
+"""Factor that brings gravity along the floor to the size of the other features [-]."""
+REFERENCE_COHESION = 50.0
+"""Scale of the logarithm of the cohesion [Pa], about the weight of 3 mm of sand: a thin front that has any does not run
+as far as a dry one."""
+SQUARE_FLOOR = 1.0e-12
+"""Added to d^2: particles that the floor or a corner stopped can coincide, where the root has no finite slope."""
+
+
+def constants(x: Moment) -> Tensor:
+    """Friction and cohesion; friction of floor and walls, damping and gravity of the sample; shape [N, 5 + D]."""
+    conditions, normalisation = x.conditions, x.normalisation
+    friction = (conditions.friction - normalisation.friction_mean) / normalisation.friction_std
+    cohesion = 0.5 * (conditions.cohesion / REFERENCE_COHESION).log1p()
+    mean, deviation = ROUGHNESS
+    rough = (torch.stack((conditions.floor_friction, conditions.wall_friction), dim=1) - mean) / deviation
+    inclined = torch.full_like(conditions.gravity[0], INCLINED / GRAVITY)
+    inclined[UP] = 1.0 / GRAVITY
+    shared = torch.cat((rough, DAMPING * conditions.damping.unsqueeze(1), inclined * conditions.gravity), dim=1)
+    own = torch.stack((friction, cohesion), dim=1)
+    return torch.cat((own, conditions.of_particles(shared).expand(len(own), -1)), dim=1)
+
+
+CONSTANTS = {"friction, cohesion, floor, walls, damping, gravity": Feature(lambda s: 5 + s.dimension, constants)}
+"""Of a node, constant during a rollout: they also scale and shift the latents of each message-passing step."""
+
+NODES = {
+    "past displacements": Feature(
+        lambda s: s.history * s.dimension,
+        lambda x: (x.state.displacements / x.normalisation.displacement_scale).movedim(0, 1).flatten(1),
+    ),
+    "their changes": Feature(
+        lambda s: (s.history - 1) * s.dimension,
+        lambda x: (x.changes / x.normalisation.acceleration_scale).movedim(0, 1).flatten(1),
+    ),
+    "solids within the radius": Feature(lambda s: 3 * s.dimension + 2, lambda x: x.solids),
+    "volume": Feature(lambda s: 1, lambda x: (x.conditions.volume / x.settings.particle_volume).unsqueeze(1) - 1.0),
+    **CONSTANTS,
+    "column on the grid": Feature(lambda s: columns(CHANNELS, s), lambda x: x.column),
+    "tractions of surfaces and damping": Feature(
+        lambda s: 2 * s.dimension, lambda x: torch.cat((x.traction, x.damping), dim=1)
+    ),
+    "cohesion over the weight above": Feature(lambda s: 1, lambda x: x.strength),
+    "forces of pressure and internal friction": Feature(lambda s: 2 * s.dimension, lambda x: x.internal),
+    "basal friction and damped motion": Feature(
+        lambda s: 2 * s.dimension, lambda x: torch.cat((x.basal, x.damped), dim=1)
+    ),
+}
+"""Of a node, from a `Moment`."""
+
+EDGES = {
+    "offset over the radius": Feature(lambda s: s.dimension, lambda offset: offset),
+    "distance over the radius": Feature(
+        lambda s: 1, lambda offset: (offset.square().sum(dim=1, keepdim=True) + SQUARE_FLOOR).sqrt()
+    ),
+}
+"""Of an edge, from the offset of its sender from its receiver over the radius [-], shape [E, D]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """What a network is given of a state of N particles."""
+
+    features: Tensor
+    """`NODES`, shape [N, F]."""
+    constant: Tensor
+    """`CONSTANTS`, shape [N, M]."""
+    graph: Graph
+    stencil: Stencil
+    """The particles on the background grid."""
+    fraction: Tensor
+    """Volume of each particle over that of a grid cell [-], shape [N, 1]."""
+    nodes: Tensor
+    """`CHANNELS` of the grid, shape [B * nodes, C]."""
+
+    @staticmethod
+    def of_moment(moment: Moment) -> "Inputs":
+        """Those of the particles at one moment."""
+        settings, conditions = moment.settings, moment.conditions
+        features = {name: each.compute(moment) for name, each in NODES.items()}
+        return Inputs(
+            features=torch.cat(list(features.values()), dim=1),
+            constant=torch.cat([features[name] for name in CONSTANTS], dim=1),
+            graph=radius_graph(moment.state.positions, settings.radius, conditions.batch),
+            stencil=moment.stencil,
+            fraction=(conditions.volume / settings.grid_cell**settings.dimension).unsqueeze(1),
+            nodes=moment.nodes,
+        )

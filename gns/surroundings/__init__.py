@@ -1,0 +1,1 @@
+"""The particles and what is around them: state, units, solids, contact, background grid, known forces."""

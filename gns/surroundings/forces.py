@@ -1,0 +1,200 @@
+"""The particles at one moment, what surrounds them, and the forces that known laws give.
+
+A network of sums is slow to learn products of its inputs, such as a coefficient of friction times the direction of the
+motion. So these are features, and some of them are forces, of which the network gives the shares.
+
+    traction = -sum_s mu_s w_s u(v - (v . n_s) n_s)      Coulomb friction of floor, walls and the nearest solid
+    damping  = -alpha u(v)                               u(v) = v / sqrt(|v|^2 + v0^2)
+    damped   = -alpha |a| u(v) / g dt^2                  local damping of the MPM, on the last change a of the motion
+    basal    = -m v* / sqrt(|v*|^2 + m^2) / g dt^2,      m = min(mu, tan(phi)) g_n dt^2
+    strength = r / (1 + r),  r = c / (rho g (h + cell))  cohesion over the weight h of the column above
+
+The basal friction is that of a layer which slides as a whole (Savage & Hutter, J. Fluid Mech. 199, 1989, eq. 2.21):
+its friction on the floor or, above a rougher floor, within itself. It acts on the displacement v* along the floor that
+gravity alone would lead to, and at most stops it. On the background grid, sand that shears bears a stress of its
+strength along its rate of strain (von Mises' flow rule, e.g. Jop, Forterre & Pouliquen, Nature 441, 2006, eq. 2,
+without the dependence on the rate), beside the pressure p = rho g h of the column above:
+
+    pressure = -grad p / (rho g)
+    shear    = div S / (rho g),   S = (c + p tan(phi)) D' / (|D'| + d0),   |D'| = sqrt(D' : D' / 2)
+
+with the deviatoric rate of strain D' [1 per step]. On cells as coarse as these both are rough estimates.
+
+| symbol | variable                          | meaning                                            |
+| w_s    | 1 - distance / radius, at least 0 | how near the surface is                            |
+| v      | `velocity`                        | newest displacement [m per step]                   |
+| v0     | `slow`                            | displacement below which the direction fades       |
+| g_n    | `normal`                          | gravity against the floor                          |
+| h      | `above`                           | height of the column above [m]                     |
+| d0     | `slow` over the cell              | rate of strain below which the shear fades         |
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from gns.settings import GRAVITY, UP, ModelSettings
+from gns.surroundings.grid import CHANNELS, REFERENCE_HEIGHT, Stencil, stencil_of
+from gns.surroundings.solids import solid_features
+from gns.surroundings.state import Conditions, State, computed
+
+FORCES = ("basal friction", "traction", "damping", "shear", "pressure")
+"""The known forces, of which the network gives the shares."""
+SLOW = 0.1
+"""Displacement over the root mean square one below which the direction of motion fades [-]."""
+ROUNDED = 0.1
+"""Change of the motion over `slow` below which its amount is rounded [-]: a sharp kink has no useful derivative."""
+EMPTY = 0.05
+"""Share of a cell that is filled below which the mean of what is in it fades [-]."""
+LOOSE = 0.3
+"""Share of a cell that is filled below which a force is that on so much material [-]."""
+LARGEST = 3.0
+"""The weight of the material that a force on the grid approaches at most [-]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Normalisation:
+    """Statistics of the training data at the model's step, as numbers or as a model's tensors."""
+
+    displacement_scale: float | Tensor
+    """Root mean square displacement of a particle in a step [m]."""
+    acceleration_scale: float | Tensor
+    """Root mean square change of the displacement from step to step, without that of gravity [m]."""
+    friction_mean: float | Tensor
+    """Mean of tan(phi) [-]."""
+    friction_std: float | Tensor
+    """Standard deviation of tan(phi) [-]."""
+
+
+class Moment:
+    """N particles at one moment, in the units of the model; each property is computed when it is first asked for."""
+
+    def __init__(
+        self, state: State, conditions: Conditions, settings: ModelSettings, normalisation: Normalisation
+    ) -> None:
+        self.state, self.conditions, self.settings, self.normalisation = state, conditions, settings, normalisation
+        self.velocity = state.displacements[-1]
+        self.changes = state.displacements[1:] - state.displacements[:-1]
+        self.slow = torch.as_tensor(SLOW * normalisation.displacement_scale)
+        self.weight = settings.density * GRAVITY
+        self.fall = GRAVITY * settings.step**2
+
+    @cached_property
+    def solids(self) -> Tensor:
+        """`solid_features`, shape [N, 3 D + 2]."""
+        return solid_features(self.state.positions, self.conditions, self.settings.radius)
+
+    @cached_property
+    def stencil(self) -> Stencil:
+        """The particles on the background grid."""
+        return stencil_of(self.state.positions, self.conditions.size, self.settings.grid_cell, self.conditions.batch)
+
+    @cached_property
+    def nodes(self) -> Tensor:
+        """Channels of the nodes of the grid, shape [B * nodes, columns of `CHANNELS`]."""
+        return computed(CHANNELS, self.stencil, self.conditions)
+
+    @cached_property
+    def column(self) -> Tensor:
+        """The same at the particles, shape [N, columns of `CHANNELS`]."""
+        return self.stencil.gather(self.nodes)
+
+    @property
+    def forces(self) -> Tensor:
+        """`FORCES` over the weight of the particles [-], shape [N, K, D]."""
+        return torch.stack((self.basal, self.traction, self.damped, *self.internal.chunk(2, dim=1)), dim=1)
+
+    @cached_property
+    def traction(self) -> Tensor:
+        """Friction of the surfaces [-], shape [N, D]."""
+        conditions, dimension = self.conditions, self.settings.dimension
+        floor, wall = (
+            conditions.of_particles(each).unsqueeze(1) for each in (conditions.floor_friction, conditions.wall_friction)
+        )
+        lower, upper = (1.0 - self.solids[:, : 2 * dimension]).chunk(2, dim=1)
+        direction, friction = self.solids[:, -dimension - 1 : -1], self.solids[:, -1:]
+        axes = torch.arange(dimension, device=direction.device)
+        near = torch.where(axes == UP, floor, wall) * lower + wall * upper
+        along = self.velocity.unsqueeze(1) * (axes != axes.unsqueeze(1))
+        of_walls = (near.unsqueeze(2) * self.unit(along)).sum(dim=1)
+        square = direction.square().sum(dim=1, keepdim=True)
+        normal = direction / torch.where(square > 0.0, square, 1.0).sqrt()
+        along = self.velocity - (self.velocity * normal).sum(dim=1, keepdim=True) * normal
+        return -of_walls - friction * self.unit(along)
+
+    @cached_property
+    def damping(self) -> Tensor:
+        """The coefficient of damping against the motion [-], shape [N, D]."""
+        return -self.conditions.of_particles(self.conditions.damping).unsqueeze(1) * self.unit(self.velocity)
+
+    @cached_property
+    def damped(self) -> Tensor:
+        """Local damping [-], shape [N, D]."""
+        change = self.changes[-1] if len(self.changes) else torch.zeros_like(self.velocity)
+        size = (change.square().sum(dim=1, keepdim=True) + (ROUNDED * self.slow) ** 2).sqrt()
+        return self.damping * size / self.fall
+
+    @cached_property
+    def basal(self) -> Tensor:
+        """Basal friction [-], shape [N, D]."""
+        conditions, velocity = self.conditions, self.velocity
+        gravity = conditions.of_particles(conditions.gravity) * self.settings.step**2
+        level = torch.ones_like(velocity[:1])
+        level[:, UP] = 0.0
+        trial = level * (velocity + gravity)
+        normal = -gravity[:, UP].clamp(max=0.0)
+        rough = torch.minimum(conditions.of_particles(conditions.floor_friction), conditions.friction)
+        most = (rough * normal).unsqueeze(1)
+        # On a smooth floor too the root has a slope at zero.
+        rounded = 1.0e-3 * self.slow
+        size = (trial.square().sum(dim=1, keepdim=True) + most.square() + rounded**2).sqrt()
+        return -most * trial / size / self.fall
+
+    @cached_property
+    def strength(self) -> Tensor:
+        """Cohesion against the weight of the column above [-], shape [N, 1]."""
+        above = REFERENCE_HEIGHT * self.column[:, 1]
+        ratio = self.conditions.cohesion / (self.weight * (above + self.settings.cell))
+        return (ratio / (1.0 + ratio)).unsqueeze(1)
+
+    @cached_property
+    def internal(self) -> Tensor:
+        """Shear, then pressure [-], shape [N, 2 D]; walls bear no shear here: that is the traction."""
+        stencil, conditions, dimension = self.stencil, self.conditions, self.settings.dimension
+        cell, shape, axes = stencil.cell, (stencil.samples, *stencil.shape), range(dimension)
+        above = REFERENCE_HEIGHT * self.nodes[:, 1]
+        strengths = torch.stack((conditions.friction, conditions.cohesion / self.weight), dim=1)
+        carried = torch.cat((torch.ones_like(strengths[:, :1]), self.velocity, strengths), dim=1)
+        sums = stencil.scatter((conditions.volume / cell**dimension).unsqueeze(1) * carried)
+        filled, means = sums[:, :1], sums[:, 1:] / (sums[:, :1] + EMPTY)
+        # Strength over rho g is a length.
+        strength = means[:, dimension + 1] + above * means[:, dimension]
+        fields = torch.cat((means[:, :dimension], strength.unsqueeze(1), above.unsqueeze(1)), dim=1).view(*shape, -1)
+        fields = stencil.within(fields, conditions.size, axes)
+        gradient = [torch.gradient(fields, spacing=cell, dim=axis + 1)[0] for axis in axes]
+        mean = sum(gradient[axis][..., axis] for axis in axes) / dimension
+        rate = {
+            (i, j): 0.5 * (gradient[j][..., i] + gradient[i][..., j]) - (mean if i == j else 0.0)
+            for i in axes
+            for j in range(i, dimension)
+        }
+        square = sum((1.0 if i == j else 2.0) * each.square() for (i, j), each in rate.items())
+        # Not the root alone: it has no slope at zero.
+        slow = self.slow / cell
+        scale = fields[..., dimension] / ((0.5 * square + slow**2).sqrt() + slow)
+        stress = stencil.within(torch.stack([scale * each for each in rate.values()], dim=-1), conditions.size, axes)
+        slopes = [torch.gradient(stress, spacing=cell, dim=axis + 1)[0] for axis in axes]
+        index = {pair: number for number, pair in enumerate(rate)}
+        divergence = [
+            torch.stack([slopes[j][..., index[min(i, j), max(i, j)]].reshape(-1) for j in axes]).sum(dim=0)
+            for i in axes
+        ]
+        shear = torch.stack(divergence, dim=1) / filled.clamp(min=LOOSE)
+        pressure = -torch.stack([gradient[axis][..., dimension + 1].reshape(-1) for axis in axes], dim=1)
+        return stencil.gather(LARGEST * torch.tanh(torch.cat((shear, pressure), dim=1) / LARGEST))
+
+    def unit(self, vectors: Tensor) -> Tensor:
+        """Directions of vectors [..., D], which fade where they are shorter than `slow`."""
+        return vectors / (vectors.square().sum(dim=-1, keepdim=True) + self.slow**2).sqrt()

@@ -1,0 +1,1 @@
+"""The training: samples of datasets, losses, and the loop that lowers them."""
