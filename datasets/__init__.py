@@ -17,10 +17,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from datasets.errors import InputError
-from datasets.library import read_scene, write_scene
-from datasets.material import Material
+from datasets.flow.trajectory import Trajectory, read_trajectory
 from datasets.scene import Baffle, Channel, Domain, Gate, Mass, Scene, Solid, Stage
-from datasets.trajectory import Trajectory, read_trajectory
+from datasets.scene.library import read_scene, write_scene
+from datasets.scene.material import Material
 
 __version__ = "0.1.0"
 __all__ = [

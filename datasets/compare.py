@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from tabulate import tabulate
 
-from datasets import measures
 from datasets.command_line import run
 from datasets.errors import naming, require
-from datasets.field import Floats
-from datasets.fields import FlowFields, Values, pairs
 from datasets.files import make_folder, replacing, write_json, write_text
-from datasets.trajectory import Trajectory, open_trajectory, trajectory_file
+from datasets.flow import measures
+from datasets.flow.fields import FlowFields, Values, pairs
+from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
+from datasets.scene.grid_field import Floats
 
 Figures = dict[str, Floats]
 

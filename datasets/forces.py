@@ -18,9 +18,9 @@ import numpy as np
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming, require
-from datasets.field import Floats
 from datasets.files import make_folder, replacing
-from datasets.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
+from datasets.flow.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
+from datasets.scene.grid_field import Floats
 
 TABLE, PLOT = "forces.csv", "forces.png"
 AXES = ("x", "y", "z")

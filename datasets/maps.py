@@ -2,7 +2,7 @@
 
 The maps are thickness of the deposit, largest depth and velocity, cell by cell, in the coordinates of the terrain's
 raster where the scene has one. The volume V_p of a particle is shared linearly between the cells around it, by the
-weights w of `datasets.field` at their middles; with A_c the area of a cell,
+weights w of `datasets.scene.grid_field` at their middles; with A_c the area of a cell,
 
     h_c = 1 / A_c  sum_p w_c(x_p) V_p,    v_c = | sum_p w_c(x_p) V_p v_p | / sum_p w_c(x_p) V_p
 
@@ -27,13 +27,13 @@ from tqdm import tqdm
 
 from datasets.command_line import run
 from datasets.errors import InputError, require
-from datasets.field import Floats, Grid
-from datasets.fields import FlowFields
 from datasets.files import make_folder, replacing, write_json, write_text
+from datasets.flow.fields import FlowFields
+from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
 from datasets.geometry.placement import tops_beneath
 from datasets.geometry.surface import surface_of
 from datasets.scene import Mass, Scene
-from datasets.trajectory import Trajectory, open_trajectory, trajectory_file
+from datasets.scene.grid_field import Floats, Grid
 
 KINDS = {
     "thickness": ("thickness of the deposit", "m", "YlOrBr"),

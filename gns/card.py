@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from datasets import files
 from datasets.errors import InputError
 from datasets.files import read_json
-from datasets.records import Record, from_mapping
 from datasets.scene import Scene
+from datasets.schema import Record, from_mapping
 from gns.ranges import Range, outside, ranges_of
 from gns.settings import ModelSettings
 from gns.surroundings.units import Units

@@ -23,7 +23,7 @@ from torch import Tensor
 from datasets import files
 from datasets.errors import InputError, naming, require
 from datasets.files import file_size, json_object, reading
-from datasets.records import from_mapping
+from datasets.schema import from_mapping
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
 from gns.surroundings.forces import Normalisation

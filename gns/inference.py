@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from datasets import measures
 from datasets.errors import InputError, require
-from datasets.library import read_scene
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.library import read_scene
 from gns import card, checkpoint
 from gns.library import model_path, shipped
 from gns.simulator import Simulator, unroll

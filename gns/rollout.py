@@ -8,8 +8,8 @@ from typing import Literal
 from datasets import command_line, files
 from datasets.errors import InputError, naming
 from datasets.exchange.vtk import write_vtk
-from datasets.library import read_scene
-from datasets.trajectory import Trajectory
+from datasets.flow.trajectory import Trajectory
+from datasets.scene.library import read_scene
 from gns import card
 from gns.library import model_path, shipped
 

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 from tabulate import tabulate
 
-from datasets import command_line, measures
+from datasets import command_line
 from datasets.errors import InputError
+from datasets.flow import measures
 from gns import card
 from gns.card import LEVELS, Calibration
 from gns.library import model_path

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from datasets.errors import require
-from datasets.records import Record
+from datasets.schema import Record
 
 GRAVITY = 9.81
 """Gravitational acceleration of all training data [m/s^2]."""

@@ -19,13 +19,13 @@ import numpy as np
 from scipy.stats import qmc
 from tqdm import tqdm
 
-from datasets import measures
 from datasets.definitions.definition import DEPOSITS, Definition, Split, Storage, Stream
 from datasets.errors import InputError
 from datasets.files import make_folder, read_json, write_json
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory, trajectory_files
 from datasets.processes import processors
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory, trajectory_files
 from gns import card, checkpoint
 from gns.library import model_path, shipped
 from gns.score import Score, calibrated, evaluate, table

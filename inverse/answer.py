@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import measures
-from datasets.trajectory import Trajectory
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory
 from inverse.noise import Fit
 from inverse.observations import Values
 from inverse.observations.target import Target

@@ -33,11 +33,11 @@ import torch
 from scipy.special import ndtr
 from tqdm import tqdm
 
-from datasets.field import Floats
-from datasets.particles import initial_volumes
+from datasets.flow.trajectory import brackets
 from datasets.processes import processors
 from datasets.scene import Scene
-from datasets.trajectory import brackets
+from datasets.scene.grid_field import Floats
+from datasets.scene.particles import initial_volumes
 from inverse.answer import Answer, MpmRun, Purpose, judge
 from inverse.field_posterior import FieldPosterior
 from inverse.forward.adjoint import derivatives

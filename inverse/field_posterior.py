@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import measures
-from datasets.field import Field
+from datasets.flow import measures
+from datasets.scene.grid_field import Field
 from inverse.observations import Values
 from inverse.parameters.field import BAND, UnknownField
 

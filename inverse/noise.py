@@ -31,8 +31,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.stats import f, norm
 
-from datasets.field import Floats
-from datasets.measures import rms
+from datasets.flow.measures import rms
+from datasets.scene.grid_field import Floats
 from inverse.observations.target import Target
 
 SMOOTH = 0.3

@@ -18,10 +18,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from datasets import files, measures
-from datasets.field import Floats
-from datasets.particles import particle_volumes
+from datasets import files
+from datasets.flow import measures
 from datasets.scene import Scene
+from datasets.scene.grid_field import Floats
+from datasets.scene.particles import particle_volumes
 from inverse.field_posterior import FieldPosterior
 from inverse.observations.deposit import Passed, Toe
 from inverse.observations.profile import Profile

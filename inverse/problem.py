@@ -11,12 +11,12 @@ from typing import Annotated
 import numpy as np
 
 from datasets.errors import InputError, keyed, naming, require
-from datasets.field import FRICTION, Field
 from datasets.files import read_toml
-from datasets.library import SCENES, find, read_scene
-from datasets.particles import released_volume
-from datasets.records import Record, from_mapping, one_of
 from datasets.scene import Scene
+from datasets.scene.grid_field import FRICTION, Field
+from datasets.scene.library import SCENES, find, read_scene
+from datasets.scene.particles import released_volume
+from datasets.schema import Record, from_mapping, one_of
 from inverse.observations import KINDS, Observation, ObservationSettings
 from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_parameters

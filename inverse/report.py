@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from datasets.measures import rms
+from datasets.flow.measures import rms
 from inverse.answer import Answer, Combination, Purpose, Verdict, peak_memory_mib, unidentified
 from inverse.field_posterior import IDENTIFIED, FieldPosterior
 from inverse.noise import CONFIDENCE

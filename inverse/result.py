@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.records import changed
 from datasets.scene import Scene
+from datasets.schema import changed
 from inverse.answer import UNIFORM, Answer, Combination, MpmRun, Verdict, peak_memory_mib, plain
 from inverse.field_posterior import FieldPosterior
 from inverse.observations import Values
@@ -113,7 +113,7 @@ class Result:
 
     @property
     def remarks(self) -> list[str]:
-        """What a user must know of the flow at the first answer (`datasets.remarks`)."""
+        """What a user must know of the flow at the first answer (`datasets.flow.caveats`)."""
         checks = self.answers[0].checks
         return list(checks[0].trajectory.summary.get("remarks", [])) if checks else []
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.files import make_folder, replacing, write_json, write_text
-from datasets.library import write_scene
+from datasets.scene.library import write_scene
 from inverse import inference_data, pictures, report
 from inverse.result import Result
 

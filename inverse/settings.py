@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from datasets.errors import InputError, require
-from datasets.records import Record
 from datasets.scene import Scene
+from datasets.schema import Record
 
 MOST = 1_000_000
 """Of runs, draws and iterations: more would take years, and memory that no machine has."""

@@ -5,11 +5,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from datasets import measures
 from datasets.errors import InputError, keyed, naming
-from datasets.particles import particle_count
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.particles import particle_count
 from inverse.observations.target import Target, joined
 from inverse.problem import Problem
 

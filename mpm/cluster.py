@@ -22,9 +22,9 @@ from typing import Any, TypeVar
 
 from datasets.errors import InputError, WorkFailed
 from datasets.files import remove_own_parts
+from datasets.flow.trajectory import Trajectory
 from datasets.processes import end_with_parent, without_main
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from mpm.arrays.layout import Precision
 from mpm.output.request import ALL, Recording
 

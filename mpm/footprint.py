@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 from datasets import memory
 from datasets.errors import InputError
-from datasets.particles import mass_counts
 from datasets.scene import Scene
+from datasets.scene.particles import mass_counts
 from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import Energy, Precision, node_shape
 from mpm.arrays.properties import substeps_per_frame

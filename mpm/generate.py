@@ -13,14 +13,14 @@ from tqdm import tqdm
 from datasets.command_line import disk_failed, run
 from datasets.definitions import read_definition
 from datasets.definitions.definition import DEPOSITS, Definition, Entry, Split, Storage
+from datasets.definitions.training import MotionStatistics, metadata, motion_statistics, thin
 from datasets.errors import InputError, WorkFailed, require
 from datasets.files import write_json
+from datasets.flow.trajectory import Trajectory, stored_scene, trajectory_files
 from datasets.lock import locked
-from datasets.particles import mass_counts
 from datasets.processes import processors
 from datasets.scene import Scene
-from datasets.training import MotionStatistics, metadata, motion_statistics, thin
-from datasets.trajectory import Trajectory, stored_scene, trajectory_files
+from datasets.scene.particles import mass_counts
 from mpm.cluster import QUEUED, Workers, connected, pool
 from mpm.footprint import PROCESS, expected, planned
 

@@ -25,9 +25,9 @@ from datasets.errors import InputError
 from datasets.files import read_toml
 from datasets.geometry.bodies import height
 from datasets.geometry.placement import connected, corners
-from datasets.particles import particle_count
-from datasets.records import Record, fraction, from_mapping
 from datasets.scene import TOLERANCE, Domain, Scene
+from datasets.scene.particles import particle_count
+from datasets.schema import Record, fraction, from_mapping
 from mpm.arrays.layout import Precision
 from mpm.arrays.properties import substeps_per_frame
 
@@ -65,8 +65,8 @@ class Measured(Record):
     particle_steps: float
     """Mean over the scenes."""
     thickness: float | None = None
-    """Error of the thickness over its largest (`datasets.measures.Errors`), rms over scenes and jitters [-]; it is said
-    and not promised, for it is a share of another length. None where it was not measured."""
+    """Error of the thickness over its largest (`datasets.flow.measures.Errors`), rms over scenes and jitters [-]; it
+    is said and not promised, for it is a share of another length. None where it was not measured."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,17 +5,17 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 
-from datasets.arrays import HDF5, FrameWriter
 from datasets.command_line import run
 from datasets.errors import InputError, naming
 from datasets.exchange.vtk import write_vtk
 from datasets.files import write_json
+from datasets.flow.array_files import HDF5, FrameWriter
+from datasets.flow.trajectory import open_trajectory
 from datasets.forces import spoken, write_forces
-from datasets.library import read_scene
-from datasets.particles import particle_count
 from datasets.processes import stopping
 from datasets.scene import Scene
-from datasets.trajectory import open_trajectory
+from datasets.scene.library import read_scene
+from datasets.scene.particles import particle_count
 from mpm.arrays.layout import Precision
 from mpm.footprint import expected, footprint
 from mpm.output.checkpoint import Checkpoint, described

@@ -9,12 +9,12 @@ from typing import TypedDict, Unpack
 import numpy as np
 from tqdm import tqdm
 
-from datasets.arrays import FrameWriter
-from datasets.checks import warn_if_unlikely
 from datasets.errors import InputError, WorkFailed
-from datasets.particles import particle_count, warn_if_unresolved
+from datasets.flow.array_files import FrameWriter
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.checks import warn_if_unlikely
+from datasets.scene.particles import particle_count, warn_if_unresolved
 from mpm import runtime
 from mpm.arrays.batch import Batch, particles_of
 from mpm.arrays.features import Features, features_of

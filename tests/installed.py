@@ -6,7 +6,7 @@ import datasets
 import gns
 import mpm
 from datasets.definitions import read_definition
-from datasets.library import SCENES, read_scene
+from datasets.scene.library import SCENES, read_scene
 from inverse.problem import PROBLEMS, read_problem
 from validation.bench.__main__ import main
 from validation.experiments.experiment import read_experiments

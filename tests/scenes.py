@@ -4,8 +4,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene.material import Material
 
 SAND = Material(friction_deg=30.0)
 COLUMN = Mass(lower=(0.0, 0.0), size=(0.2, 0.2))

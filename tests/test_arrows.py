@@ -123,7 +123,7 @@ def circles(texts: Mapping[str, str], allowed: Set[tuple[str, str]] = frozenset(
     return [sorted(each) for each in networkx.strongly_connected_components(graph) if len(each) > 1]
 
 
-UPWARDS = {("datasets.trajectory", "datasets.exchange.view")}
+UPWARDS = {("datasets.flow.trajectory", "datasets.exchange.page")}
 """The one import of what stands above: `Trajectory.view` draws itself."""
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.library import read_scene
+from datasets.scene.library import read_scene
 from inverse.forward.adjoint import Run
 from inverse.problem import read_problem
 from tests.commands import DOCS, ROOT, blocks, commands, measured_pages, status, written_pages

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets import measures
 from datasets.command_line import run
+from datasets.flow import measures
 from inverse.observations import FrontSettings
 from inverse.problem import read_problem
 from inverse.saving import save

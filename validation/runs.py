@@ -1,7 +1,7 @@
 """MPM runs that stay on disk: each is a file that is found again by what was asked, so an interrupted command goes on.
 
-A file is a trajectory (`datasets.trajectory`), `LABELnn-DIGEST.npz`: the digest is that of the scene, the options of
-the run and the version of this package.
+A file is a trajectory (`datasets.flow.trajectory`), `LABELnn-DIGEST.npz`: the digest is that of the scene, the options
+of the run and the version of this package.
 """
 
 import dataclasses
@@ -16,10 +16,10 @@ from tqdm import tqdm
 
 from datasets import __version__
 from datasets.errors import InputError, WorkFailed
-from datasets.particles import particle_count
+from datasets.flow.trajectory import Trajectory
 from datasets.processes import processors
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.particles import particle_count
 from mpm import ALL, LAST, Recording, ScenesFailed, simulate_many
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import Precision

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from datasets.command_line import run
 from datasets.files import read_toml
-from datasets.library import SCENES, find
+from datasets.scene.library import SCENES, find
 
 COMMANDS = {
     "run": ("mpm.run:command", "simulate a scene with the MPM"),

@@ -35,7 +35,7 @@ def source_of(path: Path) -> Source:
 
     Raises InputError.
     """
-    from datasets.trajectory import trajectory_file
+    from datasets.flow.trajectory import trajectory_file
 
     result = path / "result.json"
     found = read_json(result) if path.is_dir() else None
@@ -71,8 +71,8 @@ def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None
     """
     # Imported here: --help needs neither the pictures' libraries nor the solids'.
     from datasets.compare import labels_of
-    from datasets.exchange.view import Observed, write_view
-    from datasets.trajectory import open_trajectory
+    from datasets.exchange.page import Observed, write_view
+    from datasets.flow.trajectory import open_trajectory
 
     first = source_of(flow)
     second = None if other is None else source_of(other)

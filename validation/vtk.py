@@ -7,7 +7,7 @@ from typing import Literal
 from datasets.command_line import run
 from datasets.errors import InputError, naming
 from datasets.files import make_folder
-from datasets.trajectory import read_trajectory, trajectory_file
+from datasets.flow.trajectory import read_trajectory, trajectory_file
 
 
 def command(
@@ -44,7 +44,7 @@ def command(
         Frames of the movie a second.
     """
     from datasets.exchange.vtk import SERIES, frames_of, write_vtk
-    from datasets.fields import Colour
+    from datasets.flow.fields import Colour
     from validation.report.rendering import require, write_movie, write_picture
 
     for key, number in (("--frames", frames), ("--rate", rate)):

@@ -50,7 +50,7 @@ class Storage:
     cell: float
     """Edge of the cells in which particles are chosen at random [m]."""
     kept: int
-    """Particles that stay of each such cell; they get the volume of all (`datasets.training.thin`)."""
+    """Particles that stay of each such cell; they get the volume of all (`datasets.definitions.training.thin`)."""
     deposit: bool = False
     """Whether simulations last to the end of their scenes, and their last frames, with all particles, are stored in
     `DEPOSITS` too: what an inversion compares with its target."""

@@ -12,9 +12,9 @@ import numpy as np
 from datasets.definitions.definition import Definition, Split
 from datasets.errors import InputError, OutOfRange, naming, require
 from datasets.files import read_toml
-from datasets.library import scene_from
-from datasets.records import Bounds, Record, dotted, from_mapping
 from datasets.scene import TOLERANCE, Scene, keyed
+from datasets.scene.library import scene_from
+from datasets.schema import Bounds, Record, dotted, from_mapping
 
 Key = tuple[int | str, ...]
 Draws = dict[str, Any]

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from datasets.definitions.definition import Kind, Storage, Stream, family, flow, log_uniform, usually
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene.material import Material
 
 AREA = 0.08
 """Released in every scene [m^2]."""

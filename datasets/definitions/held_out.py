@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.geometry.ground import Floats, plan_axes
-from datasets.library import SCENES, read_scene
-from datasets.particles import released_volume
 from datasets.scene import Baffle, Mass, Scene
+from datasets.scene.library import SCENES, read_scene
+from datasets.scene.particles import released_volume
 
 MARGIN = 0.06
 """Distance of corners within which two scenes are neighbours, over the length of the body [-]."""

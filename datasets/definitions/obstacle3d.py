@@ -17,8 +17,8 @@ from datasets.definitions import flow2d
 from datasets.definitions.definition import Kind, Storage, Stream, family, flow, log_uniform, usually
 from datasets.definitions.held_out import boxes
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
+from datasets.scene.material import Material
 
 VOLUME = 0.032
 """Released in every scene [m^3]: a body of length 0.32 m."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from datasets.definitions import flow2d, obstacle3d
 from datasets.definitions.definition import Kind, Storage, Stream, family, flow, log_uniform
-from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
+from datasets.scene.material import Material
 
 AREAS = (0.05, 0.14)
 """Released in a scene of columns2d [m^2]: the paper's columns have 0.08, its layers 0.1."""

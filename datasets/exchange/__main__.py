@@ -16,17 +16,17 @@ from tqdm import tqdm
 
 from datasets.command_line import run
 from datasets.definitions.definition import Entry, Split
+from datasets.definitions.training import MotionStatistics, metadata, motion_statistics
 from datasets.errors import InputError, naming, require
 from datasets.exchange import geoelements
 from datasets.exchange.geoelements import Sand
 from datasets.files import read_json, write_json
-from datasets.library import read_scene
-from datasets.measures import front, runout, toe
-from datasets.particles import particle_volumes
-from datasets.records import Record, from_mapping
+from datasets.flow.measures import front, runout, toe
+from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_files
 from datasets.scene import Scene
-from datasets.training import MotionStatistics, metadata, motion_statistics
-from datasets.trajectory import Trajectory, open_trajectory, trajectory_files
+from datasets.scene.library import read_scene
+from datasets.scene.particles import particle_volumes
+from datasets.schema import Record, from_mapping
 
 STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
 """Keys of `metadata.json` that theirs shares with ours."""

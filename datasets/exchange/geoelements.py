@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.arrays import keys, open_npz, read_member
 from datasets.errors import InputError, require
 from datasets.files import reading, replacing
+from datasets.flow.array_files import keys, open_npz, read_member
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle
-from datasets.trajectory import Trajectory
 
 ALL = "gns_data"
 """The key that holds all trajectories where it exists."""

@@ -12,10 +12,10 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.warp import transform as reprojected
 
 from datasets.errors import WorkFailed, require
-from datasets.field import Floats
 from datasets.files import file_size, reading, replacing
 from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
+from datasets.scene.grid_field import Floats
 
 LARGEST = 2**30
 """Bytes of a file."""

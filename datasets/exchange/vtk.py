@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from datasets.errors import WorkFailed
-from datasets.fields import FlowFields
 from datasets.files import replacing
+from datasets.flow.fields import FlowFields
+from datasets.flow.trajectory import Trajectory
 from datasets.geometry.surface import surface_of
 from datasets.scene import Baffle, Mass, Scene
-from datasets.trajectory import Trajectory
 
 # VTK takes half a second to import: only who writes or draws pays for it.
 if TYPE_CHECKING:

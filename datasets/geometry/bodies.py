@@ -1,9 +1,9 @@
 """Bodies that are no boxes: what shape a mass has, its exact volume, and the particles that fill it.
 
-A body is filled with the lattice of `datasets.particles`, cut by its shape; each of the N particles has the volume of
-the shape over N; that of a layer whose thickness varies is the sum over the cells in which it is given, sum h_c A_c. A
-particle that its jitter would put outside stays where the lattice has it. A layer's lattice follows the ground: it is
-laid in x, z and the height above the ground, a shear that keeps volumes.
+A body is filled with the lattice of `datasets.scene.particles`, cut by its shape; each of the N particles has the
+volume of the shape over N; that of a layer whose thickness varies is the sum over the cells in which it is given, sum
+h_c A_c. A particle that its jitter would put outside stays where the lattice has it. A layer's lattice follows the
+ground: it is laid in x, z and the height above the ground, a shear that keeps volumes.
 """
 
 import dataclasses
@@ -23,8 +23,8 @@ from datasets.geometry.rings import check_simple
 from datasets.geometry.shapes import check_grid, check_shape
 from datasets.geometry.shells import manifold, outward, sliced
 from datasets.memory import require as require_memory
-from datasets.parts import TOLERANCE, Domain, Mass, SceneLayout, Solid, keyed
-from datasets.records import FARTHEST
+from datasets.scene.parts import TOLERANCE, Domain, Mass, SceneLayout, Solid, keyed
+from datasets.schema import FARTHEST
 
 LATTICE = 40
 """Bytes that a coordinate of a lattice takes while it is made."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.parts import Domain, SceneLayout, Solid, coefficient
+from datasets.scene.parts import Domain, SceneLayout, Solid, coefficient
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -13,7 +13,7 @@ from datasets.geometry.ground import CLOSING, TOUCHING, Floats, plan_axes
 from datasets.geometry.nearest import inside
 from datasets.geometry.shells import share_volume
 from datasets.geometry.surface import Surface, closed_body, solids_of, surface_in, surface_of
-from datasets.parts import TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
+from datasets.scene.parts import TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
 
 SAMPLES = 32
 """Most places along an axis at which the height of a body above ground is looked for."""

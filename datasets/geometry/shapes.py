@@ -4,8 +4,8 @@ import itertools
 from collections.abc import Sequence
 
 from datasets.errors import require
-from datasets.parts import Mass, Rows, Solid
-from datasets.records import FARTHEST
+from datasets.scene.parts import Mass, Rows, Solid
+from datasets.schema import FARTHEST
 
 KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
     (Solid, "box", 2): (("lower", "size"), ()),

@@ -19,7 +19,7 @@ from datasets.geometry.closed import Body, pseudonormals, ring, snapped
 from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, grid_triangles, ground_grid
 from datasets.geometry.rings import check_simple, cut_ring, lengthened_ring, union_of_rings
 from datasets.geometry.shells import cut_surface, lengthened_surface, outward, union_of_surfaces
-from datasets.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
+from datasets.scene.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
 
 KEPT = 3.0
 """Cells beyond the box in which faces are kept: the grid ends there (`mpm.arrays.layout.PADDING`)."""

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import memory
+from datasets.definitions.training import check_known, thin
 from datasets.errors import InputError, require
+from datasets.flow.trajectory import Floats, Trajectory, brackets
 from datasets.geometry.ground import ground_raster
-from datasets.particles import initial_particles, mass_counts, released_volume
 from datasets.scene import Scene, coefficient
-from datasets.training import check_known, thin
-from datasets.trajectory import Floats, Trajectory, brackets
+from datasets.scene.particles import initial_particles, mass_counts, released_volume
 from gns.settings import ModelSettings
 from gns.surroundings.state import Conditions, Ground, State, Tensors
 from gns.surroundings.units import Units

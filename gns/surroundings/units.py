@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass
 
 from datasets.errors import InputError
-from datasets.particles import released_volume
 from datasets.scene import Scene
+from datasets.scene.particles import released_volume
 from gns.settings import GRAVITY, ModelSettings
 
 

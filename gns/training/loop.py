@@ -31,8 +31,8 @@ from tqdm import tqdm
 from datasets import files
 from datasets.errors import InputError, WorkFailed, require
 from datasets.files import reading
+from datasets.flow.measures import Errors
 from datasets.lock import locked
-from datasets.measures import Errors
 from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
 from gns import card, checkpoint

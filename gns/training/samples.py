@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
-from datasets import measures
+from datasets.definitions.training import thin
 from datasets.errors import InputError, naming, require
-from datasets.particles import observed_cohesion
+from datasets.flow import measures
+from datasets.flow.trajectory import Floats, open_trajectory, trajectory_files
 from datasets.scene import Scene
-from datasets.training import thin
-from datasets.trajectory import Floats, open_trajectory, trajectory_files
+from datasets.scene.particles import observed_cohesion
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator, unroll
 from gns.surroundings.forces import Normalisation
@@ -266,7 +266,7 @@ def measured(positions: Tensor, volume: Tensor) -> Tensor:
     """Ends and equal shares of a flow along each level axis [m], shape [A, 2 + SHARES], differentiably.
 
     The end at larger coordinates, that at smaller ones times -1, and the middles of equal shares of the volume, as
-    `datasets.measures` has them along x. positions: [m], shape [N, D]; volume: of the particles [m^D], shape [N].
+    `datasets.flow.measures` has them along x. positions: [m], shape [N, D]; volume: of the particles [m^D], shape [N].
     """
     found = []
     for axis in range(0, positions.shape[1], 2):

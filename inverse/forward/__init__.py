@@ -5,8 +5,8 @@ from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior import Matrix

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from datasets.particles import initial_volumes
 from datasets.scene import Scene
+from datasets.scene.particles import initial_volumes
 from inverse.forward import Simulate
 from inverse.forward.mpm import MpmForward
 from inverse.observations import Observation, Rollout, Values

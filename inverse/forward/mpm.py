@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.particles import particle_count
+from datasets.scene.particles import particle_count
 from inverse.forward import Simulate
 from inverse.observations import Observation, Values
 from inverse.parameters import Vector

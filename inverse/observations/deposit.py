@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets import measures
 from datasets.errors import naming, require
-from datasets.field import Floats
-from datasets.particles import mass_centroids, mass_volumes, particle_volumes
+from datasets.flow import measures
 from datasets.scene import Scene
+from datasets.scene.grid_field import Floats
+from datasets.scene.particles import mass_centroids, mass_volumes, particle_volumes
 from inverse.observations.measured_profile import require_inside
 from inverse.observations.observation import Numbers, Observation, Values, fitted_tail
 from inverse.observations.settings import LengthUnit, ObservationSettings, TabulatedSettings, read_columns

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from datasets.errors import InputError
-from datasets.field import Floats
-from datasets.records import fraction
+from datasets.scene.grid_field import Floats
+from datasets.schema import fraction
 
 
 @dataclass(frozen=True, kw_only=True)

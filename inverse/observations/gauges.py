@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from datasets.errors import InputError, require
-from datasets.field import Floats
+from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory, solid_names
+from datasets.scene.grid_field import Floats
 from inverse.observations.measured_profile import require_inside
 from inverse.observations.observation import Numbers, Observation, Rollout, Values, at_times
 from inverse.observations.settings import LengthUnit, TabulatedSettings

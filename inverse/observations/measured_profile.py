@@ -13,9 +13,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from datasets.errors import InputError, require
-from datasets.field import Floats
 from datasets.geometry.ground import elevation
 from datasets.scene import Scene
+from datasets.scene.grid_field import Floats
 from inverse.observations.errors import Noise
 
 

@@ -14,10 +14,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets import measures
 from datasets.errors import require
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory, brackets
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory, brackets
 
 Values = NDArray[np.float64]
 """An observation: M numbers in their unit, shape [M]."""

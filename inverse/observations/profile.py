@@ -18,12 +18,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets import measures
 from datasets.errors import naming, require
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory
 from datasets.geometry.ground import elevation
-from datasets.particles import particle_volumes
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.particles import particle_volumes
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.measured_profile import Heights, MeasuredProfile, checked_profile
 from inverse.observations.observation import Numbers, Observation, Values, at_times

@@ -11,10 +11,10 @@ import numpy as np
 
 from datasets import files
 from datasets.errors import InputError, require
-from datasets.field import Floats
-from datasets.records import Record
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.grid_field import Floats
+from datasets.schema import Record
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.observation import Observation, Values
 from inverse.observations.target import Target

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import measures
 from datasets.errors import InputError
-from datasets.trajectory import Trajectory
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory
 from inverse.observations.errors import Covariance
 from inverse.observations.measured_profile import MeasuredProfile
 from inverse.observations.observation import Joint, JointPart, Observation, Values

@@ -18,8 +18,8 @@ from typing import Any, cast
 import numpy as np
 
 from datasets.errors import InputError, keyed, require
-from datasets.records import Record
 from datasets.scene import Scene
+from datasets.schema import Record
 from inverse.parameters import inputs
 from inverse.parameters.kind import (
     Centre,
@@ -199,7 +199,7 @@ class Parameter(Record):
 
     @property
     def quantity(self) -> str:
-        """Of a field: what varies, a quantity of `datasets.field.Field`."""
+        """Of a field: what varies, a quantity of `datasets.scene.grid_field.Field`."""
         return self.name.split(".")[-1]
 
     @property

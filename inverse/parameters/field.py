@@ -35,12 +35,12 @@ from scipy.sparse.linalg import splu
 from scipy.special import expit, logit
 
 from datasets.errors import InputError, require
-from datasets.field import FRICTION, VELOCITIES, Field, Floats, Grid
 from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
-from datasets.particles import initial_particles
-from datasets.records import FARTHEST
 from datasets.scene import Scene
+from datasets.scene.grid_field import FRICTION, VELOCITIES, Field, Floats, Grid
+from datasets.scene.particles import initial_particles
+from datasets.schema import FARTHEST
 from inverse.parameters import Parameter
 
 if TYPE_CHECKING:

@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 
 from datasets.geometry.ground import ground_raster
-from datasets.material import sine_of_slope
+from datasets.scene.material import sine_of_slope
 from gns.surroundings.initial import InitialState
 from inverse.parameters.kind import Constant, Extent, Kind
 
 
 def friction(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
-    """Angle of friction [deg], an input as tan(phi) (`datasets.material`: which angle)."""
+    """Angle of friction [deg], an input as tan(phi) (`datasets.scene.material`: which angle)."""
     known, material = initial.conditions.friction, kind.material(initial.scene)
     tangent = torch.tan(torch.deg2rad(value))
     if material.angle == "slope":

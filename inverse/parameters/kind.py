@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.scene import DOMAIN_SIDES, Scene
+from datasets.scene.material import Material
 from gns.surroundings.initial import InitialState
 
 Vector = NDArray[np.float64]

@@ -20,7 +20,7 @@ from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from datasets.errors import require
-from datasets.records import Record
+from datasets.schema import Record
 from inverse.posterior import Matrix
 
 KINDS = {"uniform": (), "normal": ("mean", "deviation"), "lognormal": ("mean", "deviation"), "triangular": ("mode",)}

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import measures
-from datasets.particles import particle_volumes
+from datasets.flow import measures
 from datasets.scene import Scene
+from datasets.scene.particles import particle_volumes
 from inverse.posterior import Matrix
 from inverse.posterior.emulator import fitted
 from inverse.posterior.sampling import Samples, systematic

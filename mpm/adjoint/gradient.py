@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.material import Material
-from datasets.particles import Particles, initial_particles
 from datasets.scene import Scene
+from datasets.scene.material import Material
+from datasets.scene.particles import Particles, initial_particles
 from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_of, settings_row

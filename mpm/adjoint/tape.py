@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError, WorkFailed
-from datasets.particles import Particles
 from datasets.scene import Scene
+from datasets.scene.particles import Particles
 from mpm import runtime
 from mpm.adjoint.kernel import Pass
 from mpm.adjoint.kernel import kernel as adjoint_kernel

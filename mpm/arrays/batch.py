@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.arrays import FrameWriter
 from datasets.errors import InputError
-from datasets.particles import Particles, initial_particles
+from datasets.flow.array_files import FrameWriter
 from datasets.scene import DOMAIN_SIDES, Scene
+from datasets.scene.particles import Particles, initial_particles
 from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import (
     ALIGNMENT,

@@ -7,11 +7,11 @@ from itertools import accumulate
 from typing import Any, ClassVar
 
 from datasets.errors import require
-from datasets.field import FRICTION
 from datasets.geometry.placement import remembers_gaps
-from datasets.material import MOHR_COULOMB
-from datasets.particles import mass_particle_volumes, particle_count
 from datasets.scene import Scene
+from datasets.scene.grid_field import FRICTION
+from datasets.scene.material import MOHR_COULOMB
+from datasets.scene.particles import mass_particle_volumes, particle_count
 from mpm.arrays.layout import Contact, Precision
 from mpm.laws import law_named, law_of
 from mpm.output.request import ALL, Recording

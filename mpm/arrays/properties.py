@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.geometry.placement import remembers_gaps
-from datasets.material import Material
-from datasets.particles import Particles, scene_height
 from datasets.scene import NO_SLIP, Scene, coefficient
+from datasets.scene.material import Material
+from datasets.scene.particles import Particles, scene_height
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import Property, Setting
 from mpm.laws import law_named

@@ -8,8 +8,8 @@ it passes. A face that lies on a wall of the box needs no barrier. Where the mas
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.particles import Particles
 from datasets.scene import TOLERANCE, Gate, Mass, Scene
+from datasets.scene.particles import Particles
 from mpm.arrays.layout import PADDING, Barrier, Settling
 from mpm.physics.barriers import ENERGY, FORCE
 

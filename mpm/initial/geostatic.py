@@ -5,8 +5,8 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.particles import Particles
 from datasets.scene import TOLERANCE, Mass, Scene, keyed
+from datasets.scene.particles import Particles
 from mpm.initial.grid_operators import clings
 
 Floats = NDArray[np.float64]

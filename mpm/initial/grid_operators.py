@@ -13,8 +13,8 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from datasets.geometry.surface import surface_of
-from datasets.particles import Particles
 from datasets.scene import Mass, Scene
+from datasets.scene.particles import Particles
 from mpm.arrays.layout import Contact, node_shape
 from mpm.output.smoothing import support
 from mpm.solids.obstacles import initial_contacts, obstacles_in

@@ -19,8 +19,8 @@ shear modulus, so that one factorisation serves all iterations; the thrust adds 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.particles import Particles
 from datasets.scene import Scene
+from datasets.scene.particles import Particles
 from mpm.initial.equilibrium import BALANCED, Equilibrium, conjugate_gradients
 from mpm.initial.grid_operators import clings
 

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from datasets.geometry.bodies import height
 from datasets.geometry.ground import highest, plan_axes
-from datasets.material import MOHR_COULOMB
-from datasets.particles import Particles
 from datasets.scene import TOLERANCE, Mass, Scene, coefficient
+from datasets.scene.material import MOHR_COULOMB
+from datasets.scene.particles import Particles
 
 Floats = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.particles import Particles
 from datasets.scene import TOLERANCE, Scene, Stage
+from datasets.scene.particles import Particles
 from mpm.arrays.batch import Batch, put_vectors
 from mpm.arrays.layout import INDEX_LIMIT, Energy, Offset, Setting
 from mpm.arrays.properties import properties_of

@@ -33,8 +33,8 @@ LU of the block of the nodes that few particles support (surfaces and edges); in
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.particles import Particles
 from datasets.scene import Scene
+from datasets.scene.particles import Particles
 from mpm.initial.equilibrium import Equilibrium
 from mpm.initial.geostatic import geostatic, lateral_shortfall, warn_of_ratio
 from mpm.initial.grid_operators import clings

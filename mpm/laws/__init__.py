@@ -24,8 +24,8 @@ from importlib import import_module
 from typing import Any
 
 from datasets.errors import InputError, require
-from datasets.material import Material
-from datasets.records import from_mapping
+from datasets.scene.material import Material
+from datasets.schema import from_mapping
 from mpm.arrays.layout import Property
 
 LAWS = {each.name.replace("_", "-"): f"{__name__}.{each.name}" for each in pkgutil.iter_modules(__path__)}

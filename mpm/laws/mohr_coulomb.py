@@ -45,9 +45,9 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from datasets.material import Material
-from datasets.records import Record
 from datasets.scene import Stage
+from datasets.scene.material import Material
+from datasets.schema import Record
 from mpm.arrays.access import clamp, maximum, minimum
 from mpm.laws import LawColumn
 from mpm.physics.inertial import sin_phi_at_rate
@@ -62,7 +62,7 @@ REDUCED = 1.0e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters(Record):
-    """No others than those of `datasets.material`, with their units and bounds: every folder knows this law."""
+    """No others than those of `datasets.scene.material`, with their units and bounds: every folder knows this law."""
 
 
 class Column(LawColumn):
@@ -235,7 +235,8 @@ def softened(strain, per_strain, peak: ti.template(), residual: ti.template(), f
     """sin phi [-], sin psi [-], 2 c cos phi [Pa] and T [Pa] after the accumulated plastic strain `strain` [-].
 
     Linear in w = max(0, 1 - `per_strain` * `strain`) between `residual`, which is (sin phi, 2 c cos phi, T), and
-    `peak`, with sin psi, which falls to 0; `per_strain` = sqrt(3) * cell / softening length (`datasets.material`).
+    `peak`, with sin psi, which falls to 0; `per_strain` = sqrt(3) * cell / softening length
+    (`datasets.scene.material`).
     """
     w = maximum(1.0 - per_strain * strain, 0.0)
     sin_phi = residual[0] + w * (peak[0] - residual[0])

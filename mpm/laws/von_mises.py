@@ -31,9 +31,9 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from datasets.errors import InputError, require
-from datasets.material import STIFFEST, Material
-from datasets.records import Record
 from datasets.scene import Stage
+from datasets.scene.material import STIFFEST, Material
+from datasets.schema import Record
 from mpm.arrays.access import maximum
 from mpm.laws import LawColumn, parameters_of
 from mpm.physics.principal import TINY

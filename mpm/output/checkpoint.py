@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.arrays import read_arrays, write_npz
 from datasets.errors import InputError
 from datasets.files import reading
+from datasets.flow.array_files import read_arrays, write_npz
 from datasets.scene import Scene
 from mpm.arrays.layout import Offset, Precision
 from mpm.output.request import Recording

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import WorkFailed
-from datasets.measures import front, runout, toe
-from datasets.particles import Particles
-from datasets.remarks import remarks
+from datasets.flow.caveats import caveats
+from datasets.flow.measures import front, runout, toe
+from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.scene import DOMAIN_SIDES, Scene
-from datasets.trajectory import Trajectory, solid_names
+from datasets.scene.particles import Particles
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Energy, Offset, Retained
 from mpm.initial.barriers import retained_masses
@@ -46,7 +46,7 @@ def outflow(batch: Batch, index: int) -> dict[str, float]:
 
 
 def fields_of(batch: Batch, index: int) -> dict[str, Any]:
-    """The fields of scene `index` where they were asked for, by the names of `datasets.trajectory.Trajectory`."""
+    """The fields of scene `index` where they were asked for, by the names of `datasets.flow.trajectory.Trajectory`."""
     fields: dict[str, Any] = {name: each for name, each in batch.record[index].items() if name != "positions"}
     if fields:
         volume, scene = batch.particles[index].volume, batch.scenes[index]
@@ -110,7 +110,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         summary["outflow"] = left
     end_time = summary["end_time"]
     kinetic = energies[:, Energy.KINETIC]
-    summary["remarks"] = remarks(scene, particles, deposit, kinetic=kinetic, end_time=end_time, outflow=left)
+    summary["remarks"] = caveats(scene, particles, deposit, kinetic=kinetic, end_time=end_time, outflow=left)
     if scene.stages:
         begun = batch.staged[index, : len(scene.stages)]
         summary["stage_time"] = [frame * scene.frame_dt or None for frame in begun.tolist()]

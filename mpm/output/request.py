@@ -22,10 +22,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from datasets.errors import InputError
-from datasets.material import Material
-from datasets.particles import scene_height
-from datasets.records import Record
 from datasets.scene import Scene
+from datasets.scene.material import Material
+from datasets.scene.particles import scene_height
+from datasets.schema import Record
 
 REST = 1.0e-3
 """Kinetic energy of a deposit at rest, as a fraction of the largest so far."""

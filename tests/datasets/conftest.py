@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from datasets.definitions.definition import Entry, Split
+from datasets.definitions.training import metadata, motion_statistics
 from datasets.files import write_json
-from datasets.material import Material
-from datasets.particles import initial_particles
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle, Mass, Scene
-from datasets.training import metadata, motion_statistics
-from datasets.trajectory import Trajectory
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
 from tests.flows import flow_of
 from tests.scenes import scene_of
 

@@ -10,7 +10,7 @@ import pytest
 
 from datasets.command_line import run
 from datasets.compare import command, compare
-from datasets.trajectory import Trajectory
+from datasets.flow.trajectory import Trajectory
 from tests.datasets.conftest import toy
 from tests.refusals import refused_by
 

@@ -10,9 +10,9 @@ from matplotlib.image import imread
 
 from datasets.command_line import run
 from datasets.errors import InputError
+from datasets.flow.trajectory import Trajectory
 from datasets.forces import command, forces_of
 from datasets.scene import Baffle
-from datasets.trajectory import Trajectory
 from tests.refusals import refused_by
 
 TIME = np.array([0.0, 0.01, 0.02, 0.05, 0.06, 0.10])

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from datasets.library import read_scene
-from datasets.particles import initial_particles
-from datasets.records import from_mapping
 from datasets.scene import Scene
+from datasets.scene.library import read_scene
+from datasets.scene.particles import initial_particles
+from datasets.schema import from_mapping
 
 PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 

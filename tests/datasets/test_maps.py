@@ -10,11 +10,11 @@ import rasterio
 from shapely.geometry import shape
 
 from datasets.command_line import run
-from datasets.field import Grid
+from datasets.flow.trajectory import Trajectory
 from datasets.maps import PlanMaps, command, maps_of, outline, write
-from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass, Scene, Solid
-from datasets.trajectory import Trajectory
+from datasets.scene.grid_field import Grid
+from datasets.scene.particles import initial_particles
 from tests import scenes
 from tests.flows import flow_of
 from tests.refusals import refused_by

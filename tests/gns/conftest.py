@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from datasets import command_line
-from datasets.material import Material
-from datasets.particles import initial_particles
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass
-from datasets.trajectory import Trajectory
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from gns.surroundings.initial import conditions_of

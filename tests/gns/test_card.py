@@ -13,8 +13,8 @@ import torch
 from datasets.definitions.definition import Split
 from datasets.definitions.flow2d import FLOW2D
 from datasets.errors import InputError
-from datasets.library import read_scene
 from datasets.scene import Baffle, Channel, Domain, Mass, Scene, Solid
+from datasets.scene.library import read_scene
 from gns import card, checkpoint
 from gns.card import Calibration, Card
 from gns.library import models, shipped

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import command_line, measures
-from datasets.library import write_scene
+from datasets import command_line
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass, Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.library import write_scene
 from gns import checkpoint, library
 from gns.rollout import rollout
 from gns.simulator import Simulator

@@ -11,8 +11,9 @@ import torch
 from scipy.spatial import cKDTree
 
 import gns
-from datasets import command_line, measures
+from datasets import command_line
 from datasets.errors import InputError
+from datasets.flow import measures
 from gns import card, checkpoint
 from gns.score import Score, calibrated, evaluate, score, table, validation_score
 from gns.settings import ModelSettings

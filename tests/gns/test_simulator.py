@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 import gns
-from datasets.library import read_scene
+from datasets.scene.library import read_scene
 from gns.simulator import Simulator, moving, step_activation_bytes, unroll
 from gns.surroundings.initial import initial_state
 from gns.surroundings.state import Conditions, State

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-from datasets.material import Material
 from datasets.scene import Baffle, Mass, Scene, Solid
+from datasets.scene.material import Material
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
 from inverse.observations import KINDS

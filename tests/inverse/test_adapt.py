@@ -9,7 +9,7 @@ import pytest
 
 from datasets.definitions.definition import Split
 from datasets.errors import InputError
-from datasets.trajectory import Trajectory
+from datasets.flow.trajectory import Trajectory
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.library import model_path

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from datasets.command_line import run
-from datasets.library import read_scene
+from datasets.scene.library import read_scene
 from gns import checkpoint
 from gns.simulator import Simulator
 from inverse import Parameter, Problem, invert, read_problem

@@ -9,8 +9,8 @@ import pytest
 from scipy.special import gamma, kv
 
 from datasets.command_line import run
-from datasets.field import Grid
-from datasets.library import read_scene
+from datasets.scene.grid_field import Grid
+from datasets.scene.library import read_scene
 from inverse.__main__ import main
 from inverse.answer import Verdict
 from inverse.field_inversion import Objective, WhiteFlow, linear_mean

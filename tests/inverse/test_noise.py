@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from datasets.field import Floats
+from datasets.scene.grid_field import Floats
 from inverse.noise import Scatter, fit
 from inverse.observations import FrontSettings
 from inverse.observations.errors import Covariance

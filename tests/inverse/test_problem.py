@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from inverse.__main__ import main
 from inverse.observations import KINDS
 from inverse.observations.profile import Profile

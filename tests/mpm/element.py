@@ -8,7 +8,7 @@ import taichi as ti
 from numpy.typing import NDArray
 from scipy.optimize import root
 
-from datasets.material import MOHR_COULOMB, Material
+from datasets.scene.material import MOHR_COULOMB, Material
 from mpm import runtime
 from mpm.arrays.batch import aligned, put_vectors
 from mpm.arrays.features import Features, Recorded

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.particles import initial_particles
 from datasets.scene import Gate, Mass, Scene
+from datasets.scene.particles import initial_particles
 from mpm import WITH_FIELDS, simulate
 from mpm.adjoint.gradient import gradient
 from tests.scenes import SAND, scene_of, with_masses

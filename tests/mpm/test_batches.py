@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from datasets.errors import WorkFailed
-from datasets.material import Material
-from datasets.particles import Particles, initial_particles
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass, Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.material import Material
+from datasets.scene.particles import Particles, initial_particles
 from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Worker, node_shape

@@ -7,8 +7,8 @@ from functools import partial
 import pytest
 
 from datasets.errors import InputError
-from datasets.material import Material
 from datasets.scene import Channel, Mass
+from datasets.scene.material import Material
 from mpm import LAST, simulate
 from tests.scenes import box
 from validation.bench.stability.exact_solutions import SlidingBlock, centre_displacement

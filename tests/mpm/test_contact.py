@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
+from datasets.flow.measures import front
 from datasets.geometry.nearest import nearest
-from datasets.material import Material
-from datasets.measures import front
 from datasets.scene import NO_SLIP, Baffle, Domain, Mass, Scene, Solid
+from datasets.scene.material import Material
 from mpm import LAST, WITH_FIELDS, runtime, simulate, simulate_many
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import PADDING, Contact, node_shape

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datasets.field import Field
-from datasets.material import Material
-from datasets.particles import initial_particles
 from datasets.scene import Scene
+from datasets.scene.grid_field import Field
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
 from mpm import LAST, simulate
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.properties import properties_of

@@ -8,8 +8,8 @@ import pytest
 
 from datasets.command_line import run
 from datasets.errors import InputError
-from datasets.library import read_scene
 from datasets.scene import Scene
+from datasets.scene.library import read_scene
 from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate
 from mpm.arrays.batch import Batch
 from mpm.arrays.features import NODE

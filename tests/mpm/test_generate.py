@@ -14,8 +14,8 @@ from datasets.command_line import run
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split, Storage
 from datasets.errors import InputError, WorkFailed
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Domain, Mass, Scene
-from datasets.trajectory import Trajectory
 from mpm.generate import command, generate, thinned
 from tests.breaking import BLOCKS, dataset_files, orphans, start, unfinished
 from tests.pool import pool

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.material import Material
-from datasets.particles import initial_particles
 from datasets.scene import Mass, Scene, Solid
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
 from mpm import simulate
 from mpm.initial.slope import begins_as_slope
 from mpm.initial.stress import initial_tractions

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.checks import warn_if_unlikely
 from datasets.errors import InputError
-from datasets.material import Material
-from datasets.particles import initial_particles, scene_height
 from datasets.scene import Baffle, Mass, Scene, Solid
+from datasets.scene.checks import warn_if_unlikely
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles, scene_height
 from mpm import WITH_FIELDS, simulate
 from mpm.initial.geostatic import warn_of_ratio
 from mpm.initial.stress import initial_tractions

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from datasets.material import Material
+from datasets.scene.material import Material
 from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_controlled, follow_states, returned, tensor
 
 pytestmark = pytest.mark.double

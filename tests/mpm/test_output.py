@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.particles import initial_particles
 from datasets.scene import Baffle, Mass
+from datasets.scene.particles import initial_particles
 from mpm import WITH_FIELDS, Recording, simulate
 from mpm.output.request import window_frames
 from mpm.output.smoothing import smoothed, weights

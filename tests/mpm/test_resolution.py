@@ -7,8 +7,8 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.geometry.placement import connected, corners
-from datasets.library import read_scene
 from datasets.scene import Domain, Mass, Scene
+from datasets.scene.library import read_scene
 from mpm.resolution import (
     Measured,
     Resolution,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
-from datasets.arrays import FrameWriter
 from datasets.command_line import run
 from datasets.errors import InputError
+from datasets.flow.array_files import FrameWriter
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle, Mass, Scene
-from datasets.trajectory import Trajectory
 from mpm import WITH_FIELDS, Recording, simulate
 from mpm import simulation as solver
 from mpm.arrays.batch import Batch

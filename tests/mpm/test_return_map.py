@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.material import Material
+from datasets.scene.material import Material
 from tests.mpm.element import returned
 
 pytestmark = pytest.mark.double

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from datasets.command_line import run
-from datasets.trajectory import Trajectory
+from datasets.flow.trajectory import Trajectory
 from mpm.run import command
 from tests.breaking import SCENE
 

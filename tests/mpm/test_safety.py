@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from datasets.errors import InputError
-from datasets.field import Field
-from datasets.library import write_scene
-from datasets.material import Material
 from datasets.scene import Mass
+from datasets.scene.grid_field import Field
+from datasets.scene.library import write_scene
+from datasets.scene.material import Material
 from mpm import safety_factor
 from mpm.run import command
 from mpm.safety import reduced

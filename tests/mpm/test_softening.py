@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from datasets.material import Material
+from datasets.scene.material import Material
 from mpm.arrays.properties import properties_at, properties_row
 from mpm.laws.mohr_coulomb import Column
 from tests.mpm.element import XX, XY, YY, ZZ, follow, follow_states

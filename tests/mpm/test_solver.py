@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.library import read_scene
-from datasets.material import Material
 from datasets.scene import Baffle, Mass, Scene
+from datasets.scene.library import read_scene
+from datasets.scene.material import Material
 from mpm import WITH_FIELDS, Recording, simulate, simulate_many
 from tests import scenes
 from tests.scenes import SAND, scaled, scene_of

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from datasets.definitions.training import check_known
 from datasets.errors import InputError
-from datasets.field import Field
-from datasets.library import read_scene, write_scene
-from datasets.material import Material
-from datasets.particles import initial_particles
 from datasets.scene import Mass, Scene, Stage
-from datasets.training import check_known
+from datasets.scene.grid_field import Field
+from datasets.scene.library import read_scene, write_scene
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
 from mpm import AT_REST, LAST, Recording, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
 from mpm.initial.stages import particles_after

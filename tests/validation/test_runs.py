@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import WorkFailed
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass, Scene
-from datasets.trajectory import Trajectory
 from mpm import ALL, AT_REST, LAST, Recording, ScenesFailed
 from tests.scenes import scene_of
 from tests.validation.loop.flows import FakeMpm

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets.library import SCENES
+from datasets.scene.library import SCENES
 from inverse.problem import PROBLEMS
 from tests.commands import ROOT, found_at
 from validation import talus

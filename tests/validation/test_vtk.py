@@ -12,9 +12,9 @@ from matplotlib.image import imread
 
 from datasets.command_line import run
 from datasets.errors import WorkFailed
-from datasets.fields import Colour
+from datasets.flow.fields import Colour
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle, Mass
-from datasets.trajectory import Trajectory
 from tests.flows import flow_of
 from tests.scenes import scene_of
 from validation.report import rendering

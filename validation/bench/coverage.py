@@ -21,7 +21,7 @@ from tqdm import tqdm
 from datasets.errors import InputError
 from datasets.files import read_json, read_toml, write_json
 from datasets.processes import processors
-from datasets.records import Record, from_mapping
+from datasets.schema import Record, from_mapping
 from inverse.observations.target import Target
 from inverse.parameters.prior import Correlation, Prior
 from inverse.problem import Problem, read_problem

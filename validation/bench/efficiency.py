@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import gns
-from datasets.library import read_scene
 from datasets.processes import processors
 from datasets.scene import Mass
+from datasets.scene.library import read_scene
 from gns.simulator import Simulator
 from inverse.forward import Differentiable, Forward
 from inverse.forward.adjoint import AdjointForward

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.trajectory import Trajectory
+from datasets.flow.trajectory import Trajectory
 from mpm import AT_REST
 from validation.bench.keep import Keep, Out, kept
 from validation.experiments.experiment import (

@@ -11,13 +11,13 @@ from itertools import count
 
 import numpy as np
 
-from datasets import measures
 from datasets.definitions import flow2d, obstacle3d, paper_families
-from datasets.material import Material
-from datasets.measures import Deposit
-from datasets.particles import initial_particles
+from datasets.flow import measures
+from datasets.flow.measures import Deposit
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Domain, Mass, Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
 
 SEED = 1

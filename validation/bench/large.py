@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from datasets import maps
-from datasets.arrays import FrameWriter
 from datasets.files import make_folder, write_json
-from datasets.library import read_scene
+from datasets.flow.array_files import FrameWriter
+from datasets.flow.trajectory import open_trajectory
 from datasets.scene import Scene
-from datasets.trajectory import open_trajectory
+from datasets.scene.library import read_scene
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
 from mpm.arrays.layout import node_shape

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from datasets.material import Material
 from datasets.scene import Domain, Mass, Scene
+from datasets.scene.material import Material
 from validation.report.measuring import Spread, seconds_of
 
 LENGTHS = {2: (0.2, 1.5, 15.0), 3: (0.3, 1.2, 4.8)}

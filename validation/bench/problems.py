@@ -17,7 +17,7 @@ import numpy as np
 
 from datasets.errors import InputError, WorkFailed
 from datasets.files import read_json, read_toml, write_text
-from datasets.records import Record, from_mapping
+from datasets.schema import Record, from_mapping
 from gns import library
 from inverse.answer import Verdict
 from inverse.problem import Problem, read_problem

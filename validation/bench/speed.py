@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.library import read_scene
-from datasets.material import Material
-from datasets.particles import particle_count
 from datasets.processes import processors
 from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene.library import read_scene
+from datasets.scene.material import Material
+from datasets.scene.particles import particle_count
 from inverse.answer import peak_memory_mib
 from mpm import LAST, simulate, simulate_many
 from mpm.adjoint.gradient import gradient

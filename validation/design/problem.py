@@ -13,14 +13,14 @@ import numpy as np
 from scipy import stats
 from scipy.stats import qmc
 
-from datasets.arrays import read_arrays
 from datasets.errors import keyed, naming, require
 from datasets.files import read_toml, reading
+from datasets.flow.array_files import read_arrays
+from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.forces import forces_of
-from datasets.library import SCENES, find, read_scene, scene_from
-from datasets.records import Record, from_mapping
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory, solid_names
+from datasets.scene.library import SCENES, find, read_scene, scene_from
+from datasets.schema import Record, from_mapping
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, with_kinds
 from inverse.parameters.bounds import check_bounds

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from datasets.errors import naming, require
 from datasets.files import read_toml
-from datasets.library import read_scene
-from datasets.measures import Positions, front, height_profile, profile_stations
-from datasets.particles import particle_volumes
-from datasets.records import Record, from_mapping
+from datasets.flow.measures import Positions, front, height_profile, profile_stations
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Domain, Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.library import read_scene
+from datasets.scene.particles import particle_volumes
+from datasets.schema import Record, from_mapping
 
 FOLDER = Path(__file__).parent
 Floats = NDArray[np.float64]
@@ -57,7 +57,7 @@ class Angle(Record):
     name: str
     """Such as avalanche or repose."""
     angle: str = "slope"
-    """How it is read: as `datasets.material.Material.angle`."""
+    """How it is read: as `datasets.scene.material.Material.angle`."""
     lower_deg: float
     """Smallest value in the sources [deg]."""
     upper_deg: float

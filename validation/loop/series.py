@@ -21,7 +21,7 @@ from tabulate import tabulate
 
 from datasets.errors import InputError, WorkFailed, naming
 from datasets.files import make_folder, write_json, write_text
-from datasets.trajectory import SUFFIXES, Trajectory
+from datasets.flow.trajectory import SUFFIXES, Trajectory
 from inverse.answer import Verdict
 from inverse.forward import Simulate
 from inverse.observations.settings import TabulatedSettings

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from datasets import measures
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory
 from datasets.lock import locked
-from datasets.trajectory import Trajectory
 from inverse.adaptation import deposits as adapted_runs
 from inverse.answer import MpmRun, Purpose, Verdict
 from inverse.forward import Simulate

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from datasets.errors import InputError
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from inverse.answer import MpmRun, Purpose
 from inverse.forward import Simulate
 from inverse.observations import Values

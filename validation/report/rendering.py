@@ -17,10 +17,10 @@ from tqdm import tqdm
 
 from datasets.errors import InputError, WorkFailed
 from datasets.exchange.vtk import Meshes, edges, extent, spatial
-from datasets.fields import RANGE_QUANTILE, SCALES, Colour, FlowFields
 from datasets.files import replacing
+from datasets.flow.fields import RANGE_QUANTILE, SCALES, Colour, FlowFields
+from datasets.flow.trajectory import Trajectory
 from datasets.geometry.surface import body_of, solids_of
-from datasets.trajectory import Trajectory
 
 Image = NDArray[np.uint8]
 Floats = NDArray[np.floating]

@@ -6,8 +6,8 @@ import numpy as np
 
 from datasets import Scene
 from datasets.files import read_columns
-from datasets.material import Material
 from datasets.scene import Domain, Mass
+from datasets.scene.material import Material
 from mpm import AT_REST, simulate_many
 
 beads = {"friction_deg": 22.0, "friction_limit_deg": 33.6, "angle": "slope", "inertial_number": 0.279}

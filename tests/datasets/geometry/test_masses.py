@@ -8,8 +8,8 @@ import pytest
 import shapely
 
 from datasets.geometry.placement import heights_above_ground, remembers_gaps
-from datasets.particles import initial_particles, mass_volumes, particle_count
 from datasets.scene import Mass, Scene, Solid
+from datasets.scene.particles import initial_particles, mass_volumes, particle_count
 from tests import scenes
 from tests.datasets.geometry.solids import as_rows, sphere
 from tests.refusals import refused

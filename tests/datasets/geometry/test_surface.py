@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import shapely
 
-from datasets.field import Floats
 from datasets.geometry.nearest import inside, nearest
 from datasets.scene import Baffle, Solid
+from datasets.scene.grid_field import Floats
 from tests.datasets.geometry.solids import as_rows, scene_of, sphere, surface
 
 SPACE = (2.0, 1.0, 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import measures
+from datasets.flow import measures
 from gns import checkpoint
 from gns.network.correction import Correction, stretched
 from gns.settings import TrainingSettings

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from datasets.errors import InputError
-from datasets.material import Material
-from datasets.particles import initial_particles, released_volume
 from datasets.scene import Baffle, Mass, Scene, Solid
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles, released_volume
 from gns.inference import simulate
 from gns.settings import GRAVITY, ModelSettings
 from gns.simulator import Simulator

@@ -13,8 +13,8 @@ import pytest
 import torch
 
 from datasets import command_line
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle, Domain, Solid
-from datasets.trajectory import Trajectory
 from gns import card, checkpoint
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator

@@ -14,11 +14,11 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from datasets.errors import InputError
-from datasets.field import Field
-from datasets.material import Material
-from datasets.particles import initial_particles
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle, Mass, Solid
-from datasets.trajectory import Trajectory
+from datasets.scene.grid_field import Field
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
 from gns.network.features import Inputs
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.material import Material
 from datasets.scene import Baffle, Mass
+from datasets.scene.material import Material
 from inverse.forward.adjoint import AdjointForward, Run
 from inverse.observations import ImpulseSettings
 from inverse.parameters import Parameter

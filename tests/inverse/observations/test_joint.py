@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from datasets.errors import InputError
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle, Mass, Scene
-from datasets.trajectory import Trajectory
 from inverse.observations import FrontSettings, GaugesSettings, ObservationSettings, ProfileSettings, Rollout
 from inverse.observations.deposit import Outline
 from inverse.observations.gauges import Gauges, Impulse

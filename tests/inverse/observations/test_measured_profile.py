@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.measures import height_profile
-from datasets.particles import initial_particles
+from datasets.flow.measures import height_profile
 from datasets.scene import Mass, Solid
+from datasets.scene.particles import initial_particles
 from inverse.observations import ProfileSettings
 from inverse.observations.measured_profile import Heights
 from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import measures
+from datasets.flow import measures
 from datasets.scene import Mass
 from inverse.observations import KINDS, Observation
 from inverse.observations.observation import fitted_tail

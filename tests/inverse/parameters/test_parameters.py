@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from datasets.errors import InputError
-from datasets.material import Material
-from datasets.particles import released_volume
 from datasets.scene import Baffle, Channel, Mass, Solid
+from datasets.scene.material import Material
+from datasets.scene.particles import released_volume
 from inverse.forward.gns import GnsForward
 from inverse.parameters import Parameter, kind, with_parameters
 from inverse.parameters.bounds import check_parameters

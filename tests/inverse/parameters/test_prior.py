@@ -10,7 +10,7 @@ import pytest
 import torch
 from scipy import stats
 
-from datasets.records import changed, from_mapping
+from datasets.schema import changed, from_mapping
 from inverse import Correlation, Parameter, Prior
 from inverse.answer import Answer, Combination, unidentified
 from inverse.observations.errors import Covariance

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from datasets.field import Floats
+from datasets.scene.grid_field import Floats
 from inverse.observations import ToeSettings
 from inverse.observations.errors import Covariance
 from inverse.observations.target import Target

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.material import Material
-from datasets.particles import Particles, initial_particles
 from datasets.scene import Domain, Mass, Scene
+from datasets.scene.material import Material
+from datasets.scene.particles import Particles, initial_particles
 from mpm.adjoint.gradient import Gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.field import Field
-from datasets.material import Material
 from datasets.scene import Baffle, Channel, Mass, Scene, Solid
+from datasets.scene.grid_field import Field
+from datasets.scene.material import Material
 from mpm.adjoint.gradient import Gradient, started
 from tests.mpm.adjoint.flows import SOIL, Weighted, central, exact_gradient, moved, plane, room, shaken, value_of
 

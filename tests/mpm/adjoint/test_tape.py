@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError, WorkFailed
-from datasets.library import read_scene
 from datasets.scene import Gate, Scene
+from datasets.scene.library import read_scene
 from mpm import simulate
 from mpm.adjoint.gradient import gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, steady

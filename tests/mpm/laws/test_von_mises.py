@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from datasets.definitions.training import check_known
 from datasets.errors import InputError
-from datasets.field import Field
-from datasets.library import read_scene, write_scene
-from datasets.material import Material
-from datasets.particles import initial_particles
-from datasets.records import from_mapping
 from datasets.scene import Mass, Scene
-from datasets.training import check_known
+from datasets.scene.grid_field import Field
+from datasets.scene.library import read_scene, write_scene
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
+from datasets.schema import from_mapping
 from mpm import LAST, safety_factor, simulate
 from mpm.adjoint.gradient import gradient
 from mpm.arrays.features import features_of

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from datasets.files import read_toml
-from datasets.library import read_scene
-from datasets.records import from_mapping
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.library import read_scene
+from datasets.schema import from_mapping
 from mpm.resolution import COVERAGE, Measurements, characteristic_length, resolved, with_resolution
 from tests.flows import flow_of
 from validation.bench.accuracy.bench import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from datasets.lock import locked
-from datasets.particles import particle_count
+from datasets.scene.particles import particle_count
 from tests.commands import found_at
 from validation.bench import efficiency
 from validation.bench import gns as bench_gns

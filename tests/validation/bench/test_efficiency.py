@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from datasets.particles import initial_particles
+from datasets.scene.particles import initial_particles
 from inverse.parameters import Vector
 from validation.bench.efficiency import blocks, by_runs
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.particles import initial_particles, released_volume
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass, Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.particles import initial_particles, released_volume
 from tests.flows import flow_of
 from tests.scenes import scene_of
 from validation.bench.gns import AGAIN, Compared, Model, mpm_seconds

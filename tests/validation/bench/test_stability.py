@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError, WorkFailed
-from datasets.particles import initial_particles
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle, Mass, Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.particles import initial_particles
 from tests import scenes
 from tests.flows import flow_of
 from validation.bench.__main__ import main

@@ -146,7 +146,7 @@ below = 0.7
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     """A problem as a file."""
-    from datasets.library import write_scene
+    from datasets.scene.library import write_scene
 
     write_scene(SCENE, tmp_path / "scene.toml")
     path = tmp_path / "problem.toml"

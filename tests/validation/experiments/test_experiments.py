@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.library import write_scene
-from datasets.particles import particle_count
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass
-from datasets.trajectory import Trajectory
+from datasets.scene.library import write_scene
+from datasets.scene.particles import particle_count
 from tests.flows import flow_of
 from tests.scenes import scene_of
 from validation.bench.experiments import compute, crossing

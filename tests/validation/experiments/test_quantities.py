@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.particles import initial_particles
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass
-from datasets.trajectory import Trajectory
+from datasets.scene.particles import initial_particles
 from tests.flows import flow_of
 from tests.scenes import scene_of
 from validation.experiments.experiment import Measured, Quantity, Status, edge, quantity

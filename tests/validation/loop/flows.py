@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.material import Material
-from datasets.measures import front
-from datasets.particles import particle_count
+from datasets.flow.measures import front
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass, Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.material import Material
+from datasets.scene.particles import particle_count
 from inverse.observations import KINDS, DepositSettings, Observation, Values
 from inverse.observations.target import Target
 from inverse.parameters import Parameter, Vector

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import measures
 from datasets.command_line import run
-from datasets.library import SCENES, find, read_scene
-from datasets.particles import particle_volumes
+from datasets.flow import measures
+from datasets.scene.library import SCENES, find, read_scene
+from datasets.scene.particles import particle_volumes
 from mpm import LAST, simulate_many
 from validation.loop.__main__ import main as loop
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.field import Floats
-from datasets.measures import front
+from datasets.flow.measures import front
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass, Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.grid_field import Floats
 from inverse.answer import Verdict
 from inverse.observations import FrontSettings
 from inverse.parameters import Parameter

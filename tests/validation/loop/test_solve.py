@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from datasets.errors import WorkFailed
+from datasets.flow.trajectory import Trajectory
 from datasets.lock import locked
-from datasets.trajectory import Trajectory
 from inverse import plot, save
 from inverse.answer import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS

@@ -13,11 +13,11 @@ import numpy as np
 import tomli_w
 from scipy.special import stdtrit
 
-from datasets import measures
 from datasets.errors import InputError
 from datasets.files import write_text
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
 from mpm import simulate_many
 from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
 from mpm.runtime import Arch

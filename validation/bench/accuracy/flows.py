@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datasets.files import read_toml
-from datasets.material import Material
-from datasets.records import Record, from_mapping
 from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene.material import Material
+from datasets.schema import Record, from_mapping
 
 GRAVITY = 9.81
 FRAMES = 20

@@ -11,11 +11,11 @@ import numpy as np
 
 from datasets.errors import InputError, WorkFailed
 from datasets.files import read_toml
-from datasets.library import read_scene
-from datasets.measures import front
-from datasets.records import Record, from_mapping
+from datasets.flow.measures import front
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.library import read_scene
+from datasets.schema import Record, from_mapping
 from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
 from mpm.arrays.layout import Precision
 from mpm.resolution import Resolution, with_resolution

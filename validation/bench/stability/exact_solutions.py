@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene, coefficient
-from datasets.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
-from datasets.particles import initial_particles, initial_volumes
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import TOLERANCE
-from datasets.trajectory import Trajectory
+from datasets.scene.particles import initial_particles, initial_volumes
 from validation.bench.stability.exact_solutions import total_energy
 
 ROUNDING = 1.0e-4

@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.measures import bulk, front, particle_spacing, toe
-from datasets.trajectory import Trajectory
+from datasets.flow.measures import bulk, front, particle_spacing, toe
+from datasets.flow.trajectory import Trajectory
 from validation.bench.stability import exact_solutions as exact
 from validation.bench.stability.invariants import particle_masses, wall_impulse
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from datasets.files import read_toml
-from datasets.material import Material
-from datasets.records import Record, from_mapping
 from datasets.scene import Domain, Mass, Scene
+from datasets.scene.material import Material
+from datasets.schema import Record, from_mapping
 from mpm.safety import Safety, safety_factor
 from validation.report.page import Row, percent
 

@@ -13,10 +13,10 @@ from datasets.command_line import run
 from datasets.exchange import geoelements
 from datasets.exchange.__main__ import command
 from datasets.files import write_json
-from datasets.trajectory import Trajectory
+from datasets.flow.trajectory import Trajectory
 from tests.breaking import dataset_files
 from tests.datasets.conftest import FRAMES, toy, toy_dataset, toy_scene
-from tests.datasets.test_arrays import OBJECTS, npy, with_member
+from tests.datasets.flow.test_array_files import OBJECTS, npy, with_member
 from tests.refusals import refused, refused_by
 
 TO, FROM = ("--to", "geoelements"), ("--from", "geoelements")

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.field import Field
-from datasets.material import Material
-from datasets.records import FARTHEST, Bounds, Record
+from datasets.scene.grid_field import Field
+from datasets.scene.material import Material
+from datasets.schema import FARTHEST, Bounds, Record
 
 Vector = tuple[float, ...]
 Rows = tuple[Vector, ...]
@@ -232,7 +232,7 @@ class SceneLayout(Record):
     """The material of every mass that brings none of its own."""
     masses: tuple[Mass, ...]
     fields: tuple[Field, ...] = ()
-    """What varies over the particles at the start: friction, velocities (`datasets.field`)."""
+    """What varies over the particles at the start: friction, velocities (`datasets.scene.grid_field`)."""
     stages: tuple[Stage, ...] = ()
     """When material changes, one after the other."""
     baffles: tuple[Baffle, ...] = ()
@@ -302,7 +302,8 @@ class SceneLayout(Record):
 
     @property
     def particle_volume(self) -> float:
-        """Nominal volume of a particle [m^D], of a lattice that fits; `datasets.particles` has those of each mass."""
+        """Nominal volume of a particle [m^D], of a lattice that fits; `datasets.scene.particles` has those of each
+        mass."""
         return self.particle_spacing**self.dimension
 
     @property

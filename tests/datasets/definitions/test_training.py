@@ -7,11 +7,11 @@ from operator import add
 import numpy as np
 import pytest
 
+from datasets.definitions.training import MOVING_SPEED, MotionStatistics, motion_statistics, thin
 from datasets.errors import InputError
-from datasets.material import Material
-from datasets.particles import initial_particles, observed_cohesion
 from datasets.scene import Mass, Scene, Solid
-from datasets.training import MOVING_SPEED, MotionStatistics, motion_statistics, thin
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles, observed_cohesion
 from tests.scenes import scene_of
 
 FRAME_DT = 0.0025

@@ -20,10 +20,10 @@ from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.definitions.paper_families import BAFFLES3D, COLUMNS2D
 from datasets.errors import InputError
 from datasets.geometry.placement import overlaps
-from datasets.library import read_scene
-from datasets.particles import initial_particles
-from datasets.records import changed
 from datasets.scene import Baffle, Mass, Scene
+from datasets.scene.library import read_scene
+from datasets.scene.particles import initial_particles
+from datasets.schema import changed
 from tests.refusals import refused
 from tests.scenes import scaled, scene_of
 
@@ -150,7 +150,7 @@ def test_a_column_of_a_held_out_aspect_at_a_wall_is_held_out(aspect: float) -> N
     assert not is_held_out(column(0.2, 0.48))
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
 (EXAMPLE,) = re.findall(r"```toml\n(.*?)```", PAGE.split("\n## Definition (TOML)\n")[1].split("\n## ")[0], re.DOTALL)
 
 TEXT = """

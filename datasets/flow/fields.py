@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import measures
-from datasets.material import Material
-from datasets.particles import initial_particles
-from datasets.trajectory import Trajectory, brackets
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory, brackets
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
 
 Values = dict[str, NDArray[Any]]
 """Of the particles by name, shape [N] or [N, D] each."""
@@ -62,7 +62,7 @@ class FlowFields:
     def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory, scene = trajectory, trajectory.scene
         self.materials: list[Material] = list(dict.fromkeys(map(scene.material_of, scene.masses)))
-        """The different ones of the scene, in the order of `datasets.particles.initial_particles`."""
+        """The different ones of the scene, in the order of `datasets.scene.particles.initial_particles`."""
 
     @cached_property
     def start(self) -> NDArray[np.float64]:

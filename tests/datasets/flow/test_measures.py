@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from datasets.library import read_scene
-from datasets.measures import (
+from datasets.flow.caveats import caveats
+from datasets.flow.measures import (
     Deposit,
     above,
     bulk,
@@ -21,9 +21,9 @@ from datasets.measures import (
     toe,
     transport_distance,
 )
-from datasets.particles import initial_particles
-from datasets.remarks import remarks
 from datasets.scene import Mass, Scene, Solid
+from datasets.scene.library import read_scene
+from datasets.scene.particles import initial_particles
 from tests.scenes import scene_of
 
 SPACING = 0.005
@@ -156,7 +156,7 @@ def said(scene: Scene = SCENE, *, x: float = 0.0, energy: float = 0.0, outflow: 
     particles = initial_particles(scene)
     deposit = particles.positions + np.array([x] + [0.0] * (scene.dimension - 1))
     kinetic = np.array([0.0, 10.0, energy])
-    return "\n".join(remarks(scene, particles, deposit, kinetic=kinetic, end_time=1.0, outflow=outflow or {}))
+    return "\n".join(caveats(scene, particles, deposit, kinetic=kinetic, end_time=1.0, outflow=outflow or {}))
 
 
 def test_of_a_deposit_at_rest_in_a_large_box_nothing_is_said() -> None:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.field import FRICTION
 from datasets.geometry.bodies import filling, height, lattice_of
-from datasets.material import Material
 from datasets.memory import require
 from datasets.scene import TOLERANCE, Mass, Scene, keyed
+from datasets.scene.grid_field import FRICTION
+from datasets.scene.material import Material
 
 PARTICLE = 60
 """Bytes that a particle takes while it is made, over the square of the dimensions."""

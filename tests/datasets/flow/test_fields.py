@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from datasets.compare import compare
-from datasets.fields import FlowFields, pairs
+from datasets.flow.fields import FlowFields, pairs
 from tests.datasets.conftest import toy
 
 

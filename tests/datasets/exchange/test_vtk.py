@@ -10,10 +10,10 @@ import pyvista
 from datasets.errors import WorkFailed
 from datasets.exchange import vtk
 from datasets.exchange.vtk import write_vtk
-from datasets.material import Material
-from datasets.particles import initial_particles
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle, Mass, Solid
-from datasets.trajectory import Trajectory
+from datasets.scene.material import Material
+from datasets.scene.particles import initial_particles
 from tests.datasets.conftest import toy
 from tests.flows import flow_of
 from tests.scenes import scene_of

@@ -6,11 +6,11 @@ import warnings
 from typing import Any
 
 from datasets.errors import InputError, require
-from datasets.field import FRICTION, VELOCITIES
 from datasets.geometry.shapes import check_rows, check_solid, check_vector, usual
-from datasets.material import ANGLES, MOHR_COULOMB
-from datasets.parts import DOMAIN_SIDES, TOLERANCE, Mass, SceneLayout, keyed
-from datasets.records import FARTHEST
+from datasets.scene.grid_field import FRICTION, VELOCITIES
+from datasets.scene.material import ANGLES, MOHR_COULOMB
+from datasets.scene.parts import DOMAIN_SIDES, TOLERANCE, Mass, SceneLayout, keyed
+from datasets.schema import FARTHEST
 
 MOST_CELLS = 2**31 - 1
 """Of the box: what 32 bits count."""

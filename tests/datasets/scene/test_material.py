@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.material import TENSION_SHARE, Material
+from datasets.scene.material import TENSION_SHARE, Material
 
 
 def test_tresca_requires_a_cohesion_and_has_no_apex() -> None:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.particles import Particles, scene_height, unresolved
 from datasets.scene import DOMAIN_SIDES, Scene
+from datasets.scene.particles import Particles, scene_height, unresolved
 
 AT_REST = 1e-3
 """Kinetic energy of a deposit at rest, over its largest, at most."""
@@ -21,7 +21,7 @@ FEWEST_CELLS = 3.0
 """Cells across a body or a layer."""
 
 
-def remarks(
+def caveats(
     scene: Scene,
     particles: Particles,
     deposit: NDArray[np.floating],

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.checks import warn_if_unlikely
 from datasets.errors import InputError
-from datasets.library import SCENES, read_scene, write_scene
-from datasets.material import Material
 from datasets.scene import Baffle, Mass, Solid
+from datasets.scene.checks import warn_if_unlikely
+from datasets.scene.library import SCENES, read_scene, write_scene
+from datasets.scene.material import Material
 from tests.refusals import refused
 from tests.scenes import SAND, scene_of
 

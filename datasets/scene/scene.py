@@ -4,23 +4,10 @@ import dataclasses
 import json
 from dataclasses import dataclass
 
-from datasets.checks import checked
 from datasets.files import json_object
-from datasets.parts import DOMAIN_SIDES as DOMAIN_SIDES
-from datasets.parts import NO_SLIP as NO_SLIP
-from datasets.parts import ROUGH as ROUGH
-from datasets.parts import TOLERANCE as TOLERANCE
-from datasets.parts import Baffle as Baffle
-from datasets.parts import Channel as Channel
-from datasets.parts import Domain as Domain
-from datasets.parts import Gate as Gate
-from datasets.parts import Mass as Mass
-from datasets.parts import SceneLayout
-from datasets.parts import Solid as Solid
-from datasets.parts import Stage as Stage
-from datasets.parts import coefficient as coefficient
-from datasets.parts import keyed as keyed
-from datasets.records import from_mapping
+from datasets.scene.checks import checked
+from datasets.scene.parts import SceneLayout
+from datasets.schema import from_mapping
 
 
 @dataclass(frozen=True, kw_only=True)

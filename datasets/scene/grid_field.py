@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.records import Bounds, Record
+from datasets.schema import Bounds, Record
 
 Floats = NDArray[np.float64]
 

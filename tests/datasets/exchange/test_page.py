@@ -17,11 +17,11 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
-from datasets.exchange import view
-from datasets.exchange.view import Observed, write_view
-from datasets.material import Material
+from datasets.exchange import page as view
+from datasets.exchange.page import Observed, write_view
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Solid
-from datasets.trajectory import Trajectory
+from datasets.scene.material import Material
 from tests.datasets.conftest import toy
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

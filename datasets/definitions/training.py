@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from datasets import __version__
 from datasets.definitions.definition import Entry, Split
 from datasets.errors import InputError
-from datasets.material import MOHR_COULOMB
 from datasets.scene import Scene, keyed
+from datasets.scene.material import MOHR_COULOMB
 
 MOVING_SPEED = 0.01
 """A particle slower than this [m/s] is at rest: it would need the whole second of a sequence to cross a grid cell."""

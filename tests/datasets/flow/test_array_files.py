@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from datasets.arrays import FrameWriter, read_arrays
 from datasets.errors import InputError
-from datasets.trajectory import STORED, Trajectory, open_trajectory, read_trajectory, stored_scene
+from datasets.flow.array_files import FrameWriter, read_arrays
+from datasets.flow.trajectory import STORED, Trajectory, open_trajectory, read_trajectory, stored_scene
 from tests.refusals import refused
 
 

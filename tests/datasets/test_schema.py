@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import pytest
 
 from datasets.errors import InputError, OutOfRange
-from datasets.records import FARTHEST, Bounds, Record, from_mapping
+from datasets.schema import FARTHEST, Bounds, Record, from_mapping
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,12 +7,12 @@ from typing import Any
 import tomli_w
 
 from datasets.errors import InputError, naming
+from datasets.exchange.scene_files import with_files
 from datasets.files import read_toml, write_text
-from datasets.geometry.files import with_files
-from datasets.records import changed, from_mapping
 from datasets.scene import Scene
+from datasets.schema import changed, from_mapping
 
-SCENES = Path(__file__).parent / "scenes"
+SCENES = Path(__file__).parents[1] / "scenes"
 
 
 def find(name: str, shelf: Path, what: str) -> Path:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.arrays import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.errors import InputError, naming, require
 from datasets.files import FARTHEST, json_object
-from datasets.particles import particle_volumes
+from datasets.flow.array_files import HDF5, FrameWriter, open_frames, read_arrays, write_npz
 from datasets.scene import Scene, keyed
+from datasets.scene.particles import particle_volumes
 
 Floats = NDArray[np.float32]
 
@@ -106,7 +106,7 @@ class Trajectory:
         return {**stored, "scene": self.scene.to_json(), "summary": json.dumps(self.summary)}
 
     def save(self, path: str | Path) -> None:
-        """Write an NPZ of plain arrays, or chunked HDF5 where the name ends in `.h5` (`datasets.arrays`)."""
+        """Write an NPZ of plain arrays, or chunked HDF5 where the name ends in `.h5` (`datasets.flow.array_files`)."""
         path, arrays = Path(path), self.arrays()
         if path.suffix != HDF5:
             positions = np.asarray(self.positions, np.float32)
@@ -127,7 +127,7 @@ class Trajectory:
         """
         page = Path(mkdtemp(prefix="talus-")) / "flow.html" if path is None else Path(path)
         # The one place where a module imports what stands above it, late: what draws imports this module.
-        from datasets.exchange.view import write_view
+        from datasets.exchange.page import write_view
 
         write_view(page, self, other)
         if path is None:

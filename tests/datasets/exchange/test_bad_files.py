@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from datasets import InputError, read_scene, read_trajectory
 from datasets.exchange import geoelements
 from datasets.files import read_columns, read_toml
-from datasets.library import SCENES, scene_from
-from datasets.particles import initial_particles
-from datasets.trajectory import Trajectory
+from datasets.flow.trajectory import Trajectory
+from datasets.scene.library import SCENES, scene_from
+from datasets.scene.particles import initial_particles
 from tests.datasets.conftest import toy
 from tests.datasets.geometry.solids import sphere
 

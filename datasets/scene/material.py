@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from datasets.errors import InputError
-from datasets.records import Record
+from datasets.schema import Record
 
 Depth = TypeVar("Depth", float, NDArray[np.float64])
 

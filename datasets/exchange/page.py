@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets import measures
 from datasets.compare import Columns, along, evenly
 from datasets.errors import require
 from datasets.exchange.vtk import extent
-from datasets.fields import RANGE_QUANTILE, SCALES, Colour, ColourScale, FlowFields, Values, pairs
 from datasets.files import finite, write_text
+from datasets.flow import measures
+from datasets.flow.fields import RANGE_QUANTILE, SCALES, Colour, ColourScale, FlowFields, Values, pairs
+from datasets.flow.trajectory import Trajectory
 from datasets.geometry.ground import ground_raster
 from datasets.geometry.surface import closed_body, solids_of
-from datasets.material import Material
 from datasets.scene import Scene
-from datasets.trajectory import Trajectory
+from datasets.scene.material import Material
 
 FRAMES, PARTICLES = 60, 20_000
 """At most so many of a flow are on a page, evenly."""
