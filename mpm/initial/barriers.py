@@ -8,7 +8,7 @@ it passes. A face that lies on a wall of the box needs no barrier. Where the mas
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import TOLERANCE, Gate, Mass, Scene
+from datasets.scene import TOLERANCE, Mass, Scene
 from datasets.scene.particles import Particles
 from mpm.arrays.layout import PADDING, Barrier, Settling
 from mpm.physics.barriers import ENERGY, FORCE
@@ -81,14 +81,15 @@ def barrier_tables(
         retained.append([int(own[0]), int(own[-1]) + 1, release, 0, 0, 0, top])
         material, height = scene.material_of(mass), mass.size[1]
         weight, speed = material.density * float(np.prod(mass.size)), scene.gravity * height / material.wave_speed
-        gate = mass.gate or Gate(speed=0.0)
+        # Without a gate the barriers are gone at once.
+        speed_and_time = (0.0, 0.0) if mass.gate is None else (mass.gate.speed, mass.gate.time_constant)
         known = {
             Settling.RATE: np.pi * material.wave_speed / height,
             Settling.PARTICLE: material.density * float(particles.volume[own[0]]),
             Settling.MOST_KINETIC: ENERGY * 0.5 * weight * speed**2,
             Settling.MOST_IMPULSE: FORCE * weight * scene.gravity * scene.frame_dt,
-            Settling.GATE_SPEED: gate.speed,
-            Settling.GATE_TIME: gate.time_constant,
+            Settling.GATE_SPEED: speed_and_time[0],
+            Settling.GATE_TIME: speed_and_time[1],
             Settling.GATE_FOOT: mass.lower[1],
         }
         settling.append([known.get(column, 0.0) for column in Settling])

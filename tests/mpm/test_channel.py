@@ -45,8 +45,8 @@ def test_sand_in_a_channel_flows_as_between_walls_in_three_dimensions() -> None:
     ("key", "channel", "size"),
     [
         ("channel", {"width": 0.1, "friction_deg": 20.0}, (1.0, 1.0, 1.0)),
-        ("channel.width", {"width": 0.0, "friction_deg": 20.0}, (1.0, 1.0)),
-        ("channel.friction_deg", {"width": 0.1, "friction_deg": 90.0}, (1.0, 1.0)),
+        ("width", {"width": 0.0, "friction_deg": 20.0}, (1.0, 1.0)),
+        ("friction_deg", {"width": 0.1, "friction_deg": 90.0}, (1.0, 1.0)),
     ],
 )
 def test_what_is_no_channel_is_refused(key: str, channel: dict[str, float], size: tuple[float, ...]) -> None:

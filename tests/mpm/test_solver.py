@@ -202,13 +202,13 @@ def stiffer(young: float = 2.0e6, **changes: object) -> Scene:
 
 
 def test_the_front_does_not_depend_on_stiffness_step_or_output_interval() -> None:
-    """Within 3 % at 20 mm cells; APIC, which loses velocity in every step, is apart by a fifth and more."""
+    """Within 3 % at 20 mm cells; APIC, which loses velocity in every step, is apart by a tenth and more."""
     scenes = [stiffer(), stiffer(step_fraction=0.2), stiffer(5.0e7), stiffer(frame_dt=0.001), stiffer(frame_dt=0.01)]
     fronts = np.array([flow.summary["front"] for flow in simulate_many(scenes)])
     assert np.ptp(fronts) <= 0.03 * fronts.mean()
     apic = [dataclasses.replace(scene, relaxation_time=0.0) for scene in scenes[:3]]
     dissipated = np.array([flow.summary["front"] for flow in simulate_many(apic)])
-    assert np.ptp(dissipated) > 0.15 * dissipated.mean()
+    assert np.ptp(dissipated) > 0.1 * dissipated.mean()
 
 
 def test_a_front_converges_with_the_cell() -> None:
