@@ -19,7 +19,8 @@ from gns import card, checkpoint
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.train import train
-from gns.training.loop import LAST, loop
+from gns.training import loop
+from gns.training.loop import LAST
 from gns.training.losses import UnrolledLoss, rollout_loss
 from gns.training.samples import Sampler, flows_of
 from tests.gns.conftest import NORMALISATION, TINY, rows, run_train
