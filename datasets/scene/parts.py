@@ -266,8 +266,8 @@ class SceneLayout(Record):
     volume_correction: bool | None = None
     """Whether sand that has come apart closes its gaps before it bears anything again.
 
-    Where absent, if a body is in flight at the start: a cell or more above what is beneath it, or thrown up by a cell.
-    Sand that has bounced would else stay as loose as it flew (docs/stability.md).
+    Where absent, wherever sand may fall or splash: beside solids, where a mass has a velocity, and where a body is a
+    cell or more above what is beneath it.
     """
     step_fraction: Annotated[float, Bounds("a fraction in (0, 1]", gt=0.0, le=1.0)] = 0.4
     """Time step as a fraction of cell / (pressure-wave speed), in (0, 1]."""
