@@ -172,14 +172,15 @@ def fit(
     size, flows = len(residual), scatter.deviations * math.sqrt(share / free)
     if cells is None or bias is None:
         whitened, flows = residual / np.sqrt(total), flows / np.sqrt(total)
-        # |R|_F^2 of R = (N + F^T F) / total without the matrix of a whole deposit.
-        rest = np.maximum(1.0 - (flows**2).sum(axis=0), 0.0)
-        square = float(np.sum((flows @ flows.T) ** 2) + 2.0 * rest @ (flows**2).sum(axis=0))
+        # |R|_F^2 of R = N + F^T F + diag(own), over total, without the matrix of a whole deposit.
+        shown_by_flows = (flows**2).sum(axis=0)
+        own = np.maximum(variance / total - shown_by_flows, 0.0)
         if errors.dependent is None:
-            square += float(rest @ rest)
-        else:
+            own += independent / total
+        square = float(np.sum((flows @ flows.T) ** 2) + 2.0 * own @ shown_by_flows + own @ own)
+        if errors.dependent is not None:
             noise = errors.over(np.sqrt(total)).matrix
-            square += float(np.sum(noise**2)) + 2.0 * float(np.sum((flows @ noise) * flows))
+            square += float(np.sum(noise**2) + 2.0 * np.sum((flows @ noise) * flows) + 2.0 * own @ np.diag(noise))
     else:
         lower = np.linalg.cholesky(np.diag(total + FLOOR * (total.max() + float(np.diag(bias).max()))) + bias)
         rest = np.maximum(variance - (flows**2).sum(axis=0), 0.0)

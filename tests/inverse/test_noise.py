@@ -62,6 +62,23 @@ def test_errors_that_are_one_error_count_as_one_number() -> None:
     assert fit(together, shown, scatter).freedom[0] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize("dependent", [False, True])
+def test_the_degrees_of_freedom_are_those_of_the_whole_covariance(dependent: bool) -> None:
+    """h = M^2 / |R|_F^2 of noise as large as the scatter, R written out."""
+    rng, size, count = np.random.default_rng(5), 12, 4
+    apart = np.arange(size)[:, None] - np.arange(size)
+    matrix = np.exp(-0.5 * (apart / 3.0) ** 2) if dependent else np.eye(size)
+    errors, scatter = Covariance.of(matrix), scatter_of(rng, size, 1.0, expected=1.0)
+    share = 1.0 + 1.0 / count
+    flows = scatter.deviations.T @ scatter.deviations * share / scatter.freedom
+    variance = share * scatter.variance
+    whole = matrix + flows + np.diag(np.maximum(variance - np.diag(flows), 0.0))
+    scale = np.sqrt(1.0 + variance)
+    target = Target(observation=FRONT, values=np.zeros(size), errors=errors if dependent else Covariance(np.ones(size)))
+    found = fit(target, rng.normal(size=(count, size)), scatter)
+    assert found.freedom[0] == pytest.approx(size**2 / np.sum((whole / np.outer(scale, scale)) ** 2), rel=1e-9)
+
+
 def test_half_widths_grow_where_more_numbers_than_parameters_do_not_fit() -> None:
     rng = np.random.default_rng(4)
     target, scatter = target_of(np.array([-3.0, 0.0, 3.0]), 0.1), scatter_of(rng, 3, 0.05)
