@@ -18,8 +18,8 @@ from datasets.errors import InputError, OutOfRange, require
 from datasets.files import line_of
 
 T = TypeVar("T")
-TYPES = ("float", "str")
-"""Names of types in the path of an error at a key that takes either."""
+UNSEEN = ("float", "str", "constants")
+"""Parts of the path of an error that a file does not have: types of a key that takes either, where keys are gathered."""
 FARTHEST = 1.0e9
 """Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
 
@@ -99,7 +99,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any]) -> T:
         # A misspelt key is also a missing one; "did you mean" helps more.
         first = next((each for each in mistakes if each["type"] == "unexpected_keyword_argument"), mistakes[0])
         # Where a key takes one of several types, pydantic names the type that it tried last.
-        path = dotted(tuple(part for part in first["loc"] if part not in TYPES))
+        path = dotted(tuple(part for part in first["loc"] if part not in UNSEEN))
         cause = first.get("ctx", {}).get("error")
         if isinstance(cause, InputError):
             # The check of a part speaks of its own keys: `material.density` inside `masses[0].material`.

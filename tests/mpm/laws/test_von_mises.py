@@ -95,6 +95,7 @@ def test_a_bar_yields_at_the_root_of_three_times_the_strength_in_shear() -> None
         ("material.strength: expected a shear strength in Pa, above 0 up to 1e+15, got 0", {"strength": 0.0}),
         ("material.hardening: expected a modulus in Pa, at least 0 up to 1e+15, got -1", {"hardening": -1.0}),
         ("material.hardning: expected a known key, did you mean 'hardening'?", {"hardning": 1.0}),
+        ("material.hardening: expected a valid number, got 'x'", {"hardening": "x"}),
         ("material.law: expected one of mohr-coulomb, von-mises, got 'von-misses'", {"law": "von-misses"}),
         ("material.strength: expected a known key", {"law": "mohr-coulomb", "friction_deg": 30.0}),
     ],
