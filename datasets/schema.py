@@ -19,7 +19,7 @@ from datasets.files import line_of
 
 T = TypeVar("T")
 UNSEEN = ("float", "str", "constants")
-"""Parts of the path of an error that a file does not have: types of a key that takes either, where keys are gathered."""
+"""Parts of an error's path that a file does not have: types of a key that takes either, where keys are gathered."""
 FARTHEST = 1.0e9
 """Lengths [m], times [s], speeds [m/s] and coefficients beyond this are none; it keeps their powers finite."""
 
