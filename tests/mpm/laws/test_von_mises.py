@@ -198,6 +198,6 @@ def test_the_gradient_is_that_of_differences() -> None:
         return float(run().positions[-1, :, 0].astype(float).sum())
 
     _, slope = gradient(scene, objective, exact=True)
-    for name, step in (("strength", 1.0), ("hardening", 1.0), ("young", 1000.0)):
+    for name, step in (("strength", 1.0), ("hardening", 1.0), ("young", 500.0)):
         difference = (value(name, step) - value(name, -step)) / (2.0 * step)
-        assert slope.material(name).sum() == pytest.approx(difference, rel=1e-3), name
+        assert slope.material(name).sum() == pytest.approx(difference, rel=2e-3), name
