@@ -214,7 +214,7 @@ def features_of(
     materials = [scene.material_of(mass) for scene in scenes for mass in scene.masses]
     law = law_of(materials)
     asked = any(scene.volume_correction for scene in scenes)
-    require(law.OPENS or not asked, "volume_correction", "none of a material that does not open", "true")
+    require(law.OPENS or not asked, "volume_correction", "false or none beside a law without gaps", "true")
     stages = [stage for scene in scenes for stage in scene.stages]
     return Features(
         dimension=scenes[0].dimension,

@@ -114,7 +114,7 @@ def test_what_the_law_does_not_go_with() -> None:
     field = Field(quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 1.0), nodes=(1, 1), values=(30.0,))
     with pytest.raises(InputError, match=r"^material\.law: expected masses of one law, got mohr-coulomb and von-mises"):
         features_of([box(COLUMN, sandy, material=CLAY)], "f32")
-    with pytest.raises(InputError, match=r"^volume_correction: expected none of a material that does not open"):
+    with pytest.raises(InputError, match=r"^volume_correction: expected false or none beside a law without gaps"):
         features_of([box(material=CLAY, volume_correction=True)], "f32")
     with pytest.raises(InputError, match=r"^fields: expected no field of friction beside law = 'von-mises'"):
         simulate(box(material=CLAY, fields=(field,)), record=LAST)
