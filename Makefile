@@ -2,7 +2,7 @@
 # The first of these that is there; without any, uv brings one.
 PYTHON ?= $(shell for v in 3.11 3.12 3.13; do python$$v -c "" 2>/dev/null && echo python$$v && break; done)
 WORKERS ?= 2
-NAME ?= --list
+NAME ?= --help
 BIN := .venv/bin
 VENV = $(if $(PYTHON),$(PYTHON) -m venv,$(if $(shell command -v uv),uv venv --quiet --seed --python 3.12,\
 	$(info expected Python 3.11, 3.12 or 3.13 on the path, or uv, found none; name one by PYTHON=...)false))

@@ -9,6 +9,7 @@ import pytest
 
 from datasets.errors import InputError
 from datasets.flow.measures import front
+from datasets.flow.trajectory import Trajectory
 from datasets.geometry.nearest import nearest
 from datasets.scene import NO_SLIP, Baffle, Domain, Mass, Scene, Solid
 from datasets.scene.material import Material
@@ -204,6 +205,19 @@ def test_momentum_goes_into_walls_and_solids_alone() -> None:
     assert flow.solid_impulse[-1, 1, 0] > 0.0
 
 
+@pytest.mark.slow
+def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
+    def slope(**surface: object) -> Trajectory:
+        body, base = Mass(lower=(0.3, 0.087), size=(0.3, 0.06)), Solid(lower=(0.0, 0.0), size=(1.0, 0.087), **surface)
+        soil = dataclasses.replace(SAND, friction_deg=45.0, cohesion=2000.0)
+        return simulate(sand(body, size=(1.0, 0.4), material=soil, solids=(base,), slope_deg=25.0, duration=0.5))
+
+    slides, sticks = slope(friction=0.2), slope(contact="no-slip")
+    moved = [(flow.positions[-1] - flow.positions[0])[:, 0].mean() for flow in (slides, sticks)]
+    assert moved[0] == pytest.approx(SlidingBlock.on_incline(25.0, 0.2).displacement(0.5), rel=0.1)
+    assert abs(moved[1]) < 0.03 * moved[0]
+
+
 def test_rough_surfaces_hold_what_touches_them() -> None:
     """A block on a rough floor stands at 40 degrees; a rough baffle has no slip; other words are refused."""
     strong = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, young=1.0e7)
@@ -286,7 +300,9 @@ def test_the_flow_is_continuous_in_the_place_of_a_baffle_whose_sides_stand_on_no
     assert np.abs(positions(0.3 + shift) - positions(0.3)).max() < 3.0e-6
 
 
-@pytest.mark.parametrize(("wall", "cell"), [("rough", 0.02), ("no-slip", 0.01)])
+@pytest.mark.parametrize(
+    ("wall", "cell"), [("rough", 0.01), ("no-slip", 0.01), pytest.param("rough", 0.02, marks=pytest.mark.slow)]
+)
 def test_a_rough_wall_does_not_hold_dry_sand_that_falls_beside_it(wall: str, cell: float) -> None:
     """Sand that presses on nothing rubs on nothing: 0.96 of free fall before, and 0.92 on cells of 20 mm."""
     block = Solid(kind="box", lower=(0.0, 0.0), size=(0.2, 0.6), contact="no-slip")

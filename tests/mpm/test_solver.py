@@ -153,6 +153,7 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], rtol=1e-3, atol=1e-6)
         if scene.baffles:
             assert alone.solid_impulse is not None
+            # What is open is decided by a threshold (`mpm.physics.volume_correction.LEAST`): 0.16 % of the impulse.
             np.testing.assert_allclose(shared.solid_impulse, alone.solid_impulse, rtol=5e-3, atol=1e-6)
 
 
@@ -202,13 +203,13 @@ def stiffer(young: float = 2.0e6, **changes: object) -> Scene:
 
 
 def test_the_front_does_not_depend_on_stiffness_step_or_output_interval() -> None:
-    """Within 3 % at 20 mm cells; APIC, which loses velocity in every step, is apart by a tenth and more."""
-    scenes = [stiffer(), stiffer(step_fraction=0.2), stiffer(5.0e7), stiffer(frame_dt=0.001), stiffer(frame_dt=0.01)]
+    """Within 3 % at 20 mm cells; APIC, which loses velocity in every step, is apart by a fifth and more."""
+    scenes = [stiffer(), stiffer(step_fraction=0.2), stiffer(2.0e8), stiffer(frame_dt=0.001), stiffer(frame_dt=0.01)]
     fronts = np.array([flow.summary["front"] for flow in simulate_many(scenes)])
     assert np.ptp(fronts) <= 0.03 * fronts.mean()
     apic = [dataclasses.replace(scene, relaxation_time=0.0) for scene in scenes[:3]]
     dissipated = np.array([flow.summary["front"] for flow in simulate_many(apic)])
-    assert np.ptp(dissipated) > 0.1 * dissipated.mean()
+    assert np.ptp(dissipated) > 0.15 * dissipated.mean()
 
 
 def test_a_front_converges_with_the_cell() -> None:
