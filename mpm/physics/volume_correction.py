@@ -9,17 +9,22 @@ Integrated strain alone drifts: particles move with the grid's velocities, not w
 and a lone particle keeps its C for ever. Where a particle that carries no tension is open, its gap therefore follows
 that of the grid's density, backward in time over T_g = sqrt(dx / g) / 4:
 
-    e <- (e + dt / T_g e_s) / (1 + dt / T_g),    e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3)
+    e <- (e + dt / T_g min(e_s, 15 e)) / (1 + dt / T_g)
+    e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3)
     r = rho_p / (rho_0 f (1 - 2 |o|)),           rho_p = sum_i w_ip m_i / dx^D
     o = sum_i w_ip m_i x_ip / (dx sum_i w_ip m_i)
 
-rho_p is exact in the mean inside a body (single particles scatter by 3 % at the default jitter) but falls short beside
-a free surface, to 0.62 rho_0 at the outer one of two particles in a cell. There the centre of mass o lies inwards, by
-0.2 cells, and 1 - 2 |o| is the share that such a surface leaves. A wall of the box and a solid hide mass, too, but are
-no surface: y cells from one the share f = 1 - n^2 / 2, n = 1 - y / 1.7, is left, and o points away from it by
-0.2 min(n - 0.1, 0.6)_+ / f (both fitted to a half-space whose nodes have B-spline weights). Only what o falls short of
-that is counted: so a dense layer of half a cell on a floor, both of whose surfaces a particle sees, is not taken for
-loose sand, and sand that comes down is on the floor before it bears.
+rho_p is exact in the mean inside a body, but single particles scatter by 3 % at the default jitter, ten times the
+elastic strain of a bed. So the grid counts at most as 15 times the particle's own gap: sand that stops bearing for a
+few milliseconds, as a bed does whenever it rebounds, opens by its own strain and not by the scatter (by which a bed
+pressed on a baffle with 1.25 times its static thrust), and sand in free fall follows the grid after 2 T_g.
+
+Beside a free surface rho_p falls short, to 0.62 rho_0 at the outer one of two particles in a cell. There the centre of
+mass o lies inwards, by 0.2 cells, and 1 - 2 |o| is the share that such a surface leaves. A wall of the box and a solid
+hide mass, too, but are no surface: y cells from one the share f = 1 - n^2 / 2, n = 1 - y / 1.7, is left, and o points
+away from it by 0.2 min(n - 0.1, 0.6)_+ / f (both fitted to a half-space whose nodes have B-spline weights). Only what
+o falls short of that is counted: so a dense layer of half a cell on a floor, both of whose surfaces a particle sees, is
+not taken for loose sand, and sand that comes down is on the floor before it bears.
 
 At a boundary of soils of different density the grid has another density than the particle's own.
 """
@@ -34,6 +39,9 @@ from mpm.physics.principal import TINY
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
 
+
+FASTEST = 15.0
+"""Most that the grid's density counts as, over the particle's own gap [-]: so a gap grows by e^14 in T_g at most."""
 
 LEAST = 1.0e-8
 """Volume strain [-] that counts as none: rounding is as large."""
@@ -94,11 +102,11 @@ def grid_gap(
 
 @ti.func
 def updated_gap(opened, limit, bulk, rate, gap):
-    """K e [Pa] of particles: as remembered or, where open without tension, relaxed towards the grid's `gap` [-].
+    """K e [Pa] of particles: as remembered or, where open without tension, relaxed towards the grid's `gap` e_s [-].
 
     rate: dt / T_g [-].
     """
-    followed = (opened + rate * bulk * gap) / (1.0 + rate)
+    followed = (opened + rate * minimum(bulk * gap, FASTEST * opened)) / (1.0 + rate)
     return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)
 
 

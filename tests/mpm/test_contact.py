@@ -85,17 +85,17 @@ def test_under_ground_there_is_no_floor(changes: dict[str, Any]) -> None:
 
 
 def test_a_front_is_one_at_any_height_of_its_terrain() -> None:
-    """33.3, 26.6, 24.5, 22.9 m while a smooth floor took part; half a cell of offset alone moves it by 1.6 %."""
+    """33.3, 26.6, 24.5, 22.9 m while a smooth floor took part; half a cell of offset moves it by 2.3 %, a seed by 0.6."""
 
-    def raised(height: float) -> Scene:
+    def raised(height: float, seed: int) -> Scene:
         points = ((0.0, 10.0 + height), (20.0, height), (80.0, height))
         layer = Mass(kind="layer", thickness=2.0, outline=((2.0,), (8.0,)))
         ground, soil = Solid(kind="terrain", points=points, friction=0.5), Material(friction_deg=40.0, young=5.0e6)
-        changes: dict[str, Any] = {"size": (80.0, 14.0), "cell": 0.5, "duration": 8.0, "frame_dt": 0.1}
+        changes: dict[str, Any] = {"size": (80.0, 14.0), "cell": 0.5, "duration": 8.0, "frame_dt": 0.1, "seed": seed}
         return scene_of(layer, material=soil, solids=(ground,), **changes)
 
-    flows = simulate_many([raised(height) for height in (0.0, 0.25, 0.5, 1.0)], record=LAST)
-    fronts = [front(flow.positions[-1], flow.volumes) for flow in flows]
+    flows = simulate_many([raised(height, seed) for height in (0.0, 0.25, 0.5, 1.0) for seed in range(3)], record=LAST)
+    fronts = np.reshape([front(flow.positions[-1], flow.volumes) for flow in flows], (4, 3)).mean(axis=1)
     assert fronts == pytest.approx([22.2] * 4, rel=0.02)
 
 
