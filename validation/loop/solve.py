@@ -88,7 +88,7 @@ def run(
     task: Task, *, model: Path | None = None, load: surrogate.Load = surrogate.learned, known: Sequence[Known] = ()
 ) -> Result:
     """Search, check the answers, judge; load: in place of the learned surrogate; known: runs for other targets."""
-    began = time.perf_counter()
+    began, used = time.perf_counter(), time.process_time()
     before = tuple(task.run(*each) for each in known)
     led, outcome, cells = None, None, tuple[MpmRun, ...]()
     forward, reason = surrogate.choose(task, model=model, load=load)
@@ -127,7 +127,11 @@ def run(
         notes=(statement(state),),
         surrogate={"asked": led is not None, "reason": reason}
         | ({} if led is None else of_surrogate(task, led, state)),
-        seconds={"mpm": sum(each.seconds for each in runs), "total": time.perf_counter() - began},
+        seconds={
+            "mpm": sum(each.seconds for each in runs),
+            "total": time.perf_counter() - began,
+            "processors": time.process_time() - used,
+        },
         record=coarse,
         command="python -m validation.loop",
     )

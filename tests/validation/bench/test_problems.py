@@ -39,7 +39,7 @@ def result(name: str, off: float = 0.002) -> dict[str, Any]:
         "error_pct": {"front": 0.1},
         "loss": {"mpm": 4e-5},
         "mpm_runs": [{}] * 3,
-        "seconds": {"mpm": 4.0, "total": 50.0},
+        "seconds": {"mpm": 4.0, "total": 50.0, "processors": 80.0},
         "surrogate": {"asked": False, "reason": "the problem asks for none"},
     } | ({"fields": [FIELD]} if problem.fields else {})
 
@@ -55,7 +55,7 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         out.mkdir(parents=True, exist_ok=True)
         found = result(name)
         if name == DEAR and arguments[7] == "auto":
-            found |= {"surrogate": {"asked": True}, "seconds": {"total": 20.0}}
+            found |= {"surrogate": {"asked": True}, "seconds": {"total": 20.0, "processors": 30.0}}
         if arguments[7] == "gns":
             own = {"unknowns": found["unknowns"], "mpm_error": {"misfit": 5e-4, "front_pct": 4.2}}
             found |= {"surrogate": {"asked": True, **own}, "mpm_runs": [{}]}
@@ -111,7 +111,7 @@ def test_a_dear_problem_runs_without_a_surrogate_too(tmp_path: Path, loop: list[
     assert call(tmp_path, DEAR) == 0
     assert loop == [DEAR, DEAR]
     text = (tmp_path / "docs" / "problems.md").read_text()
-    assert "| 50 / 20 " in text
+    assert "| 80 / 30 " in text
     assert text.count(f"| `{DEAR}`") == 1
     # Of another problem, or of other weights: as it was kept.
     (tmp_path / "runs" / DEAR / problems.KEY).write_text("of another problem")
