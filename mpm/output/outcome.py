@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import WorkFailed
 from datasets.flow.caveats import caveats
-from datasets.flow.measures import front, runout, toe
+from datasets.flow.measures import extents
 from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.scene.particles import Particles
@@ -83,9 +83,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     began = rest - int(offset[Offset.WINDOW]) + 1
     deposit, kinds = positions[-1], (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
     summary: dict[str, Any] = {
-        "runout": runout(deposit),
-        "front": front(deposit, particles.volume),
-        "toe": list(toe(deposit)),
+        **extents(scene, deposit, particles.volume),
         "steps": int(offset[Offset.STEPS]),
         "particles": len(deposit),
         "rest_time": began * scene.frame_dt if rest else None,
