@@ -266,8 +266,8 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
             lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
         heights = [height(scene, mass) for mass in scene.masses if scene.material_of(mass) == material]
         least = SOFTEST * (material.density * scene.gravity * max(heights, default=0.0))
-        if material.young < least:
-            soft = f"young = {material.young:g} Pa is less than {SOFTEST:g} rho g h = {least:.3g} Pa"
+        if material.modulus < least:
+            soft = f"young = {material.modulus:g} Pa is less than {SOFTEST:g} rho g h = {least:.3g} Pa"
             lines.append(f"{soft}: the body sinks under its own weight by more than a twentieth of its height")
         for line in lines:
             warnings.warn(f"{key}.{line}", stacklevel=3)
