@@ -37,10 +37,10 @@ from typing import Any, Unpack, cast
 import numpy as np
 
 from datasets.errors import InputError
+from datasets.geometry.bodies import scene_height
 from datasets.scene import Mass, Scene
 from datasets.scene.grid_field import FRICTION, Field
 from datasets.scene.material import Material
-from datasets.scene.particles import scene_height
 from mpm.laws import law_named
 from mpm.laws.mohr_coulomb import flatter
 from mpm.output.request import Recording

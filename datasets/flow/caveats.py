@@ -6,8 +6,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.geometry.bodies import scene_height
 from datasets.scene import DOMAIN_SIDES, Scene
-from datasets.scene.particles import Particles, scene_height, unresolved
+from datasets.scene.particles import Particles, unresolved
 
 AT_REST = 1e-3
 """Kinetic energy of a deposit at rest, over its largest, at most."""

@@ -284,6 +284,14 @@ def height(scene: SceneLayout, mass: Mass) -> float:
     return float(np.max(mass.thickness or 0.0)) if mass.kind == "layer" else filling(scene, mass).height
 
 
+def scene_height(scene: SceneLayout) -> float:
+    """Of the material of all masses over one place in plan, at most [m]; air between them does not count."""
+    heights = [height(scene, mass) for mass in scene.masses]
+    lower, size = (np.array([getattr(mass, key) for mass in scene.masses])[:, ::2] for key in ("lower", "size"))
+    above = (np.abs(lower + 0.5 * size - (lower + 0.5 * size)[:, None]) <= 0.5 * size + TOLERANCE).all(axis=2)
+    return float((above @ np.array(heights)).max())
+
+
 def lattice_of(scene: SceneLayout, mass: Mass) -> Floats:
     """Where the particles of a mass are before their jitter [m], shape [N, D]."""
     if mass.kind == "box":

@@ -14,7 +14,6 @@ from datasets.memory import require
 from datasets.scene import TOLERANCE, Mass, Scene, keyed
 from datasets.scene.grid_field import FRICTION
 from datasets.scene.material import Material
-from datasets.scene.parts import SceneLayout
 
 PARTICLE = 60
 """Bytes that a particle takes while it is made, over the square of the dimensions."""
@@ -165,14 +164,6 @@ def observed_cohesion(
         if scene.material_of(each).strength_gradient > 0.0:
             depths[mass == index] = depth(scene, each, np.asarray(positions[mass == index], np.float64))
     return cohesions([scene.material_of(each) for each in scene.masses], mass, depths)
-
-
-def scene_height(scene: SceneLayout) -> float:
-    """Of the material of all masses over one place in plan, at most [m]; air between them does not count."""
-    heights = [height(scene, mass) for mass in scene.masses]
-    lower, size = (np.array([getattr(mass, key) for mass in scene.masses])[:, ::2] for key in ("lower", "size"))
-    above = (np.abs(lower + 0.5 * size - (lower + 0.5 * size)[:, None]) <= 0.5 * size + TOLERANCE).all(axis=2)
-    return float((above @ np.array(heights)).max())
 
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:

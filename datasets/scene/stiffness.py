@@ -9,7 +9,7 @@ with the components of gravity along the box and down, and the least friction mu
 
     E = max(2 MPa, 50 rho g h, rho v^2)
 
-of a material of density rho, with the height h of what lies over one place. Under its own weight it is then compressed by
+of a material of density rho, with the height h of what lies over one place. Under its weight it is then compressed by
 less than a fiftieth, and its pressure waves, c = 1.16 v where nu = 0.3, keep pace with the flow: a front and its speed
 change by less than 3 % over a factor of ten of E (`tests/mpm/test_time_step.py`). A stiffer one only takes more steps.
 """
@@ -50,7 +50,7 @@ def with_stiffness(scene: SceneLayout) -> dict[str, Any]:
 
 def specific_stress(scene: SceneLayout) -> float:
     """max(50 g h, v^2) [m^2/s^2]: times the density the least modulus that a flow needs."""
-    from datasets.scene.particles import scene_height
+    from datasets.geometry.bodies import scene_height
 
     return max(UNDER_WEIGHT * scene.gravity * scene_height(scene), IN_MOTION * greatest_speed(scene) ** 2)
 

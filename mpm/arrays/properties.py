@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.bodies import scene_height
 from datasets.geometry.placement import remembers_gaps
 from datasets.scene import NO_SLIP, Scene, coefficient
 from datasets.scene.material import Material
-from datasets.scene.particles import Particles, scene_height
+from datasets.scene.particles import Particles
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import Property, Setting
 from mpm.laws import law_named

@@ -9,8 +9,9 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from datasets.geometry.bodies import scene_height
 from datasets.scene import DOMAIN_SIDES, Scene, coefficient
-from datasets.scene.particles import Particles, scene_height
+from datasets.scene.particles import Particles
 from mpm.arrays.layout import PADDING, Property, node_shape
 from mpm.arrays.properties import properties_of
 from mpm.initial.barriers import barriers

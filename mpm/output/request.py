@@ -22,9 +22,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from datasets.errors import InputError
+from datasets.geometry.bodies import scene_height
 from datasets.scene import Scene
 from datasets.scene.material import Material
-from datasets.scene.particles import scene_height
 from datasets.schema import Record
 
 REST = 1.0e-3

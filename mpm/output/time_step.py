@@ -22,7 +22,8 @@ def spoken(scene: Scene) -> str:
     stiffest = max(materials, key=lambda material: material.wave_speed)
     wave, speed = stiffest.wave_speed, greatest_speed(scene)
     slow = (STABILITY / scene.step_fraction - 1.0) * wave
-    line = f"time step {scene.frame_dt / substeps_per_frame(scene, materials):.2g} s, set by elastic waves of {wave:.3g} m/s"
+    step = scene.frame_dt / substeps_per_frame(scene, materials)
+    line = f"time step {step:.2g} s, set by elastic waves of {wave:.3g} m/s"
     if speed > slow:
         line += f", by the flow where it is faster than {slow:.3g} m/s: it may reach {speed:.3g} m/s"
     enough = specific_stress(scene) * stiffest.density

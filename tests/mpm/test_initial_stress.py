@@ -11,10 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.bodies import scene_height
 from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.material import Material
-from datasets.scene.particles import initial_particles, scene_height
+from datasets.scene.particles import initial_particles
 from mpm import WITH_FIELDS, simulate
 from mpm.initial.geostatic import warn_of_ratio
 from mpm.initial.stress import initial_tractions

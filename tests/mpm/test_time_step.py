@@ -18,7 +18,7 @@ FOOT = 260.0
 
 
 def mountainside() -> Scene:
-    """1.5 m on a path of 300 m at 30 degrees that ends in an arc and on the level; bed friction 0.3, cells of 0.75 m."""
+    """1.5 m on a path of 300 m at 30 degrees, then an arc and the level; bed friction 0.3, cells of 0.75 m."""
     along = RADIUS * np.tan(0.5 * SLOPE)
     angles = SLOPE - np.linspace(0.0, SLOPE, 17)
     arc = [(FOOT + along - RADIUS * np.sin(each), 5.0 + RADIUS * (1.0 - np.cos(each))) for each in angles.tolist()]
