@@ -10,6 +10,7 @@ from datasets.files import read_toml
 from datasets.scene.library import SCENES, find
 
 COMMANDS = {
+    "site": ("datasets.site:command", "write a scene from a raster of elevations and a release polygon"),
     "run": ("mpm.run:command", "simulate a scene with the MPM"),
     "generate": ("mpm.generate:command", "make a dataset of MPM runs"),
     "train": ("gns.train:train", "train a surrogate"),

@@ -1,0 +1,246 @@
+"""python -m datasets.site DEM --release FILE --out site.toml: a scene in map coordinates from a raster and a release.
+
+The box holds every place that the energy line reaches from the release, and some ground around: what is connected
+with the release and lies below
+
+    z_0 - REACH mu s,    z_0: the top of the release, s: level distance from it
+
+A thickness T normal to the bed is T / cos(slope) along the vertical,
+cell by cell of the raster.
+"""
+
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+import tomli_w
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, label
+
+from datasets.command_line import run
+from datasets.errors import InputError, naming, require
+from datasets.exchange.rasters import Raster, read_raster, write_raster
+from datasets.exchange.vectors import Feature, read_polygons
+from datasets.files import write_text
+from datasets.scene.grid_field import Floats
+from datasets.scene.library import scene_from
+from datasets.scene.particles import particle_count, released_volume
+from datasets.scene.stiffness import greatest_speed
+
+REACH = 0.75
+"""Slope of the energy line that bounds the box over the coefficient of friction: fronts run beyond a block's place."""
+THICKNESS = ("thickness", "d0")
+"""Attributes of a polygon that may say how thick it is [m]."""
+CELLS = 5.0e7
+"""Of the box, at most, where no cell is given."""
+ACROSS = 2.0
+"""Cells over the thickness of the release, where the box allows it."""
+AROUND, AIR = 4, 10
+"""Cells of ground around what is reached; of air over it."""
+TRAVEL = 4.0
+"""Simulated time over that in which the largest speed reaches the end of the box."""
+FRAMES = 100
+"""At least so many."""
+
+
+def site(
+    raster: Raster,
+    release: list[Feature],
+    *,
+    thickness: float | None,
+    vertical: bool,
+    friction: float,
+    internal_friction: float,
+    cell: float | None,
+) -> dict[str, Any]:
+    """The tables of a scene file without its terrain's path and its times; lengths in m on the map, angle in degrees.
+
+    Raises InputError for a release that does not lie on the raster or has no thickness.
+    """
+    thick = [thickness_of(each, thickness) for each in release]
+    covered = np.zeros(raster.values.shape, bool)
+    masses, top = [], -math.inf
+    for feature, own in zip(release, thick, strict=True):
+        mass, inside = layer(raster, feature, own, vertical)
+        covered |= inside
+        masses.append(mass)
+        top = max(top, float(raster.values[inside].max()) + 2.0 * own)
+    lower, upper = reached(raster, covered, top, REACH * friction)
+    edge = cell or round_up(max(max(thick) / ACROSS, (float(np.prod(upper - lower)) / CELLS) ** (1.0 / 3.0)))
+    lower[1], upper[1] = lower[1] - AROUND * edge, upper[1] + AIR * edge + max(thick)
+    # Within the raster, whose posts stand half a spacing inside its edge.
+    ends = [(axis[0], axis[-1]) for axis in (raster.x, raster.z)]
+    for axis, (first, last) in zip((0, 2), ends, strict=True):
+        lower[axis] = max(first, lower[axis] - AROUND * edge)
+        upper[axis] = min(last, upper[axis] + AROUND * edge)
+    origin = np.ceil(lower)
+    origin[1] = math.floor(lower[1])
+    counts = np.floor((upper - origin) / edge + 1.0e-9)
+    counts[1] += 1.0
+    require(bool((counts >= 1.0).all()), "--cell", "cells that fit what the flow reaches", f"{edge:g} m")
+    size = np.round(counts * edge, 9)
+    domain = {"size": size.tolist(), "cell": edge, "origin": origin.tolist()}
+    return {
+        "open_sides": ["x-", "x+", "z-", "z+"],
+        "domain": domain | ({} if raster.crs is None else {"crs": raster.crs}),
+        "material": {"friction_deg": internal_friction},
+        "masses": masses,
+        "solids": [{"name": "terrain", "kind": "terrain", "friction": friction}],
+    }
+
+
+def thickness_of(feature: Feature, given: float | None) -> float:
+    """Thickness of a polygon [m]: the given one, else that of its attribute. Raises InputError."""
+    own = next((feature.attributes[name] for name in THICKNESS if name in feature.attributes), None)
+    try:
+        found = given if given is not None else float("nan" if own is None else own)
+    except (TypeError, ValueError):
+        found = math.nan
+    expected = f"a thickness above 0 m, or an attribute {' or '.join(THICKNESS)} of each polygon"
+    require(0.0 < found < math.inf, "--thickness", expected, own if given is None else given)
+    return found
+
+
+def layer(
+    raster: Raster, feature: Feature, thickness: float, vertical: bool
+) -> tuple[dict[str, Any], NDArray[np.bool_]]:
+    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster within it or beside it."""
+    polygon = feature.polygon
+    require(not polygon.interiors, "--release", "polygons without holes", f"{len(polygon.interiors)} in one")
+    box = polygon.bounds
+    axes, parts = (raster.x, raster.z), []
+    for axis, spacing, low, high in zip(axes, raster.spacing, box[:2], box[2:], strict=True):
+        within = axis[0] - 0.5 * spacing <= low and high <= axis[-1] + 0.5 * spacing
+        got = f"{low:.10g} to {high:.10g} beside {axis[0]:.10g} to {axis[-1]:.10g}"
+        require(bool(within), "--release", "polygons that lie on the raster", got)
+        near = np.flatnonzero((axis >= low - spacing) & (axis <= high + spacing))
+        parts.append(slice(near[0], near[-1] + 1))
+    x, z = np.meshgrid(raster.x[parts[0]], raster.z[parts[1]], indexing="ij")
+    inside = np.zeros(raster.values.shape, bool)
+    inside[parts[0], parts[1]] = shapely.intersects_xy(polygon.buffer(0.5 * max(raster.spacing)), x, z)
+    holes = int(np.isnan(raster.values[inside]).sum())
+    require(holes == 0, "--release", "ground beneath all of it", f"{holes} posts of the raster without data")
+    mass: dict[str, Any] = {"kind": "layer", "outline": [list(place) for place in polygon.exterior.coords[:-1]]}
+    if vertical:
+        return mass | {"thickness": thickness}, inside
+    rows = np.round(thickness * steepness(raster)[parts[0], parts[1]], 6)
+    place = {"origin": [float(raster.x[parts[0]][0]), float(raster.z[parts[1]][0])], "spacing": list(raster.spacing)}
+    return mass | {"thickness": rows.tolist()} | place, inside
+
+
+def steepness(raster: Raster) -> Floats:
+    """1 / cos(slope) at the posts [X, Z], by central differences; 1 beside holes."""
+    along, across = np.gradient(raster.values, *raster.spacing)
+    return np.asarray(np.nan_to_num(np.sqrt(1.0 + along**2 + across**2), nan=1.0))
+
+
+def reached(raster: Raster, release: NDArray[np.bool_], top: float, slope: float) -> tuple[Floats, Floats]:
+    """Corners [m], shape [3], of the box around the ground that an energy line of a slope reaches from `top` [m]."""
+    distance = distance_transform_edt(~release, sampling=raster.spacing)
+    below = np.nan_to_num(raster.values, nan=np.inf) <= top - slope * distance
+    parts, _ = label(below | release, structure=np.ones((3, 3)))
+    here = np.isin(parts, np.unique(parts[release]))
+    plan = [axis[here.any(axis=1 - number)] for number, axis in enumerate((raster.x, raster.z))]
+    heights = raster.values[here & ~np.isnan(raster.values)]
+    lower, upper = ([function(each) for each in (plan[0], heights, plan[1])] for function in (np.min, np.max))
+    return np.array(lower, np.float64), np.array(upper, np.float64)
+
+
+def without_holes(raster: Raster, domain: dict[str, Any]) -> Floats | None:
+    """The values [X, Z] with those of the nearest posts in holes; None where no hole lies in the box of a scene."""
+    holes = np.isnan(raster.values)
+    sides = zip((raster.x, raster.z), raster.spacing, domain["origin"][::2], domain["size"][::2], strict=True)
+    within = [(axis > low - step) & (axis < low + length + step) for axis, step, low, length in sides]
+    if not (holes & np.logical_and.outer(*within)).any():
+        return None
+    nearest = distance_transform_edt(holes, sampling=raster.spacing, return_distances=False, return_indices=True)
+    return np.asarray(raster.values[tuple(nearest)])
+
+
+def round_up(length: float) -> float:
+    """The next length of two digits [m]."""
+    unit = 10.0 ** (math.floor(math.log10(length)) - 1)
+    return float(f"{math.ceil(length / unit - 1.0e-9) * unit:.6g}")
+
+
+def command(
+    dem: Path,
+    /,
+    *,
+    release: Path,
+    out: Path,
+    thickness: float | None = None,
+    vertical: bool = False,
+    friction: float = 0.4,
+    internal_friction: float = 30.0,
+    cell: float | None = None,
+) -> None:
+    """Write a scene in map coordinates from a raster of elevations and the polygons of a release.
+
+    Parameters
+    ----------
+    dem
+        ESRI ASCII or GeoTIFF raster of elevations [m], in a projected coordinate system or none.
+    release
+        Polygons: shapefile, GeoPackage, GeoJSON or KML.
+    out
+        The scene to write (TOML).
+    thickness
+        Of the release [m]; else the attribute `thickness` or `d0` of each polygon.
+    vertical
+        Whether the thickness is measured along the vertical; else normal to the ground.
+    friction
+        Coulomb coefficient of the ground.
+    internal_friction
+        Angle of internal friction of the material [deg].
+    cell
+        Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
+    """
+    require(friction >= 0.0, "--friction", "a coefficient of at least 0", friction)
+    require(cell is None or 0.0 < cell < math.inf, "--cell", "a length above 0 m", cell)
+    with naming(dem):
+        raster = read_raster(dem)
+    with naming(release):
+        features = read_polygons(release, raster.crs)
+        table = site(
+            raster,
+            features,
+            thickness=thickness,
+            vertical=vertical,
+            friction=friction,
+            internal_friction=internal_friction,
+            cell=cell,
+        )
+    whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
+    if whole is not None:
+        dem = out.with_suffix(".dem.tif")
+        even = math.isclose(*raster.spacing)
+        require(even, "", "ground without holes, or square cells, in which they can be filled", raster.spacing)
+        write_raster(dem, whole, raster.spacing[0], raster.corner, raster.crs, "elevation, holes filled", "m")
+        print(f"{dem}: the raster with its holes filled by the nearest posts; nothing should flow there")
+    terrain["file"] = str(dem.resolve())
+    try:
+        scene = scene_from({"duration": 1.0, "frame_dt": 1.0, **table}, out.resolve().parent)
+    except InputError as error:
+        raise error if error.where else error.at(str(out)) from None
+    terrain["file"] = os.path.relpath(dem.resolve(), out.resolve().parent)
+    size, speed = scene.domain.size, greatest_speed(scene)
+    seconds = 10.0 * math.ceil(0.1 * TRAVEL * math.hypot(*size[::2]) / max(speed, 1.0))
+    frame_dt = next((each for each in (1.0, 0.5, 0.2) if seconds / each >= FRAMES), 0.1)
+    times = {"duration": seconds, "frame_dt": frame_dt}
+    head = f"# {release.name} on {dem.name}, by python -m datasets.site; in map coordinates.\n"
+    write_text(out, head + tomli_w.dumps({**times, **table}))
+    print(
+        f"{out}: {released_volume(scene):.4g} m^3 in {particle_count(scene)} particles, a box of "
+        f"{' x '.join(f'{length:g}' for length in size)} m in cells of {scene.domain.cell:g} m, "
+        f"{seconds:g} s, at most {speed:.3g} m/s by the energy line"
+    )
+    print(f"python -m mpm.run {out} --out DIR --until-rest, then python -m datasets.maps DIR --out MAPS")
+
+
+if __name__ == "__main__":
+    sys.exit(run(command, "python -m datasets.site"))

@@ -1,0 +1,67 @@
+"""Polygons from the files of a GIS, in the reference system of the map."""
+
+from pathlib import Path
+
+import numpy as np
+import pyogrio
+import pytest
+import shapely
+from rasterio.warp import transform
+
+from datasets.exchange.vectors import read_polygons
+from tests.refusals import refused
+
+SWISS = "EPSG:2056"
+FIELD = shapely.box(2_600_000.0, 1_200_000.0, 2_600_040.0, 1_200_030.0)
+PAIR = shapely.MultiPolygon([FIELD, shapely.box(2_600_100.0, 1_200_000.0, 2_600_110.0, 1_200_010.0)])
+
+
+def written(path: Path, shape: shapely.Geometry, crs: str | None = SWISS, thickness: float = 1.5) -> Path:
+    """A file of one feature."""
+    geometry, values = np.array([shapely.to_wkb(shape)]), [np.array([thickness])]
+    driver = {"driver": "KML"} if path.suffix == ".kml" else {}
+    pyogrio.raw.write(path, geometry, values, ["Thickness"], geometry_type=shape.geom_type, crs=crs, **driver)
+    return path
+
+
+def in_degrees(shape: shapely.Geometry) -> shapely.Geometry:
+    return shapely.transform(shape, lambda rows: np.stack(transform(SWISS, "EPSG:4326", *rows.T), axis=1))
+
+
+@pytest.mark.parametrize("name", ["field.shp", "field.gpkg", "field.geojson"])
+def test_each_format_has_the_polygons_and_their_attributes(tmp_path: Path, name: str) -> None:
+    found = read_polygons(written(tmp_path / name, PAIR), SWISS)
+    assert [each.polygon.area for each in found] == pytest.approx([1200.0, 100.0])
+    assert found[0].polygon.bounds == pytest.approx(FIELD.bounds)
+    assert [each.attributes["thickness"] for each in found] == [1.5, 1.5]
+
+
+@pytest.mark.parametrize("name", ["field.geojson", "field.kml"])
+def test_degrees_come_into_the_system_of_the_map(tmp_path: Path, name: str) -> None:
+    (found,) = read_polygons(written(tmp_path / name, in_degrees(FIELD), "EPSG:4326"), SWISS)
+    # GDAL writes degrees to 1 cm.
+    assert found.polygon.symmetric_difference(FIELD).area < 2.0
+    if name.endswith("kml"):
+        refused(read_polygons, tmp_path / name, None, said="got degrees")
+
+
+def test_coordinates_without_a_system_are_those_of_the_map(tmp_path: Path) -> None:
+    """GDAL takes such a GeoJSON for degrees."""
+    text = shapely.to_geojson(FIELD)
+    (tmp_path / "field.geojson").write_text(f'{{"type": "Feature", "properties": {{}}, "geometry": {text}}}')
+    for crs in (SWISS, None):
+        (found,) = read_polygons(tmp_path / "field.geojson", crs)
+        assert found.polygon.bounds == FIELD.bounds
+
+
+def test_what_holds_no_polygons_is_one_line(tmp_path: Path) -> None:
+    refused(read_polygons, tmp_path / "field.shp", SWISS, said="field.shp")
+    for name, text, said in (
+        ("field.dxf", "0", "a file whose name ends in .shp .gpkg"),
+        ("field.kml", "<OGRVRTDataSource/>", "a file as its ending .kml says"),
+        ("field.json", '{"type": "Feature"', "expected polygons"),
+        ("cross.geojson", shapely.to_geojson(shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)])), "do not cross"),
+        ("point.geojson", shapely.to_geojson(shapely.Point(2_600_000, 1_200_000)), "expected polygons, got none"),
+    ):
+        (tmp_path / name).write_text(text)
+        refused(read_polygons, tmp_path / name, None if name == "cross.geojson" else SWISS, said=said)

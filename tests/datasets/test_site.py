@@ -1,0 +1,99 @@
+"""A scene in map coordinates from a raster of elevations and a release polygon."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from rasterio.transform import Affine
+
+from datasets.command_line import run
+from datasets.scene import Scene
+from datasets.scene.library import read_scene
+from datasets.scene.particles import initial_particles, mass_volumes
+from datasets.site import command
+from tests.datasets.exchange.test_vectors import written
+from tests.refusals import refused_by
+
+EAST, UP, NORTH = 2_600_000.0, 1_800.0, 1_200_000.0
+SLOPE = math.radians(30.0)
+FIELD = shapely.box(EAST + 30.0, NORTH + 80.0, EAST + 70.0, NORTH + 120.0)
+
+
+def dem(folder: Path, *, hole: bool = False) -> Path:
+    """500 x 200 m in cells of 5 m: a plane that falls by 30 degrees to the east over 300 m, then the level."""
+    x = 5.0 * (np.arange(100) + 0.5)
+    rows = np.tile(UP + math.tan(SLOPE) * np.maximum(300.0 - x, 0.0), (40, 1))
+    if hole:
+        rows[:4, :8] = -9999.0
+    place = {"transform": Affine(5.0, 0.0, EAST, 0.0, -5.0, NORTH + 200.0), "crs": "EPSG:2056", "nodata": -9999.0}
+    path = folder / "dem.tif"
+    with rasterio.open(path, "w", driver="GTiff", count=1, height=40, width=100, dtype="float64", **place) as file:
+        file.write(rows, 1)
+    return path
+
+
+def made(folder: Path, *flags: str, hole: bool = False, shape: shapely.Geometry = FIELD) -> Scene:
+    """The scene that the command writes."""
+    release = written(folder / "release.gpkg", shape)
+    arguments = [str(dem(folder, hole=hole)), "--release", str(release), "--out", str(folder / "new" / "site.toml")]
+    assert run(command, "site", [*arguments, *flags]) == 0
+    return read_scene(folder / "new" / "site.toml")
+
+
+def test_a_site_is_a_scene_on_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The attribute's 1.5 m normal to the bed, in a box that the energy line says, in cells of half of that or more."""
+    found = made(tmp_path, "--friction", "0.4", "--internal-friction", "35")
+    assert mass_volumes(found)[0] == pytest.approx(1.5 / math.cos(SLOPE) * 1600.0, rel=1e-3)
+    domain = found.domain
+    assert domain.crs == "EPSG:2056"
+    assert domain.origin is not None
+    start = initial_particles(found).positions + domain.corner
+    assert start[:, 0].min() == pytest.approx(EAST + 30.0, abs=1.0)
+    assert start[:, 2].max() == pytest.approx(NORTH + 120.0, abs=1.0)
+    # Ground below 0.3 of the distance: 260 m of drop reach the end of the raster.
+    assert domain.origin[0] + domain.size[0] > EAST + 480.0
+    assert domain.origin[1] < UP
+    assert found.material.friction_deg == 35.0
+    assert (found.solids[0].friction, found.solids[0].name) == (0.4, "terrain")
+    assert "m^3 in" in capsys.readouterr().out
+
+
+def test_what_the_flags_say(tmp_path: Path) -> None:
+    found = made(tmp_path, "--thickness", "2", "--vertical", "--cell", "4", "--friction", "0.7")
+    assert found.domain.cell == 4.0
+    assert mass_volumes(found)[0] == pytest.approx(2.0 * 1600.0, rel=1e-6)
+    # A steep energy line ends on the slope: the level is not in the box.
+    assert found.domain.origin is not None
+    assert found.domain.origin[0] + found.domain.size[0] < EAST + 450.0
+
+
+def test_several_polygons_and_holes_of_the_raster(tmp_path: Path) -> None:
+    """A corner without data is filled in a raster of its own, which the scene names."""
+    pair = shapely.MultiPolygon([FIELD, shapely.box(EAST + 90.0, NORTH + 90.0, EAST + 110.0, NORTH + 110.0)])
+    found = made(tmp_path, "--cell", "2", hole=True, shape=pair)
+    assert mass_volumes(found) * math.cos(SLOPE) / 1.5 == pytest.approx([1600.0, 400.0], rel=1e-3)
+    assert (tmp_path / "new" / "site.dem.tif").is_file()
+
+
+def test_what_makes_no_site_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ground, out = dem(tmp_path), tmp_path / "site.toml"
+    ring = shapely.Polygon(
+        FIELD.exterior.coords, [shapely.box(EAST + 40.0, NORTH + 90.0, EAST + 50.0, NORTH + 99.0).exterior.coords]
+    )
+    far = shapely.box(EAST - 30.0, NORTH, EAST + 10.0, NORTH + 20.0)
+    for shape, flags, said in (
+        (ring, [], "polygons without holes"),
+        (far, [], "polygons that lie on the raster"),
+        (FIELD, ["--thickness", "0"], "--thickness: expected a thickness above 0 m"),
+        (FIELD, ["--friction", "-1"], "--friction: expected a coefficient"),
+        (FIELD, ["--cell", "0"], "--cell: expected a length above 0 m"),
+        (FIELD, ["--cell", "900"], "--cell: expected cells that fit"),
+        (FIELD, ["--internal-friction", "95"], "material.friction_deg"),
+    ):
+        release = written(tmp_path / "release.gpkg", shape)
+        assert said in refused_by(capsys, command, ground, "--release", release, "--out", out, *flags)
+        release.unlink()
+    assert not out.exists()
