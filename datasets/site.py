@@ -13,23 +13,25 @@ import math
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 import tomli_w
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, label
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming, require
-from datasets.exchange.rasters import Raster, read_raster, write_raster
-from datasets.exchange.vectors import Feature, read_polygons
 from datasets.files import write_text
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import scene_from
 from datasets.scene.particles import particle_count, released_volume
 from datasets.scene.stiffness import greatest_speed
+
+# GDAL and SciPy take half a second to import: --help needs neither.
+if TYPE_CHECKING:
+    from datasets.exchange.rasters import Raster
+    from datasets.exchange.vectors import Feature
 
 REACH = 0.75
 """Slope of the energy line that bounds the box over the coefficient of friction: fronts run beyond a block's place."""
@@ -48,8 +50,8 @@ FRAMES = 100
 
 
 def site(
-    raster: Raster,
-    release: list[Feature],
+    raster: "Raster",
+    release: "list[Feature]",
     *,
     thickness: float | None,
     vertical: bool,
@@ -93,7 +95,7 @@ def site(
     }
 
 
-def thickness_of(feature: Feature, given: float | None) -> float:
+def thickness_of(feature: "Feature", given: float | None) -> float:
     """Thickness of a polygon [m]: the given one, else that of its attribute. Raises InputError."""
     own = next((feature.attributes[name] for name in THICKNESS if name in feature.attributes), None)
     try:
@@ -106,7 +108,7 @@ def thickness_of(feature: Feature, given: float | None) -> float:
 
 
 def layer(
-    raster: Raster, feature: Feature, thickness: float, vertical: bool
+    raster: "Raster", feature: "Feature", thickness: float, vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
     """A polygon as a mass of a scene file, and the posts [X, Z] of the raster within it or beside it."""
     polygon = feature.polygon
@@ -132,14 +134,16 @@ def layer(
     return mass | {"thickness": rows.tolist()} | place, inside
 
 
-def steepness(raster: Raster) -> Floats:
+def steepness(raster: "Raster") -> Floats:
     """1 / cos(slope) at the posts [X, Z], by central differences; 1 beside holes."""
     along, across = np.gradient(raster.values, *raster.spacing)
     return np.asarray(np.nan_to_num(np.sqrt(1.0 + along**2 + across**2), nan=1.0))
 
 
-def reached(raster: Raster, release: NDArray[np.bool_], top: float, slope: float) -> tuple[Floats, Floats]:
+def reached(raster: "Raster", release: NDArray[np.bool_], top: float, slope: float) -> tuple[Floats, Floats]:
     """Corners [m], shape [3], of the box around the ground that an energy line of a slope reaches from `top` [m]."""
+    from scipy.ndimage import distance_transform_edt, label
+
     distance = distance_transform_edt(~release, sampling=raster.spacing)
     below = np.nan_to_num(raster.values, nan=np.inf) <= top - slope * distance
     parts, _ = label(below | release, structure=np.ones((3, 3)))
@@ -150,8 +154,10 @@ def reached(raster: Raster, release: NDArray[np.bool_], top: float, slope: float
     return np.array(lower, np.float64), np.array(upper, np.float64)
 
 
-def without_holes(raster: Raster, domain: dict[str, Any]) -> Floats | None:
+def without_holes(raster: "Raster", domain: dict[str, Any]) -> Floats | None:
     """The values [X, Z] with those of the nearest posts in holes; None where no hole lies in the box of a scene."""
+    from scipy.ndimage import distance_transform_edt
+
     holes = np.isnan(raster.values)
     sides = zip((raster.x, raster.z), raster.spacing, domain["origin"][::2], domain["size"][::2], strict=True)
     within = [(axis > low - step) & (axis < low + length + step) for axis, step, low, length in sides]
@@ -200,6 +206,9 @@ def command(
     cell
         Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
     """
+    from datasets.exchange.rasters import read_raster, write_raster
+    from datasets.exchange.vectors import read_polygons
+
     require(friction >= 0.0, "--friction", "a coefficient of at least 0", friction)
     require(cell is None or 0.0 < cell < math.inf, "--cell", "a length above 0 m", cell)
     with naming(dem):
