@@ -141,10 +141,13 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
         found = compare(mpm.simulate("column-tall-42"), gns.simulate("column-tall-42"))
         print(found.table())
 
-    Raises InputError where one is in 2D and the other in 3D.
+    x counts from the box's lower corner. Raises InputError where one is in 2D and the other in 3D, and for boxes in
+    two places of a map.
     """
     dimension, its = one.scene.dimension, other.scene.dimension
     require(dimension == its, "", f"a {dimension}D flow to compare with one", f"{its}D")
+    places = [each.scene.domain.corner.tolist() for each in (one, other)]
+    require(places[0] == places[1], "", f"a flow in a box at {places[0]}, as the other", f"one at {places[1]}")
     both, columns = (FlowFields(one), FlowFields(other)), Columns.of_flows((one, other))
     same = pairs(*both)
     end = float(other.time[-1]) * (1.0 + 1e-9)

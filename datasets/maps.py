@@ -66,7 +66,8 @@ class PlanMaps:
     velocity: Floats | None
     """Largest velocity [m/s] in any frame where there was more than the threshold; None where none is known."""
     ground: Floats
-    """Elevation of what is highest of all that is solid, in the middle of a cell [m]; 0 is the floor of the box."""
+    """Elevation of what is highest of all that is solid, in the middle of a cell [m]; 0, or on a map the origin's, is
+    the floor of the box."""
     threshold: float
     """Thickness [m] above which a cell counts as covered."""
     volume: float
@@ -89,8 +90,8 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
 
     threshold: [m], above which a cell counts as covered; where absent a particle's spacing at the start, at most half
     the least thickness that was released. Raises InputError for one that is not positive, for a flow in 2D, and for
-    cells that are finer than the particles, or longer than a side of the box. They lie where the first raster of the
-    scene's terrain that knows says.
+    cells that are finer than the particles, or longer than a side of the box. They lie where the origin of the box
+    says, else the first raster of the scene's terrain that knows.
     """
     scene, fields, volumes = trajectory.scene, FlowFields(trajectory), trajectory.volumes
     if threshold is None:
@@ -117,15 +118,16 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
             momentum = np.linalg.norm(spread @ (volumes[inside, None] * velocity[inside]), axis=1).reshape(grid.nodes)
             speed = np.divide(momentum, volume, out=np.zeros_like(volume), where=thickness > threshold)
             fastest = speed if fastest is None else np.maximum(fastest, speed)
+    east, up, north = scene.domain.corner.tolist()
     corners = ((solid.corner, solid.crs) for solid in scene.solids if solid.corner is not None)
-    corner, crs = next(corners, ((0.0, 0.0), None))
+    corner, crs = next(corners, ((east, north), scene.domain.crs))
     return PlanMaps(
         grid=grid,
         thickness=thickness,
         start=start,
         depth=depth,
         velocity=fastest,
-        ground=ground(scene, grid),
+        ground=ground(scene, grid) + up,
         threshold=threshold,
         volume=float(volumes[inside].sum()),
         left=float(volumes[~inside].sum()),

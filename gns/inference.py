@@ -60,9 +60,7 @@ def simulate(
     wall = time.perf_counter() - clock
     deposit, volume = positions[-1], initial.conditions.volume.numpy()
     summary = {
-        "runout": measures.runout(deposit),
-        "front": measures.front(deposit, volume),
-        "toe": list(measures.toe(deposit)),
+        **measures.extents(scene, deposit, volume),
         "steps": initial.steps,
         "particles": len(initial.indices),
         "wall_s": wall,

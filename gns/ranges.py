@@ -99,7 +99,7 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
         "tension_cutoff": Quantity(
             [each.tension_limit / each.cohesion for each in sand if each.cohesion > 0.0], "of the cohesion"
         ),
-        "young": Quantity([each.young / body.stress for each in sand], "rho g l", above=False),
+        "young": Quantity([each.modulus / body.stress for each in sand], "rho g l", above=False),
         "poisson": Quantity([each.poisson for each in sand]),
         "dilation_deg": Quantity([each.dilation_deg for each in sand], "deg"),
         "softening_length": lengths(each.softening_length for each in sand if each.softening_length is not None),

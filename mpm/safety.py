@@ -137,7 +137,7 @@ def reduced(scene: Scene, factor: float) -> Scene:
     frame_dt = TIME * math.sqrt(tall / scene.gravity) / FRAMES
 
     def weaker(material: Material) -> Material:
-        stiff = dataclasses.replace(material, young=material.young * settlement / SETTLEMENT)
+        stiff = dataclasses.replace(material, young=material.modulus * settlement / SETTLEMENT)
         return cast(Material, law_named(material.law).weakened(stiff, factor))
 
     def standing(mass: Mass) -> Mass:

@@ -44,7 +44,7 @@ def scaled(scene: Scene, length: float, *, gravity: float = 9.81, density: float
     def shape(each: Mass | Baffle) -> dict[str, Any]:
         return {"lower": long(each.lower), "size": long(each.size)}
 
-    constants = {name: getattr(sand, name) for name in ("young", "cohesion", "tension_cutoff")}
+    constants = {"young": sand.modulus, "cohesion": sand.cohesion, "tension_cutoff": sand.tension_cutoff}
     return replace(
         scene,
         domain=Domain(size=long(scene.domain.size), cell=length * scene.domain.cell),

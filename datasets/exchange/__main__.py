@@ -21,7 +21,7 @@ from datasets.errors import InputError, naming, require
 from datasets.exchange import geoelements
 from datasets.exchange.geoelements import Sand
 from datasets.files import read_json, write_json
-from datasets.flow.measures import front, runout, toe
+from datasets.flow.measures import extents
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_files
 from datasets.scene import Scene
 from datasets.scene.library import read_scene
@@ -149,11 +149,7 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
         velocity0=((positions[1] - positions[0]) / foreign.dt).astype(np.float32),
         friction=friction.astype(np.float32),
         scene=replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt),
-        summary={
-            "runout": runout(positions[-1]),
-            "front": front(positions[-1], particle_volumes(scene, len(positions[-1]))),
-            "toe": list(toe(positions[-1])),
-        },
+        summary={**extents(scene, positions[-1], particle_volumes(scene, len(positions[-1])))},
     )
 
 

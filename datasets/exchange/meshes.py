@@ -57,7 +57,8 @@ def read_mesh(path: Path) -> tuple[Floats, Integers]:
 def write_surface(scene: Scene, path: Path) -> None:
     """Write the surface of all baffles and solids of a scene in 3D as a mesh: STL, OBJ, PLY, OFF, MSH, VTK or VTU.
 
-    Raises InputError for a scene in 2D or without solids, and for another ending.
+    Its coordinates count from the box's lower corner: most of these formats hold single precision. Raises InputError
+    for a scene in 2D or without solids, and for another ending.
     """
     import meshio
 

@@ -256,4 +256,6 @@ def about(shown: Sequence[Shown], labels: Sequence[str], times: NDArray[np.float
     parts.append(f"{len(times)} of {every} frames" if every > len(times) else f"frames: {every}")
     if scene.slope_deg:
         parts.append(f"the box is drawn level, gravity is inclined by {scene.slope_deg:g}°")
+    if scene.domain.origin is not None:
+        parts.append(f"lengths count from {', '.join(f'{each:.10g}' for each in scene.domain.origin)} m on the map")
     return "; ".join(parts) + "."

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from datasets.errors import InputError, require
+from datasets.errors import InputError, keyed, require
+from datasets.exchange.map_coordinates import origin_of
 from datasets.exchange.meshes import read_mesh
 from datasets.files import read_columns
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats
@@ -27,10 +28,13 @@ def with_files(data: Entry, folder: Path) -> Entry:
 
     folder: where relative paths begin. What is wrong with other keys is left to the scene's own checks.
     """
-    reader, new = Reader(data, folder), dict(data)
+    with keyed("domain"):
+        reader, new = Reader(data, folder), dict(data)
     for group in ("solids", "masses"):
         if isinstance(data.get(group), list):
             new[group] = [reader.complete(entry, f"{group}[{index}]") for index, entry in enumerate(data[group])]
+    if reader.lower is not None and reader.crs is not None:
+        new["domain"] = {**data["domain"], "crs": reader.crs}
     return new
 
 
@@ -44,8 +48,16 @@ class Reader:
         self.folder = folder
         self.size = tuple(map(float, size)) if size and numbers else ()
         self.cell = float(cell) if isinstance(cell, int | float) else 0.0
-        self.offset: tuple[float, float] | None = None
+        origin = origin_of(data)
+        self.lower = None if origin is None or len(origin) != len(self.size) else origin[::2]
+        """Of the box in plan [m], where the scene is in map coordinates."""
+        self.offset: tuple[float, float] | None = None if self.lower is None else (0.0, 0.0)
         self.crs: str | None = None
+        crs = domain.get("crs") if isinstance(domain, dict) else None
+        if isinstance(crs, str):
+            from datasets.exchange.rasters import known_system
+
+            self.crs = known_system(crs)
 
     def complete(self, entry: Any, key: str) -> Any:
         """A solid or a mass with what its files hold; what is neither as it is."""
@@ -84,8 +96,9 @@ class Reader:
     def field(self, path: Path, at: list[float] | None, name: str) -> Entry:
         """A raster as keys of a solid or a mass: of a terrain what lies in and around the box, of a layer where it is.
 
-        Its corner stands `at` a place [m], else beside the terrain's, else at x = z = 0. Raises InputError for holes of
-        a terrain in the box, and for another reference system than the terrain's.
+        Its corner stands `at` a place [m], else where its file says in a scene in map coordinates, else beside the
+        terrain's, else at x = z = 0. Raises InputError for holes of a terrain in the box, and for another reference
+        system than the scene's.
         """
         # Half a second, which a scene without rasters does not wait.
         from datasets.exchange.rasters import read_raster, same_system
@@ -95,14 +108,14 @@ class Reader:
         self.crs = self.crs or raster.crs
         same = same_system(self.crs, raster)
         require(same, "", f"the reference system of the scene's other raster, {self.crs}", raster.crs)
-        if terrain or at is not None or offset is None:
+        if at is not None or offset is None or (terrain and self.lower is None):
             x, z = at or (0.0, 0.0)
             offset = float(x) - raster.corner[0], float(z) - raster.corner[1]
         axes = [axis + shift for axis, shift in zip((raster.x, raster.z), offset, strict=True)]
         values = raster.values
         if terrain:
             axes, values = self.around_box(axes, values)
-            self.offset = offset
+            self.offset = offset if self.lower is None else self.offset
         else:
             # A cell without data, or without material, is no layer.
             values = np.nan_to_num(values, nan=0.0)
@@ -116,7 +129,7 @@ class Reader:
             "spacing": list(raster.spacing),
             name: values.tolist(),
         }
-        if terrain:
+        if terrain and self.lower is None:
             found |= {"corner": [-offset[0], -offset[1]], "crs": raster.crs}
         return found
 
@@ -128,9 +141,10 @@ class Reader:
         from scipy.ndimage import distance_transform_edt
 
         parts, margin = [], BEYOND * self.cell
-        for axis, length in zip(axes, self.size[::2], strict=True):
-            low = max(0, int(np.searchsorted(axis, -margin, side="right")) - 1)
-            high = min(len(axis), int(np.searchsorted(axis, length + margin)) + 1)
+        lower = (0.0, 0.0) if self.lower is None else self.lower
+        for axis, start, length in zip(axes, lower, self.size[::2], strict=True):
+            low = max(0, int(np.searchsorted(axis, start - margin, side="right")) - 1)
+            high = min(len(axis), int(np.searchsorted(axis, start + length + margin)) + 1)
             parts.append(slice(min(low, len(axis) - 2), max(high, low + 2)))
         x, z = axes = [axis[part] for axis, part in zip(axes, parts, strict=True)]
         values = values[parts[0], parts[1]]
@@ -139,11 +153,12 @@ class Reader:
             return axes, values
         # The cells of the raster that reach into the box.
         halves = [0.5 * (axis[1] - axis[0]) - TOUCHING for axis in axes]
-        sides = zip(axes, halves, self.size[::2], strict=True)
-        within = np.logical_and.outer(*[(axis > -half) & (axis < length + half) for axis, half, length in sides])
+        sides = zip(axes, halves, lower, self.size[::2], strict=True)
+        inside = [(axis > start - half) & (axis < start + length + half) for axis, half, start, length in sides]
+        within = np.logical_and.outer(*inside)
         missing = np.argwhere(holes & within)
         for i, k in missing[:1]:
-            where = f"{len(missing)} cells without data, the first at x = {x[i]:g}, z = {z[k]:g}"
+            where = f"{len(missing)} cells without data, the first at x = {x[i]:.10g}, z = {z[k]:.10g}"
             raise InputError(f"expected a raster without holes in the box, got {where}")
         require(not holes.all(), "", "a raster with values around the box", "none")
         nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)

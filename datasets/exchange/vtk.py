@@ -142,14 +142,15 @@ def frames_of(trajectory: Trajectory, every: int) -> list[int]:
 def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, progress: bool = False) -> None:
     """Write `folder/trajectory.pvd` and the files that it refers to: every `every`-th frame, and the last.
 
-    Velocities that were not recorded are finite differences of the frames. An older series in the folder stays whole
+    Points are in map coordinates, in double precision, where the scene's box has an origin. Velocities that were not
+    recorded are finite differences of the frames. An older series in the folder stays whole
     until all files of the new one are written, then goes, its surplus frames included. Raises WorkFailed.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     series = ElementTree.Element("VTKFile", type="Collection", version="0.1", byte_order="LittleEndian")
     collection = ElementTree.SubElement(series, "Collection")
-    meshes, since = Meshes(trajectory), 0
+    meshes, since, corner = Meshes(trajectory), 0, trajectory.scene.domain.corner
     # Parts that are others in every frame.
     changing = {MOVING, *(("solids",) if trajectory.solid_impulse is not None else ())}
     with tempfile.TemporaryDirectory(dir=folder, prefix=".vtk-") as name:
@@ -158,7 +159,10 @@ def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, pro
             for number, part in enumerate(meshes.parts):
                 file = f"{part}-{frame:04d}.vtp" if part in changing else f"{part}.vtp"
                 if not (beside / file).exists():
-                    _write(meshes.part(part, frame, since), beside / file)
+                    mesh = meshes.part(part, frame, since)
+                    if corner.any():
+                        mesh.points = mesh.points.astype(np.float64) + spatial(corner[None])
+                    _write(mesh, beside / file)
                 time = repr(float(trajectory.time[frame]))
                 ElementTree.SubElement(collection, "DataSet", timestep=time, part=str(number), file=file)
             since = frame

@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,16 @@ def front(positions: Positions, volume: float | NDArray[np.floating] = 1.0) -> f
     x = positions[:, 0].astype(np.float64)
     order = np.argsort(x)
     return float((tail_weights(np.broadcast_to(volume, x.shape)[order]) * x[order]).sum())
+
+
+def extents(scene: Scene, positions: Positions, volume: float | NDArray[np.floating]) -> dict[str, Any]:
+    """`runout`, `front` and `toe` [m] of a summary, on the map where the box of the scene has an origin."""
+    corner = scene.domain.corner
+    return {
+        "runout": float(corner[0] + runout(positions)),
+        "front": float(corner[0] + front(positions, volume)),
+        "toe": (corner + toe(positions)).tolist(),
+    }
 
 
 def tail_weights(volume: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -34,6 +34,8 @@ def checked(scene: SceneLayout) -> SceneLayout:
     check_sizes(scene)
     for key, solid in keyed(scene, "solids").items():
         check_solid(solid, key, scene.dimension)
+        placed = solid.corner is None or scene.domain.origin is None
+        require(placed, f"{key}.corner", "none beside domain.origin, which says where the box lies", "one")
     if any(mass.kind != "box" for mass in scene.masses):
         # The libraries of solid geometry load only where there is more than boxes.
         from datasets.geometry.bodies import with_boxes
@@ -47,6 +49,9 @@ def check_sizes(scene: SceneLayout) -> None:
     """Raise InputError where the box, the times or the number of anything are beyond what can be counted."""
     domain = scene.domain
     require(len(domain.size) in (2, 3), "domain.size", "2 or 3 lengths in m", list(domain.size))
+    if domain.origin is not None:
+        check_vector(domain.origin, "domain.origin", len(domain.size))
+    require(domain.crs is None or domain.origin is not None, "domain.crs", "an origin beside it", "none")
     cells = [length / domain.cell for length in domain.size]
     fits = all(0.0 < length <= FARTHEST for length in domain.size) and all(map(whole, cells))
     expected = f"a positive whole number of cells of {domain.cell:g} m, up to {FARTHEST:g} m"
@@ -261,8 +266,8 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
             lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
         heights = [height(scene, mass) for mass in scene.masses if scene.material_of(mass) == material]
         least = SOFTEST * (material.density * scene.gravity * max(heights, default=0.0))
-        if material.young < least:
-            soft = f"young = {material.young:g} Pa is less than {SOFTEST:g} rho g h = {least:.3g} Pa"
+        if material.modulus < least:
+            soft = f"young = {material.modulus:g} Pa is less than {SOFTEST:g} rho g h = {least:.3g} Pa"
             lines.append(f"{soft}: the body sinks under its own weight by more than a twentieth of its height")
         for line in lines:
             warnings.warn(f"{key}.{line}", stacklevel=3)

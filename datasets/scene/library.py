@@ -6,7 +6,8 @@ from typing import Any
 
 import tomli_w
 
-from datasets.errors import InputError, naming
+from datasets.errors import InputError, OutOfRange, naming
+from datasets.exchange.map_coordinates import PLACES, moved, origin_of
 from datasets.exchange.scene_files import with_files
 from datasets.files import read_toml, write_text
 from datasets.scene import Scene
@@ -42,15 +43,31 @@ def read_scene(name: str | Path) -> Scene:
 
 
 def scene_from(data: dict[str, Any], folder: Path) -> Scene:
-    """The scene of the tables of a TOML file in `folder`, to which the paths in it are relative. Raises InputError."""
-    return from_mapping(Scene, with_files(data, folder))
+    """The scene of the tables of a TOML file in `folder`, to which the paths in it are relative. Raises InputError.
+
+    Its lengths count from the lower corner of the box, those of the file from the map's origin where the box has one.
+    """
+    data, origin = with_files(data, folder), origin_of(data)
+    if origin is None:
+        return from_mapping(Scene, data)
+    try:
+        return from_mapping(Scene, moved(data, -origin))
+    except OutOfRange as error:
+        if not error.key.startswith(tuple(PLACES)):
+            raise
+        raise InputError(f"{error.message}; lengths count from domain.origin here", key=error.key) from None
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
-    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one."""
+    """Write `scene` as TOML, the keys that differ from their defaults; `read_scene` gives an equal one.
+
+    In map coordinates where its box has an origin; then places are equal to a tenth of a micrometre.
+    """
     table = changed(scene)
     for mass in table["masses"]:
         if mass.get("kind", "box") != "box":
             # A scene works out the box around it.
             del mass["lower"], mass["size"]
+    if scene.domain.origin is not None:
+        table = moved(table, scene.domain.corner)
     write_text(Path(path), tomli_w.dumps(table))

@@ -30,6 +30,8 @@ Depth = TypeVar("Depth", float, NDArray[np.float64])
 
 MOHR_COULOMB = "mohr-coulomb"
 """The law of a material that names none."""
+USUAL_YOUNG = 2.0e6
+"""Young's modulus [Pa] of a material that gives none, at least."""
 STIFFEST = 1.0e15
 """Moduli and strengths [Pa] beyond this, a thousand times those of diamond, are none."""
 LEAST_VOLUME_CHANGE = 0.4999
@@ -97,8 +99,9 @@ class Material(Record):
     """Density of the grains [kg/m^3], not of the bulk; that of glass and quartz, about, where absent."""
     density: float = 1800.0
     """Initial bulk density [kg/m^3]."""
-    young: float = 2.0e6
-    """Young's modulus [Pa]."""
+    young: float | None = None
+    """Young's modulus [Pa]; where absent 2 MPa, in a scene as much as its thickness and speed need
+    (`datasets.scene.stiffness`), which the scene's material then has."""
     poisson: float = 0.3
     """Poisson's ratio [-], in [0, 0.4999]."""
     dilation_deg: float = 0.0
@@ -219,14 +222,19 @@ class Material(Record):
         return self.inertial_number / (self.grain_diameter * math.sqrt(self.grain_density))
 
     @property
+    def modulus(self) -> float:
+        """Young's modulus E [Pa], the usual one where neither the material nor a scene says."""
+        return USUAL_YOUNG if self.young is None else self.young
+
+    @property
     def shear_modulus(self) -> float:
         """Shear modulus G [Pa]."""
-        return self.young / (2.0 * (1.0 + self.poisson))
+        return self.modulus / (2.0 * (1.0 + self.poisson))
 
     @property
     def lame(self) -> float:
         """First Lame constant lambda [Pa]."""
-        return self.young * self.poisson / ((1.0 + self.poisson) * (1.0 - 2.0 * self.poisson))
+        return self.modulus * self.poisson / ((1.0 + self.poisson) * (1.0 - 2.0 * self.poisson))
 
     @property
     def wave_speed(self) -> float:

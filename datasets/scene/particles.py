@@ -14,6 +14,7 @@ from datasets.memory import require
 from datasets.scene import TOLERANCE, Mass, Scene, keyed
 from datasets.scene.grid_field import FRICTION
 from datasets.scene.material import Material
+from datasets.scene.parts import SceneLayout
 
 PARTICLE = 60
 """Bytes that a particle takes while it is made, over the square of the dimensions."""
@@ -166,7 +167,7 @@ def observed_cohesion(
     return cohesions([scene.material_of(each) for each in scene.masses], mass, depths)
 
 
-def scene_height(scene: Scene) -> float:
+def scene_height(scene: SceneLayout) -> float:
     """Of the material of all masses over one place in plan, at most [m]; air between them does not count."""
     heights = [height(scene, mass) for mass in scene.masses]
     lower, size = (np.array([getattr(mass, key) for mass in scene.masses])[:, ::2] for key in ("lower", "size"))

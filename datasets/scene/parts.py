@@ -39,17 +39,31 @@ def coefficient(friction: float | str, rough: float = NO_SLIP) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Domain(Record):
-    """The rigid box [0, size] and the background grid in it; y, the second axis, points up."""
+    """The rigid box [0, size] and the background grid in it; y, the second axis, points up.
+
+    All lengths of a `Scene` count from the box's lower corner. A file whose box has an `origin` gives them, and what is
+    written of its flow is, in the coordinates of a map (`datasets.exchange.map_coordinates`).
+    """
 
     size: Vector
     """Extent in x, y and, in 3D, z [m]; a whole number of cells."""
     cell: Length
     """Edge of a grid cell [m]."""
+    origin: Vector | None = None
+    """Where its lower corner lies on a map [m]: easting, elevation, northing, in 2D x and elevation; nowhere if absent.
+    """
+    crs: str | None = None
+    """Reference system of these, as an authority's code or in WKT."""
 
     @property
     def dimension(self) -> int:
         """2 or 3."""
         return len(self.size)
+
+    @property
+    def corner(self) -> NDArray[np.float64]:
+        """The origin [m], 0 where there is none, shape [D]: a place in the box and this are one on the map."""
+        return np.zeros(len(self.size)) if self.origin is None else np.array(self.origin)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from datasets.files import json_object
 from datasets.scene.checks import checked
 from datasets.scene.parts import SceneLayout
+from datasets.scene.stiffness import with_stiffness
 from datasets.schema import from_mapping
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene(SceneLayout):
     """Domain, material, masses, baffles and the simulated time; InputError where it cannot be simulated.
+
+    Masses that are no boxes get the box around them, materials without a Young's modulus the default one.
 
     For example:
 
@@ -23,7 +26,9 @@ class Scene(SceneLayout):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "masses", checked(self).masses)
+        complete = checked(self)
+        for key, value in {"masses": complete.masses, **with_stiffness(complete)}.items():
+            object.__setattr__(self, key, value)
 
     def with_cell(self, cell: float) -> "Scene":
         """The scene on cells of another size [m]. Raises InputError unless the box is a whole number of them."""

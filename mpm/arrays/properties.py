@@ -130,8 +130,8 @@ def properties_at(material: Material, depth: Array, friction_deg: Array | None =
         Property.DENSITY: material.density,
         Property.LAME: material.lame,
         Property.SHEAR: material.shear_modulus,
-        Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.young),
-        Property.ELASTIC_TRACE: material.poisson / (2.0 * material.young),
+        Property.ELASTIC_DEVIATOR: (1.0 + material.poisson) / (2.0 * material.modulus),
+        Property.ELASTIC_TRACE: material.poisson / (2.0 * material.modulus),
     }
     common = np.tile([values[column] for column in Property], (len(depth), 1))
     return np.concatenate([common, law_named(material.law).properties(material, depth, friction_deg)], axis=1)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import WorkFailed
 from datasets.flow.caveats import caveats
-from datasets.flow.measures import front, runout, toe
+from datasets.flow.measures import extents
 from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.scene.particles import Particles
@@ -17,6 +17,7 @@ from mpm.arrays.layout import Energy, Offset, Retained
 from mpm.initial.barriers import retained_masses
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
+from mpm.output.time_step import limit
 from mpm.runtime import Arch
 
 
@@ -58,7 +59,8 @@ def fields_of(batch: Batch, index: int) -> dict[str, Any]:
 def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory | WorkFailed:
     """What scene `index` did; the frames after it came to rest are filled with the last one that was computed.
 
-    Its summary: lengths in metres; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
+    Its summary: lengths in metres; `step_limit`, what set the time step, "waves" of `wave_speed` [m/s] or the speed of
+    the "flow"; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
     scene; `rest_time` [s], when the deposit came to rest, where the run may end there, and `end_time` [s], until when
     it was computed; `release_time` [s], when each mass was let go, where barriers hold one, None where it still is;
     `stage_time` [s], when each stage began, None where it did not; where asked for the momentum that the sides of the
@@ -83,10 +85,10 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     began = rest - int(offset[Offset.WINDOW]) + 1
     deposit, kinds = positions[-1], (Energy.KINETIC, Energy.POTENTIAL, Energy.ELASTIC)
     summary: dict[str, Any] = {
-        "runout": runout(deposit),
-        "front": front(deposit, particles.volume),
-        "toe": list(toe(deposit)),
-        "steps": int(offset[Offset.STEPS]),
+        **extents(scene, deposit, particles.volume),
+        "steps": (steps := int(offset[Offset.STEPS])),
+        "step_limit": limit(steps, int(offset[Offset.SUBSTEPS]), rest or scene.frames - 1),
+        "wave_speed": max(material.wave_speed for material in particles.materials),
         "particles": len(deposit),
         "rest_time": began * scene.frame_dt if rest else None,
         "end_time": (rest or scene.frames - 1) * scene.frame_dt,
@@ -149,7 +151,7 @@ def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating]
         return f"the simulation blew up at {when}; try a step_fraction below {scene.step_fraction:g}"
     stiffest = max(particles.materials, key=lambda material: material.wave_speed)
     wave_speed = stiffest.wave_speed
-    young = stiffest.young * (max(speed, possible) / (RUNAWAY * wave_speed)) ** 2
+    young = stiffest.modulus * (max(speed, possible) / (RUNAWAY * wave_speed)) ** 2
     # The next larger number of two digits.
     unit = 10.0 ** (math.floor(math.log10(young)) - 1)
     young = math.ceil(1.001 * young / unit) * unit

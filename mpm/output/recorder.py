@@ -5,11 +5,10 @@ import taichi as ti
 from mpm.arrays.access import add, lane_sum, maximum, over_lanes
 from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
 from mpm.output.request import BALANCED, REST
+from mpm.output.time_step import STABILITY
 from mpm.physics.barriers import free_since, measure_retained, open_barriers
 from mpm.physics.transfer import particles_in, property_of
 
-STABILITY = 1.0
-"""Largest (wave speed + particle speed) dt / dx. Measured clean up to 1.1 in 2D and 1.2 in 3D."""
 RUNAWAY = 10.0
 """Particle speed over wave speed at which a run has blown up."""
 

@@ -146,7 +146,7 @@ def follow_controlled(
 
         def miss(free: Vector, now: Vector = stress) -> Vector:
             after = follow(material, gradient(free)[None], now)[0]
-            return np.array([after[k] - value for k, value in held.items()]) / material.young
+            return np.array([after[k] - value for k, value in held.items()]) / material.modulus
 
         found = root(miss, np.zeros(len(held)), tol=1e-14)
         stress = follow(material, gradient(found.x)[None], stress)[0]

@@ -51,6 +51,24 @@ def test_a_mistake_is_one_line_and_leaves_nothing(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_flow_on_a_map_is_the_same_to_the_bit(tmp_path: Path) -> None:
+    """2,600 km east and 2,000 m up, where single precision has steps of 0.25 m; its summary is on the map."""
+    found = []
+    for name, east, up in (("own", 0.0, 0.0), ("map", 2_600_000.0, 2_000.0)):
+        line = f"points = [[{east}, {up + 0.15}], [{east + 1.0}, {up}]]"
+        text = SHORT.replace("lower = [0.0, 0.0]", f"lower = [{east}, {up + 0.15}]")
+        text = text.replace("cell = 0.02", f"cell = 0.02\norigin = [{east}, {up}]" if east else "cell = 0.02")
+        folder = tmp_path / name
+        folder.mkdir()
+        assert ran(folder, f'{text}[[solids]]\nkind = "terrain"\n{line}\n') == 0
+        found.append(Trajectory.load(folder / "out" / "trajectory.npz"))
+    np.testing.assert_array_equal(*(flow.positions for flow in found))
+    one, other = (flow.summary for flow in found)
+    assert other["front"] - 2_600_000.0 == pytest.approx(one["front"], abs=1e-6)
+    assert np.array(other["toe"]) - [2_600_000.0, 2_000.0] == pytest.approx(np.array(one["toe"]), abs=1e-6)
+    assert found[1].scene.domain.origin == (2_600_000.0, 2_000.0)
+
+
 @pytest.mark.slow
 def test_a_baffle_its_forces_and_a_series_for_paraview(tmp_path: Path) -> None:
     out = tmp_path / "out"

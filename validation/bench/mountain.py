@@ -134,7 +134,7 @@ def peaks(speed: Raster, thickness: float) -> dict[str, Any]:
     reached, eastings = (speed.values > MOVES).any(axis=1), speed.eastings
     across = [float(speed.values[int((x - speed.corner[0]) // speed.cell)].max()) for x in SECTIONS]
     return {
-        "furthest": float(eastings[np.flatnonzero(reached)[-1]] + 0.5 * speed.cell),
+        "furthest": float(eastings[np.flatnonzero(reached)[-1]]),
         "speeds": across,
         "area": float((speed.values > MOVES).sum()) * speed.cell**2 / 1.0e4,
         "thickness": thickness,

@@ -68,6 +68,8 @@ DRAWN = {
 def test_the_shipped_definitions_draw_the_scenes_they_always_drew(definition: Definition) -> None:
     entries = first_entries(definition)
     lines = "\n".join(f"{entry.split} {entry.name} {json.dumps(changed(entry.scene))}" for entry in entries)
+    # The usual modulus was not written when the digests were made.
+    lines = lines.replace(', "young": 2000000.0', "")
     # Processors differ in the last bits of a logarithm.
     lines = re.sub(r"-?\d+\.\d+(e-?\d+)?", lambda found: f"{float(found[0]):.9g}", lines)
     assert hashlib.sha256(lines.encode()).hexdigest()[:16] == DRAWN[definition.name]

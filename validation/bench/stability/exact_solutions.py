@@ -103,7 +103,7 @@ class StandingWave:
         masses, material = flow.scene.masses, flow.scene.material
         length = sum(mass.size[0] for mass in masses)
         x = flow.positions[0, :, 0].astype(np.float64) - masses[0].lower[0]
-        omega = math.pi / length * math.sqrt(material.young / material.density)
+        omega = math.pi / length * math.sqrt(material.modulus / material.density)
         return StandingWave(axis=0, omega=omega, shape=np.cos(math.pi * x / length))
 
     @staticmethod

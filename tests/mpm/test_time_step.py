@@ -1,0 +1,70 @@
+"""What sets the time step, and that a thin, fast flow does not depend on the stiffness that it sets it by."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from datasets.scene import Domain, Mass, Scene, Solid
+from datasets.scene.material import Material
+from datasets.scene.stiffness import greatest_speed
+from mpm import Recording, simulate, simulate_many
+from mpm.output.time_step import limit, spoken
+from tests.scenes import box
+
+SLOPE, RADIUS, END = np.radians(30.0), 60.0, 600.0
+FOOT = 260.0
+"""x of the foot [m], where the slope of 300 m would meet the level without the arc between."""
+
+
+def mountainside() -> Scene:
+    """1.5 m on a path of 300 m at 30 degrees that ends in an arc on the level; bed friction 0.3, cells of 0.75 m."""
+    along = RADIUS * np.tan(0.5 * SLOPE)
+    angles = SLOPE - np.linspace(0.0, SLOPE, 17)
+    arc = [(FOOT + along - RADIUS * np.sin(each), 5.0 + RADIUS * (1.0 - np.cos(each))) for each in angles.tolist()]
+    points = ((0.0, 5.0 + FOOT * np.tan(SLOPE)), *arc, (END, 5.0))
+    return Scene(
+        domain=Domain(size=(END, 162.0), cell=0.75),
+        material=Material(friction_deg=30.0, density=2000.0),
+        masses=(Mass(kind="layer", thickness=1.5, outline=((10.0,), (40.0,))),),
+        solids=(Solid(kind="terrain", points=tuple((float(x), float(y)) for x, y in points), friction=0.3),),
+        open_sides=("x-", "x+"),
+        duration=26.0,
+        frame_dt=0.5,
+    )
+
+
+@pytest.mark.slow
+def test_a_thin_fast_flow_does_not_depend_on_young() -> None:
+    """Front and greatest mean speed over ten times the default; the speed below that of the energy line."""
+    scene = mountainside()
+    default = scene.material.modulus
+    assert default == pytest.approx(2000.0 * greatest_speed(scene) ** 2)
+    factors = (10.0**-0.5, 1.0, 10.0**0.5)
+    scenes = [
+        dataclasses.replace(scene, material=dataclasses.replace(scene.material, young=factor * default))
+        for factor in factors
+    ]
+    flows = simulate_many(scenes, record=Recording(fields=True))
+    runs = np.array([flow.summary["front"] - 40.0 for flow in flows])
+    speeds = np.array([np.linalg.norm(flow.velocities, axis=-1).mean(axis=1).max() for flow in flows])
+    assert np.ptp(runs) < 0.03 * runs.mean()
+    assert np.ptp(speeds) < 0.03 * speeds.mean()
+    assert 0.8 * greatest_speed(scene) < speeds.mean() < greatest_speed(scene)
+    assert [flow.summary["step_limit"] for flow in flows] == ["flow", "waves", "waves"]
+
+
+def test_it_is_said_what_sets_the_step() -> None:
+    """Waves, or a flow faster than 1.5 times these; both before it runs and in its summary."""
+    slow = box(Mass(lower=(0.4, 0.4), size=(0.1, 0.1)), duration=0.01, gravity=0.0)
+    thrown = dataclasses.replace(slow.masses[0], velocity=(90.0, 0.0))
+    fast = dataclasses.replace(slow, masses=(thrown,), material=dataclasses.replace(slow.material, young=2.0e6))
+    flow, waves = simulate(fast), simulate(slow)
+    assert (waves.summary["step_limit"], flow.summary["step_limit"]) == ("waves", "flow")
+    assert flow.summary["wave_speed"] == pytest.approx(fast.material.wave_speed)
+    assert "by the flow where it is faster than 58 m/s: it may reach 90 m/s" in spoken(fast)
+    assert "flow" not in spoken(slow)
+    assert "set by elastic waves of 38.7 m/s" in spoken(slow)
+    stiff = box(material=dataclasses.replace(slow.material, young=2.0e8))
+    assert "young = 2e+08 Pa; 180000 Pa would do, in 0.03 of the steps" in spoken(stiff)
+    assert limit(101, 10, 10) == "flow"
