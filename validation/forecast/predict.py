@@ -3,11 +3,11 @@
 Draws theta_s of the posterior of an inversion are run by the MPM in another scene: another slope, another release, with
 barriers. Each run has an initial jitter of its own, so the forecast of a number is the distribution of
 
-    y_s = (f(theta_s, jitter_s) + b_s d) (1 + r z_s),    d = h / (h - h') (f(theta_0; h) - f(theta_0; h'))
+    y_s = f_0 + (f(theta_s, jitter_s) + b_s d - f_0) (1 + r z_s),    d = h / (h - h') (f(theta_0; h) - f(theta_0; h'))
 
 | symbol | variable | meaning |
 |---|---|---|
-| f | - | the number by the MPM on the cells h of the scene |
+| f, f_0 | `numbers`, `start` | the number by the MPM on the scene's cells h; at the start, 0 of a height or a force |
 | d | `Forecast.cells` | error of the cells, by runs on others h' (half as large, in 3D twice) at the medians theta_0 |
 | r | `model_error` | relative standard deviation of the model itself, as the user states it |
 | b, z | - | independent standard normal numbers: neither error is known by its sign |
@@ -33,6 +33,7 @@ from datasets.forces import forces_of
 from datasets.maps import PlanMaps, maps_of
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
+from datasets.scene.particles import initial_particles
 from inverse.parameters import with_parameters
 from inverse.search.waves import jitter_seed
 from mpm import LAST, Recording
@@ -58,8 +59,10 @@ class Forecast:
     """Their values in the units of their names, shape [S, U]."""
     numbers: Mapping[str, Floats]
     """By the MPM: `front` and `mean_height` [m], `force NAME` on each solid [N, in 2D N/m]; shape [S] each."""
+    start: float = 0.0
+    """f_0 of the front [m]."""
     stations: Floats
-    """x of the profile [m], shape [X]."""
+    """x of the profile [m], on the map where the box of the scene has an origin, shape [X]."""
     profiles: Floats
     """Height of the deposit at its initial density [m], in 3D its mean over the width, shape [S, X]."""
     cells: Mapping[str, float] = field(default_factory=dict)
@@ -77,12 +80,13 @@ class Forecast:
         """y of each number, sorted, shape [S]."""
         rng, count = np.random.default_rng([self.scene.seed, 3]), len(self.draws)
         cells, model = (norm.ppf((rng.permutation(count) + 0.5) / count) for _ in range(2))
-        erring = {
-            name: (values + cells * self.cells.get(name, 0.0)) * (1.0 + self.model_error * model)
-            for name, values in self.numbers.items()
-        }
-        # A length from the origin of the box and the size of a force are not negative.
-        return {name: np.sort(np.maximum(values, 0.0)) for name, values in erring.items()}
+        found = {}
+        for name, values in self.numbers.items():
+            start, least = (self.start, -np.inf) if name == "front" else (0.0, 0.0)
+            moved = values + cells * self.cells.get(name, 0.0) - start
+            # Heights and forces are not negative.
+            found[name] = np.sort(np.maximum(start + moved * (1.0 + self.model_error * model), least))
+        return found
 
     def quantiles(self, level: float) -> tuple[float, float, float]:
         """Shares below the lower end, the middle and the upper end of an interval."""
@@ -149,12 +153,14 @@ def predicted(
         [at(scene, names, row, jitter_seed(scene.seed, number)) for number, row in enumerate(chosen)], record=record
     )
     numbers, stations = [numbers_of(flow) for flow in flows], profile_stations(scene, scene.domain.cell)
+    released, corner = initial_particles(scene), float(scene.domain.corner[0])
     found = Forecast(
         scene=scene,
         names=tuple(names),
         draws=chosen,
         numbers={name: np.array([each[name] for each in numbers]) for name in numbers[0]},
-        stations=stations,
+        start=corner + front(released.positions, released.volume),
+        stations=corner + stations,
         profiles=np.stack([profile_of(flow, stations) for flow in flows]),
         cells=cells_error(scene, names, np.median(samples, axis=0), store, record),
         model_error=model_error,
@@ -177,7 +183,7 @@ def numbers_of(flow: Trajectory) -> dict[str, float]:
     scene, last, volumes = flow.scene, flow.positions[-1], flow.volumes
     inside = within(flow)
     found = {
-        "front": front(last[inside], volumes[inside]),
+        "front": float(scene.domain.corner[0]) + front(last[inside], volumes[inside]),
         "mean_height": mean_height(above(last[inside], ground_of(scene)), volumes[inside]),
     }
     if solids := solid_names(scene):

@@ -76,7 +76,7 @@ def draw(found: Forecast, path: Path) -> None:
             right.fill_between(found.stations, low, high, color=LIGHT_BLUE, label="95 % of the flows")
             right.plot(found.stations, middle, color=ORANGE, label="median")
             last = found.stations[np.flatnonzero(high > 0.0)[-1:]]
-            right.set(xlabel="x [m]", ylabel="height [m]", xlim=(0.0, 1.1 * last.item() if len(last) else None))
+            right.set(xlabel="x [m]", ylabel="height [m]", xlim=(None, last.item() if len(last) else None))
             right.legend()
         else:
             x, z = (axis + first for axis, first in zip(found.maps.grid.axes, found.maps.corner, strict=True))

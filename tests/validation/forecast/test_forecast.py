@@ -87,7 +87,7 @@ def test_the_error_of_the_cells_and_of_the_model_widen_an_interval() -> None:
     """Normal errors of posterior, scatter, cells and model, whose variances add."""
     samples = np.random.default_rng(0).normal(MEAN, DEVIATION, size=(4000, 1))
     found = predicted(SCENE, ["friction_deg"], samples, by(Slabs()), draws=1000, model_error=0.05)
-    spread = np.sqrt((0.01 * DEVIATION) ** 2 + SCATTER**2 + found.cells["front"] ** 2 + (0.05 * 0.6) ** 2)
+    spread = np.sqrt((0.01 * DEVIATION) ** 2 + SCATTER**2 + found.cells["front"] ** 2 + (0.05 * (0.6 - 0.2)) ** 2)
     low, high = found.as_json()["numbers"]["front"]["interval"]
     assert high - low == pytest.approx(2.0 * norm.ppf(0.975) * spread, rel=0.1)
     assert found.as_json()["numbers"]["front"]["median"] == pytest.approx(0.6, abs=0.01)
