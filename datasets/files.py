@@ -5,7 +5,6 @@ This is the one place that moves results. The bytes are on the disk before the n
 may be anybody's: before and while a library reads them, whatever is wrong is one InputError that names the file.
 """
 
-import csv
 import errno
 import json
 import os
@@ -17,10 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from datasets.errors import InputError, naming, require, shortened
+from datasets.errors import InputError, naming, shortened
 from datasets.memory import spoken
 
 PART = ".part-"
@@ -197,38 +193,3 @@ def json_object(text: str, key: str = "") -> dict[str, Any]:
     if not isinstance(found, dict):
         raise InputError("expected a JSON object", key=key)
     return found
-
-
-def read_columns(
-    path: Path, needed: tuple[str, ...], optional: tuple[str, ...] = (), *, others: bool = False
-) -> dict[str, NDArray[np.float64]]:
-    """Columns of a CSV with a header, each of shape [R]: `needed` ones and the `optional` ones that are there.
-
-    others: whether the file may have more columns, of anything. Lines that begin with # are comments. Raises
-    InputError, which names the file.
-    """
-    text = read_text(path, "a CSV")
-    rows = []
-    with reading(path, "a readable CSV"):
-        lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
-        # Line by line and strictly: a quotation mark that nothing closes would swallow others.
-        header, *table = [next(csv.reader([line], strict=True)) for _, line in lines] or [[]]
-        header = [name.strip() for name in header]
-        got = ", ".join(header)[:LONGEST_LINE] or "an empty file"
-        require(set(needed) <= set(header), "", f"a header with the columns `{'`, `'.join(needed)}`", got)
-        known = [name for name in header if name in (*needed, *optional)]
-        unknown = [name for name in header if name not in known]
-        expected = "`, `".join((*needed, *optional))
-        require(others or not unknown, "", f"no other columns than `{expected}`", f"`{', '.join(unknown)}`")
-        require(len(set(known)) == len(known), "", "each column once", ", ".join(known))
-        for (number, line), values in zip(lines[1:], table, strict=True):
-            try:
-                row = [float(value) for name, value in zip(header, values, strict=True) if name in known]
-            except ValueError:
-                row = []
-            if len(row) < len(known) or not all(abs(value) <= FARTHEST for value in row):
-                got = f"{line.strip()[:40]!r}"
-                raise InputError(f"expected {len(header)} values in line {number}, all of them finite, got {got}")
-            rows.append(row)
-        require(len(rows) > 0, "", f"rows of {len(known)} numbers", "none")
-    return dict(zip(known, np.array(rows).T.copy(), strict=True))

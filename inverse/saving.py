@@ -1,12 +1,15 @@
-"""Everything that a result leaves in a folder."""
+"""Everything that a result leaves in a folder, and its posterior read again."""
 
 from pathlib import Path
 
 import numpy as np
 
-from datasets.files import make_folder, replacing, write_json, write_text
+from datasets.files import make_folder, reading, replacing, write_json, write_text
+from datasets.flow.array_files import read_arrays
 from datasets.scene.library import write_scene
 from inverse import inference_data, pictures, report
+from inverse.posterior import Matrix
+from inverse.posterior.sampling import systematic
 from inverse.result import Result
 
 
@@ -31,3 +34,15 @@ def save(result: Result, folder: Path | str) -> None:
     command = f"{result.command} {problem.asked or problem.name} --out {folder}"
     viewed = str(folder) if any(each.file for each in result.mpm_runs) else ""
     write_text(folder / "report.md", report.markdown(result, command, pictures.write(result, folder), viewed=viewed))
+
+
+def read_samples(path: Path) -> tuple[list[str], Matrix]:
+    """Names and samples [S, U] of a `posterior.npz`, drawn again to equal weights. Raises InputError."""
+    found = read_arrays(path, "names", "samples", "weights", what="the posterior of validation.loop")
+    with reading(path, "the posterior of validation.loop"):
+        samples, weights = found["samples"].astype(float), found["weights"].astype(float)
+        order = systematic(weights / weights.sum(), len(weights), np.random.default_rng(0))
+        names = [str(name) for name in found["names"]]
+        if samples.shape != (len(weights), len(names)):
+            raise ValueError
+        return names, samples[order]

@@ -16,17 +16,19 @@ import mpm  # noqa: F401  (which knows whether the package datasets is Talus's)
 if TYPE_CHECKING:
     from inverse.result import Result
     from validation.design.solve import find_design
+    from validation.forecast.solve import forecast_scene
     from validation.loop.series import solve_series
     from validation.loop.solve import solve
 
 _MODULES = {
     "Result": "inverse.result",
     "find_design": "validation.design.solve",
+    "forecast_scene": "validation.forecast.solve",
     "solve": "validation.loop.solve",
     "solve_series": "validation.loop.series",
 }
 
-__all__ = ["Result", "find_design", "solve", "solve_series"]
+__all__ = ["Result", "find_design", "forecast_scene", "solve", "solve_series"]
 
 
 def __getattr__(name: str) -> Any:

@@ -20,6 +20,7 @@ COMMANDS = {
     "invert": ("inverse.__main__:main", "solve an inverse problem with one forward model"),
     "solve": ("validation.loop.__main__:main", "solve an inverse problem; the MPM confirms the answer"),
     "design": ("validation.design.__main__:main", "find where barriers stand so that a limit is kept"),
+    "forecast": ("validation.forecast.__main__:main", "carry the answer of an inversion to another scene"),
     "view": ("validation.view:command", "write one or two flows as an HTML page"),
     "vtk": ("validation.vtk:command", "convert a flow for ParaView, draw a picture or a movie"),
     "compare": ("datasets.compare:command", "compare two flows: fronts, profiles, energies"),

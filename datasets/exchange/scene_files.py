@@ -12,7 +12,7 @@ import numpy as np
 from datasets.errors import InputError, keyed, require
 from datasets.exchange.map_coordinates import origin_of
 from datasets.exchange.meshes import read_mesh
-from datasets.files import read_columns
+from datasets.exchange.spreadsheet import read_columns
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats
 from datasets.geometry.shapes import usual
 from datasets.geometry.shells import outward

@@ -9,9 +9,10 @@ with the components of gravity along the box and down, and the least friction mu
 
     E = max(2 MPa, 50 rho g h, rho v^2)
 
-of a material of density rho, with the height h of what lies over one place. Under its weight it is then compressed by
-less than a fiftieth, and its pressure waves, c = 1.16 v where nu = 0.3, keep pace with the flow: a front and its speed
-change by less than 3 % over a factor of ten of E (`tests/mpm/test_time_step.py`). A stiffer one only takes more steps.
+of a material of density rho, with the height h of what lies over one place. Under its own weight it is then compressed
+by less than a fiftieth, and its pressure waves, c = 1.16 v where nu = 0.3, keep pace with the flow: a front and its
+speed change by less than 3 % over a factor of ten of E (`tests/mpm/test_time_step.py`). A stiffer one only takes more
+steps.
 """
 
 import dataclasses

@@ -280,7 +280,7 @@ class OutlineSettings(TabulatedSettings):
         if self.csv is None:
             return super().read(scene, folder, released)
         operator, path = Outline(scene, self.directions_deg), folder / self.csv
-        vertices = np.stack([*read_columns(path, ("x", "z")).values()], axis=1) * self.unit.metres
+        vertices = np.stack([*read_columns(path, ("x", "z"), unit=self.unit).values()], axis=1) * self.unit.metres
         with naming(path):
             require_inside(vertices[:, 0], scene.domain.size[0])
         return self.compared(operator, operator.of_line(vertices))

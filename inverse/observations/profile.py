@@ -158,7 +158,7 @@ class ProfileSettings(TabulatedSettings):
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         path = folder / str(self.csv)
-        x, height = read_columns(path, ("x", "height")).values()
+        x, height = read_columns(path, ("x", "height"), unit=self.unit).values()
         metres = self.unit.metres
         with naming(path):
             profile = checked_profile(x * metres, (height - self.datum) * metres, scene, self.heights, released)

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from datasets import files
 from datasets.errors import InputError, require
+from datasets.exchange import spreadsheet
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
@@ -129,7 +129,9 @@ class TabulatedSettings(ObservationSettings):
         if self.csv is None:
             return super().read(scene, folder, released)
         path = folder / self.csv
-        table = read_columns(path, [name for name in self.columns if name not in self.optional], self.optional)
+        unit = getattr(self, "unit", LengthUnit.METRE)
+        needed = [name for name in self.columns if name not in self.optional]
+        table = read_columns(path, needed, self.optional, unit=unit)
         numbers: dict[str, Any] = {
             self.columns[name]: tuple(self.converted(name, column).tolist()) for name, column in table.items()
         }
@@ -140,9 +142,11 @@ class TabulatedSettings(ObservationSettings):
             raise error.at(str(path)) if error.key in ("", *numbers) else error from None
 
 
-def read_columns(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
-    """Columns of a CSV, each of shape [R], and `optional` ones that it has. Raises InputError, which names it."""
-    table = files.read_columns(path, tuple(names), tuple(optional), others=True)
+def read_columns(
+    path: Path, names: Sequence[str], optional: Sequence[str] = (), *, unit: LengthUnit = LengthUnit.METRE
+) -> dict[str, Floats]:
+    """Columns of a CSV, each of shape [R], and `optional` ones that it has; lengths in `unit`. Raises InputError."""
+    table = spreadsheet.read_columns(path, names, optional, others=True, metres=unit.metres)
     if len(table[names[0]]) < 2:
         raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
     return {name: table[name] for name in (*names, *optional) if name in table}

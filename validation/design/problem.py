@@ -14,8 +14,7 @@ from scipy import stats
 from scipy.stats import qmc
 
 from datasets.errors import keyed, naming, require
-from datasets.files import read_toml, reading
-from datasets.flow.array_files import read_arrays
+from datasets.files import read_toml
 from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.forces import forces_of
 from datasets.scene import Scene
@@ -26,8 +25,8 @@ from inverse.parameters import Kind, Parameter, with_kinds
 from inverse.parameters.bounds import check_bounds
 from inverse.parameters.prior import Correlation, JointPrior, Prior
 from inverse.posterior import Matrix, Row
-from inverse.posterior.sampling import systematic
 from inverse.problem import Bounds
+from inverse.saving import read_samples
 from inverse.settings import MOST
 
 DESIGNS = Path(__file__).parent / "problems"
@@ -276,10 +275,7 @@ def read_design(name: str | Path) -> DesignProblem:
 
 
 def read_posterior(path: Path) -> tuple[Matrix, tuple[Uncertain, ...]]:
-    """Samples [S, Q'] of a posterior of `validation.loop`, drawn again to equal weights, and their numbers."""
-    found = read_arrays(path, "names", "samples", "weights", what="the posterior of validation.loop")
-    with reading(path, "the posterior of validation.loop"):
-        samples, weights = found["samples"].astype(float), found["weights"].astype(float)
-        samples = samples[systematic(weights / weights.sum(), len(weights), np.random.default_rng(0))]
-        ranges = zip(map(str, found["names"]), samples.min(axis=0), samples.max(axis=0), strict=True)
-        return samples, tuple(Uncertain(name=name, lower=float(low), upper=float(high)) for name, low, high in ranges)
+    """Samples [S, Q'] of a posterior of `validation.loop` with equal weights, and their numbers."""
+    names, samples = read_samples(path)
+    ranges = zip(names, samples.min(axis=0), samples.max(axis=0), strict=True)
+    return samples, tuple(Uncertain(name=name, lower=float(low), upper=float(high)) for name, low, high in ranges)

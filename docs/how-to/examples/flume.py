@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets import Scene
-from datasets.files import read_columns
+from datasets.exchange.spreadsheet import read_columns
 from datasets.scene import Domain, Mass
 from datasets.scene.material import Material
 from mpm import AT_REST, simulate_many

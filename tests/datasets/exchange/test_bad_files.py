@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from datasets import InputError, read_scene, read_trajectory
 from datasets.exchange import geoelements
-from datasets.files import read_columns, read_toml
+from datasets.exchange.spreadsheet import read_columns
+from datasets.files import read_toml
 from datasets.flow.trajectory import Trajectory
 from datasets.scene.library import SCENES, scene_from
 from datasets.scene.particles import initial_particles

@@ -1,0 +1,110 @@
+"""Tables of numbers as spreadsheets write them: any separator, decimal commas, units in the header, empty rows.
+
+    x [cm];height [mm]
+    10,5;21,0
+
+are the columns `x` and `height`, in metres 0.105 and 0.021. What was understood beyond a plain CSV is said in a line.
+"""
+
+import csv
+import re
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import InputError, require
+from datasets.files import FARTHEST, LONGEST_LINE, read_text, reading
+
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+"""Between the columns: those that a header may have."""
+UNITS = {
+    "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254},
+    "time": {"s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0},
+    "impulse": {"N s": 1.0, "Ns": 1.0, "kN s": 1000.0, "kNs": 1000.0, "N s/m": 1.0, "kN s/m": 1000.0},
+    "friction": {"-": 1.0, "1": 1.0},
+}
+"""Of each quantity: its units, and what one is in SI."""
+NAMED = re.compile(r"(?P<name>[^\[(]*?)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\))?\s*")
+"""A column's header: its name, and perhaps its unit in brackets."""
+DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
+
+
+def read_columns(
+    path: Path, needed: Sequence[str], optional: Sequence[str] = (), *, others: bool = False, metres: float = 1.0
+) -> dict[str, NDArray[np.float64]]:
+    """Columns of a table with a header, each of shape [R]: `needed` ones and the `optional` ones that are there.
+
+    others: whether the file may have more columns, of anything. metres: the length in which columns without a unit of
+    their own are, and in which those that have one are returned; times are in seconds. Lines that begin with # are
+    comments. Raises InputError, which names the file.
+    """
+    text = read_text(path, "a CSV")
+    with reading(path, "a readable CSV"):
+        lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
+        if lines and (stated := re.fullmatch(r"sep=(.)", lines[0][1].strip(), re.IGNORECASE)):
+            lines, separator = lines[1:], stated[1]
+        else:
+            separator = max(SEPARATORS, key=lines[0][1].count) if lines else ","
+        # Line by line and strictly: a quotation mark that nothing closes would swallow others.
+        rows = [next(csv.reader([line], delimiter=separator, strict=True)) for _, line in lines]
+        numbered = [(number, row) for (number, _), row in zip(lines, rows, strict=True) if any(map(str.strip, row))]
+        header = [cell.strip() for cell in numbered[0][1]] if numbered else []
+        while header and not header[-1]:
+            header.pop()
+        names, factors, units = described(header, metres)
+        got = ", ".join(header)[:LONGEST_LINE] or "an empty file"
+        require(set(needed) <= set(names), "", f"a header with the columns `{'`, `'.join(needed)}`", got)
+        known = [name for name in names if name in (*needed, *optional)]
+        unknown = [name for name in names if name not in known]
+        expected = "`, `".join((*needed, *optional))
+        require(others or not unknown, "", f"no other columns than `{expected}`", f"`{', '.join(unknown)}`")
+        require(len(set(known)) == len(known), "", "each column once", ", ".join(known))
+        places = [names.index(name) for name in known]
+        for place in places:
+            require(factors[place] is not None, "", f"a unit of `{names[place]}` such as [m] or [s]", header[place])
+        read = [numbers(number, row, len(header), places, separator) for number, row in numbered[1:]]
+        require(len(read) > 0, "", f"rows of {len(known)} numbers", "none")
+    said = [] if separator == "," else [f"{SEPARATORS.get(separator, repr(separator))} between columns"]
+    said += ["decimal commas"] if any(commas for _, commas in read) else []
+    said += [f"{names[place]} in {units[place]}" for place in places if units[place]]
+    if said:
+        warnings.warn(f"{path}: read with {', '.join(said)}", stacklevel=2)
+    table = np.array([row for row, _ in read]) * np.array([factors[place] for place in places], dtype=float)
+    return dict(zip(known, table.T.copy(), strict=True))
+
+
+def described(header: Sequence[str], metres: float) -> tuple[list[str], list[float | None], list[str]]:
+    """Names of columns, factors on their numbers (None: of no known unit), and their units, empty where absent."""
+    names, factors, units = [], list[float | None](), []
+    for cell in header:
+        found = NAMED.fullmatch(cell)
+        name, unit = (cell, "") if found is None else (found["name"], (found["square"] or found["round"] or "").strip())
+        quantity = name if name in UNITS else "length"
+        factor = UNITS[quantity].get(unit) if unit else 1.0
+        names.append(name)
+        units.append(unit)
+        factors.append(factor / metres if unit and factor is not None and quantity == "length" else factor)
+    return names, factors, units
+
+
+def numbers(
+    number: int, row: Sequence[str], count: int, places: Sequence[int], separator: str
+) -> tuple[list[float], bool]:
+    """The numbers in some columns of a row, and whether any has a decimal comma. Raises InputError."""
+    cells, commas = [cell.strip() for cell in row], False
+    while len(cells) > count and not cells[-1]:
+        cells.pop()
+    if separator != ",":
+        commas = any(DECIMAL_COMMA.fullmatch(cells[place]) for place in places if place < len(cells))
+        cells = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+    try:
+        found = [float(cells[place]) for place in places] if len(cells) == count else []
+    except ValueError:
+        found = []
+    if len(found) < len(places) or not all(abs(value) <= FARTHEST for value in found):
+        got = f"{separator.join(row).strip()[:40]!r}"
+        raise InputError(f"expected {count} values in line {number}, all of them finite, got {got}")
+    return found, commas

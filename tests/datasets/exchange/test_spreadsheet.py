@@ -1,0 +1,76 @@
+"""Tables as spreadsheets write them are read alike; what is no table ends in a line."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.exchange.spreadsheet import SEPARATORS, read_columns
+from inverse.observations.settings import LengthUnit
+from inverse.observations.settings import read_columns as read_observed
+from tests.refusals import refused
+
+X, HEIGHT = [0.105, -0.25, 1200.0], [0.021, 0.0, 1.5e-3]
+
+
+@pytest.mark.parametrize("separator", SEPARATORS)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_any_separator_and_end_of_line(tmp_path: Path, separator: str, end: str, mark: str) -> None:
+    comma = separator != ","
+    rows = [f"{x!r}{separator}{h!r}".replace(".", "," if comma else ".") for x, h in zip(X, HEIGHT, strict=True)]
+    text = mark + end.join([f"x{separator}height", *rows[:1], separator, "", *rows[1:], "# end"])
+    path = tmp_path / "table.csv"
+    path.write_bytes(text.encode())
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        table = read_columns(path, ("x", "height"))
+    np.testing.assert_array_equal(table["x"], X)
+    np.testing.assert_array_equal(table["height"], HEIGHT)
+    assert len(said) == int(comma)
+    if comma:
+        assert "decimal commas" in str(said[0].message)
+
+
+@pytest.mark.filterwarnings("ignore:.*read with")
+def test_units_in_the_header(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("sep=;\nTime;x [cm];height (mm);time [ms];;\n-;10,5;21;200;;\n-;1E1;0;400;;\n")
+    table = read_columns(path, ("x", "height", "time"), others=True)
+    np.testing.assert_allclose(table["x"], [0.105, 0.1])
+    np.testing.assert_allclose(table["height"], [0.021, 0.0])
+    np.testing.assert_allclose(table["time"], [0.2, 0.4])
+
+
+@pytest.mark.filterwarnings("ignore:.*read with")
+def test_a_unit_of_the_file_comes_before_that_of_the_problem(tmp_path: Path) -> None:
+    """What has its own unit is returned in that of the problem, whose factor makes metres of it."""
+    path = tmp_path / "table.csv"
+    path.write_text("x [m],height\n1.0,20\n2.0,30\n")
+    table = read_observed(path, ("x", "height"), unit=LengthUnit.CENTIMETRE)
+    np.testing.assert_allclose(table["x"] * LengthUnit.CENTIMETRE.metres, [1.0, 2.0])
+    np.testing.assert_allclose(table["height"] * LengthUnit.CENTIMETRE.metres, [0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "an empty file"),
+        ("x,height\n", "none"),
+        ("x;height\n1,5;2\n1,5;2;3\n", "line 3"),
+        ("x;height\n1.000,5;2\n", "line 2"),
+        ("x,height\n1,5,2\n", "line 2"),
+        ("x,height\n1,nan\n", "finite"),
+        ("x [s],height\n1,2\n", "x [s]"),
+        ("x [furlong],height\n1,2\n", "x [furlong]"),
+        ("time [cm],x,height\n1,2,3\n", "time"),
+        ("x,x,height\n1,2,3\n", "once"),
+        ('x,"height\n1,2\n', "readable"),
+    ],
+)
+def test_what_is_no_table_ends_in_a_line(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    mistake = refused(lambda: read_columns(path, ("x", "height"), ("time",)), said=said)
+    assert "table.csv" in str(mistake)

@@ -1,0 +1,147 @@
+"""Forecasts: intervals that hold further flows, maps of probability, what a scene has not, mistakes in a line."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+import rasterio
+from scipy.stats import norm
+
+from datasets.flow.trajectory import Trajectory
+from datasets.scene import Mass, Scene
+from mpm import LAST
+from tests.flows import flow_of
+from tests.refusals import refused, refused_by
+from tests.scenes import room, scene_of
+from validation import forecast_scene
+from validation.forecast.__main__ import main
+from validation.forecast.predict import predicted
+from validation.runs import RunStore
+
+SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), duration=0.1, frame_dt=0.05, floor_friction=0.4)
+MEAN, DEVIATION = 30.0, 1.5
+"""Of the posterior of the friction angle [deg]."""
+SCATTER = 0.004
+"""Of fronts by the jitter [m]."""
+
+
+class Slabs:
+    """Deposits in one place, x = 0.6 m - 10 mm (phi - 30 deg) and a scatter; 30 mm longer on cells half as large."""
+
+    def __init__(self, scatter: float = SCATTER) -> None:
+        self.scatter, self.runs = scatter, 0
+
+    def __call__(self, scenes: Sequence[Scene], *, record: object = LAST) -> list[Trajectory]:
+        self.runs += len(scenes)
+        return [self.flow(scene) for scene in scenes]
+
+    def flow(self, scene: Scene) -> Trajectory:
+        x = (
+            0.6
+            - 0.01 * (scene.material.friction_deg - MEAN)
+            + self.scatter * np.random.default_rng(scene.seed).normal()
+        )
+        if scene.domain.cell < SCENE.domain.cell:
+            x += 0.03
+        place = [x, 0.02] if scene.dimension == 2 else [x, 0.02, 0.4]
+        return flow_of(scene, np.tile(place, (2, 50, 1)), time=np.array([0.0, scene.duration]))
+
+
+def posterior(folder: Path, names: Sequence[str] = ("friction_deg",), verdict: str = "confirmed") -> Path:
+    samples = np.random.default_rng(1).normal(MEAN, DEVIATION, size=(2000, len(names)))
+    folder.mkdir(exist_ok=True)
+    np.savez(folder / "posterior.npz", names=np.array(names), samples=samples, weights=np.full(2000, 1.0 / 2000))
+    (folder / "result.json").write_text(json.dumps({"verdict": verdict}))
+    return folder
+
+
+def by(flows: Slabs) -> RunStore:
+    return cast("RunStore", flows)
+
+
+def test_an_interval_holds_further_flows_as_often_as_it_says() -> None:
+    """Of 80 twins: one draw of the posterior is the truth of each, whose flow has a scatter of its own."""
+    rng, flows = np.random.default_rng(0), Slabs()
+    coarse = replace(SCENE, domain=replace(SCENE.domain, size=(0.98, 0.5)))
+    samples, held = rng.normal(MEAN, DEVIATION, size=(2000, 1)), {"interval": 0, "half": 0}
+    for twin in range(80):
+        scene = replace(coarse, seed=twin)
+        found = predicted(scene, ["friction_deg"], samples, by(flows), draws=40)
+        truth = replace(scene.with_friction_deg(float(rng.choice(samples[:, 0]))), seed=int(rng.integers(2**31)))
+        x = float(flows.flow(truth).positions[-1, 0, 0])
+        # The error of the cells is none of this flow's.
+        values = np.sort(found.numbers["front"])
+        for key, level in (("interval", 0.95), ("half", 0.5)):
+            low, high = np.quantile(values, [0.5 - 0.5 * level, 0.5 + 0.5 * level], method="weibull")
+            held[key] += low <= x <= high
+        assert found.cells["front"] == pytest.approx(0.06, abs=4.0 * SCATTER)
+    assert held["interval"] >= 70
+    assert 27 <= held["half"] <= 53
+
+
+def test_the_error_of_the_cells_and_of_the_model_widen_an_interval() -> None:
+    """Normal errors of posterior, scatter, cells and model, whose variances add."""
+    samples = np.random.default_rng(0).normal(MEAN, DEVIATION, size=(4000, 1))
+    found = predicted(SCENE, ["friction_deg"], samples, by(Slabs()), draws=1000, model_error=0.05)
+    spread = np.sqrt((0.01 * DEVIATION) ** 2 + SCATTER**2 + found.cells["front"] ** 2 + (0.05 * (0.6 - 0.2)) ** 2)
+    low, high = found.as_json()["numbers"]["front"]["interval"]
+    assert high - low == pytest.approx(2.0 * norm.ppf(0.975) * spread, rel=0.1)
+    assert found.as_json()["numbers"]["front"]["median"] == pytest.approx(0.6, abs=0.01)
+
+
+def test_files_and_what_a_scene_has_not(tmp_path: Path) -> None:
+    """The same command again makes no run; an unknown that the scene lacks, and a doubtful answer, are said."""
+    result, flows = posterior(tmp_path / "loop", ("baffles[0].x", "friction_deg"), "ambiguous"), Slabs()
+    for _ in range(2):
+        found = forecast_scene(result, SCENE, tmp_path / "out", draws=10, simulate=flows)
+    assert flows.runs == 14
+    assert found.names == ("friction_deg",)
+    said = json.loads((tmp_path / "out" / "forecast.json").read_text())
+    assert "baffles[0].x is no part of the forecast" in said["remarks"][0]
+    assert "ambiguous" in said["remarks"][1]
+    assert len(said["profile"]["x"]) == len(said["profile"]["upper"])
+    assert (tmp_path / "out" / "forecast.png").exists()
+    text = (tmp_path / "out" / "report.md").read_text()
+    assert all(line in text for line in said["remarks"])
+
+
+def test_maps_of_probability(tmp_path: Path) -> None:
+    """A cell between two places is covered by the flows of the larger angles alone."""
+    flows, names = Slabs(scatter=0.0), ["friction_deg"]
+    scene = replace(room(Mass(lower=(0.0, 0.0, 0.3), size=(0.2, 0.1, 0.2))), floor_friction=0.4)
+    samples = np.repeat([20.0, 40.0], 500)[:, None]
+    found = predicted(scene, names, samples, by(flows), draws=10, threshold=1.0e-4)
+    thickness = found.covered["thickness"]
+    assert thickness[(np.array([0.5, 0.7]) / 0.04).astype(int), 10] == pytest.approx(0.5)
+    assert thickness[5, 10] == 0.0
+    forecast_scene(posterior(tmp_path / "loop"), scene, tmp_path / "out", draws=4, simulate=flows)
+    with rasterio.open(tmp_path / "out" / "probability-depth.tif") as raster:
+        assert 0.0 <= raster.read(1).min() <= raster.read(1).max() <= 1.0
+
+
+def test_mistakes_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result, out = posterior(tmp_path / "loop"), ("--out", tmp_path / "out")
+    other = posterior(tmp_path / "other", ("baffles[0].x",))
+    assert "posterior.npz" in refused_by(capsys, main, tmp_path, "column-tall-42", *out)
+    assert "baffles[0].x" in refused_by(capsys, main, other, "column-tall-42", *out)
+    assert "--draws" in refused_by(capsys, main, result, "column-tall-42", *out, "--draws", 1)
+    assert "--model-error" in refused_by(capsys, main, result, "column-tall-42", *out, "--model-error", -0.1)
+    assert "3D" in refused_by(capsys, main, result, "column-tall-42", *out, "--pressure", 100)
+    wild = tmp_path / "wild.npz"
+    np.savez(wild, names=np.array(["friction_deg"]), samples=np.full((10, 1), 95.0), weights=np.full(10, 0.1))
+    refused(lambda: forecast_scene(wild, SCENE, simulate=Slabs()), said="friction_deg = 95")
+    (tmp_path / "broken.npz").write_bytes(b"PK")
+    refused(lambda: forecast_scene(tmp_path / "broken.npz", SCENE), said="broken.npz")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_forces_on_a_barrier_by_the_real_mpm(tmp_path: Path) -> None:
+    found = forecast_scene(posterior(tmp_path / "loop"), "baffles-2", draws=2)
+    assert min(found.numbers["force baffles[0]"]) > 0.0
+    assert found.covered["depth"].max() == 1.0
+    assert (found.covered["depth"] >= found.covered["thickness"]).all()

@@ -1,0 +1,212 @@
+"""`python -m validation.bench mountain --data DIR`: a slide of three kilometres beside other codes (ISeeSnow)."""
+
+import csv
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+
+from datasets.errors import require
+from datasets.files import make_folder, read_json, reading, write_json
+from datasets.flow.array_files import FrameWriter
+from datasets.flow.trajectory import open_trajectory
+from datasets.maps import maps_of
+from datasets.scene import Scene
+from datasets.scene.grid_field import Floats
+from datasets.scene.library import scene_from
+from inverse.answer import peak_memory_mib
+from mpm import Recording, simulate
+from validation.bench.keep import Keep, Out, kept
+from validation.report.measuring import isolated
+from validation.report.page import Page, Row, between
+from validation.runs import Run
+
+CASE = "CoulombOnly"
+CODES = ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D")
+"""Whose peaks are in the data."""
+ALIKE = ("com1DFA", "MPM")
+"""Codes of particles, which the speeds are compared with."""
+SECTIONS = (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0)
+"""Cross-sections [m], by their easting."""
+BOX_END = 4600.0
+"""Easting at which the box ends [m]."""
+MOVES = 1.0
+"""Peak speed [m/s] from which a cell counts as reached."""
+COVERED = 0.1
+"""Thickness [m] from which the speed of a cell counts: a particle alone in a cell of 5 m is less."""
+EVERY = 2
+"""Frames from one that is kept for the maps to the next."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raster:
+    """Values [X, Z] on square cells, from the lower left corner (easting, northing) on [m]."""
+
+    values: Floats
+    cell: float
+    corner: tuple[float, float]
+
+    @classmethod
+    def read(cls, path: Path) -> "Raster":
+        """Raises InputError."""
+        with reading(path, "a raster of ISeeSnow"), rasterio.open(path) as file:
+            return cls(
+                values=np.nan_to_num(file.read(1).astype(np.float64))[::-1].T,
+                cell=float(file.res[0]),
+                corner=(float(file.bounds.left), float(file.bounds.bottom)),
+            )
+
+    @property
+    def eastings(self) -> Floats:
+        """Of the middles of the cells, shape [X]."""
+        return np.asarray(self.corner[0] + self.cell * (np.arange(len(self.values)) + 0.5))
+
+
+def bed_cosine(ground: Raster) -> Floats:
+    """Cosine of the slope, shape [X, Z]: thickness normal to the bed over the vertical one."""
+    along, across = np.gradient(ground.values, ground.cell)
+    return np.asarray(1.0 / np.sqrt(1.0 + along**2 + across**2))
+
+
+def scene_of(data: Path, cell: float) -> Scene:
+    """The slide on cells of this edge [m]."""
+    with reading(data / f"simulationParameterValues_{CASE}.csv", "the parameters of ISeeSnow") as _:
+        (values,) = csv.DictReader((data / f"simulationParameterValues_{CASE}.csv").open(encoding="utf-8"))
+    ground, release = Raster.read(data / f"DEM_{CASE}.asc"), Raster.read(data / "release1HSField5m.tif")
+    vertical = release.values / bed_cosine(ground)
+    rows, columns = (np.flatnonzero(vertical.any(axis=axis)) for axis in (1, 0))
+    window = vertical[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    west, south = (first + 0.5 * ground.cell for first in ground.corner)
+    first = [west + ground.cell * rows[0], south + ground.cell * columns[0]]
+    # The surface of the flow at its highest place, and room for what is thrown up.
+    top = float(ground.values.max()) + 20.0
+    lengths = [BOX_END - west, top, ground.cell * (ground.values.shape[1] - 1)]
+    table = {
+        "duration": 120.0,
+        "frame_dt": 0.25,
+        "open_sides": ["x-", "x+", "z-", "z+"],
+        "domain": {
+            "size": [cell * math.floor(length / cell + 1.0e-6) for length in lengths],
+            "cell": cell,
+            "origin": [west, 0.0, south],
+        },
+        "material": {"friction_deg": 30.0, "density": 200.0},
+        "masses": [{"kind": "layer", "thickness": window.tolist(), "origin": first, "spacing": [ground.cell] * 2}],
+        "solids": [{"kind": "terrain", "file": f"DEM_{CASE}.asc", "friction": float(values["mu"])}],
+    }
+    return scene_from(table, data)
+
+
+def slid(data: Path, cell: float, folder: Path) -> Mapping[str, Any]:
+    """The peaks of a run, and what it takes."""
+    began, scene, path = time.perf_counter(), scene_of(data, cell), folder / f"{cell:g}.h5"
+    with FrameWriter(path) as file:
+        flow = simulate(scene, record=Recording(frames=EVERY, until_rest=True), file=file, progress=True)
+        file.put(**flow.arrays())
+    run = time.perf_counter() - began
+    ground = Raster.read(data / f"DEM_{CASE}.asc")
+    maps = maps_of(open_trajectory(path), ground.cell, threshold=COVERED, progress=True)
+    assert maps.velocity is not None, "frames beside one another tell it"
+    middles = np.stack(np.meshgrid(*(axis + 0.0 for axis in maps.grid.axes), indexing="ij"), axis=-1) / ground.cell
+    index = np.clip(np.rint(middles).astype(int), 0, np.array(ground.values.shape) - 1)
+    normal = maps.depth * bed_cosine(ground)[index[..., 0], index[..., 1]]
+    speed = Raster(values=maps.velocity, cell=maps.cell, corner=(maps.corner[0], maps.corner[1]))
+    summary = flow.summary
+    return peaks(speed, float(normal.max())) | {
+        "particles": summary["particles"],
+        "steps": summary["steps"],
+        "before": run - summary["wall_s"] - summary["compile_s"],
+        "compile": summary["compile_s"],
+        "seconds": summary["wall_s"],
+        "maps": time.perf_counter() - began - run,
+        "memory": peak_memory_mib(),
+        "young": scene.material.young,
+    }
+
+
+def peaks(speed: Raster, thickness: float) -> dict[str, Any]:
+    """What codes are compared by."""
+    reached, eastings = (speed.values > MOVES).any(axis=1), speed.eastings
+    across = [float(speed.values[int((x - speed.corner[0]) // speed.cell)].max()) for x in SECTIONS]
+    return {
+        "furthest": float(eastings[np.flatnonzero(reached)[-1]]),
+        "speeds": across,
+        "area": float((speed.values > MOVES).sum()) * speed.cell**2 / 1.0e4,
+        "thickness": thickness,
+    }
+
+
+def bench(*, data: Path, out: Out, keep: Keep = None, cells: tuple[float, ...] = (4.0, 2.0)) -> str:
+    """Measure a slide of three kilometres on a raster of 300,000 posts: how far, how fast, at what price.
+
+    Parameters
+    ----------
+    data
+        Folder of the comparison's case CoulombOnly: terrain, release, parameters and peaks of other codes.
+    cells
+        Edges of the grid's cells [m], coarse ones first.
+    """
+    require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
+    others = {
+        code: peaks(
+            Raster.read(data / f"peak-speed-{code}.tif"), Raster.read(data / f"peak-thickness-{code}.tif").values.max()
+        )
+        for code in CODES
+    }
+    found: dict[float, Mapping[str, Any]] = {}
+    with kept(keep) as folder:
+        for cell in cells:
+            place = folder / f"mountain-{Run(scene=scene_of(data, cell)).digest}"
+            make_folder(place)
+            result = read_json(place / "peaks.json")
+            if result is None:
+                result = dict(isolated(slid, data, cell, place))
+                write_json(place / "peaks.json", result)
+            found[cell] = result
+    return page(found, others).write(out)
+
+
+def page(found: Mapping[float, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> Page:
+    """The page."""
+    finest = found[min(found)]
+    alike = np.array([others[code]["speeds"] for code in ALIKE])
+    apart = np.abs(finest["speeds"] / alike.mean(axis=0) - 1.0)
+    said = [
+        f"On cells of {min(found):g} m the flow reaches x = {finest['furthest']:.0f} m; the six other codes reach"
+        f" {between([each['furthest'] for each in others.values()], '.0f')} m.",
+        f"Its peak speeds over {len(SECTIONS)} cross-sections are within {apart.max():.0%} of the mean of"
+        f" {' and '.join(ALIKE)}, {apart.mean():.0%} on average.",
+        f"Its greatest thickness is {finest['thickness']:.1f} m, those of the others are"
+        f" {between([each['thickness'] for each in others.values()], '.1f')} m.",
+        f"The run takes {finest['seconds']:.0f} s and {finest['memory']:.0f} MiB for {finest['particles']:,} particles,"
+        f" and {finest['before']:.1f} s before its first step.",
+    ]
+    codes = {f"**Talus, {cell:g} m**": each for cell, each in found.items()} | dict(others)
+    costs = [
+        {
+            "cell [m]": f"{cell:g}",
+            "particles": f"{each['particles']:,}",
+            "steps": f"{each['steps']:,}",
+            "before the first step [s]": f"{each['before']:.1f}",
+            "compilation [s]": f"{each['compile']:.1f}",
+            "run [s]": f"{each['seconds']:.0f}",
+            "million particle-steps/s": f"{each['particles'] * each['steps'] / each['seconds'] / 1e6:.1f}",
+            "maps [s]": f"{each['maps']:.0f}",
+            "memory [MiB]": f"{each['memory']:.0f}",
+        }
+        for cell, each in found.items()
+    ]
+    flags = f" --data DIR --cells {' --cells '.join(f'{cell:g}' for cell in found)}"
+    return Page("mountain", said, flags=flags, codes=[row(name, each) for name, each in codes.items()], costs=costs)
+
+
+def row(name: str, each: Mapping[str, Any]) -> Row:
+    """Of a code."""
+    speeds = {f"at {x:.0f} m": f"{speed:.1f}" for x, speed in zip(SECTIONS, each["speeds"], strict=True)}
+    first = {"code": name, "furthest x [m]": f"{each['furthest']:.0f}"}
+    return first | speeds | {"thickness [m]": f"{each['thickness']:.1f}", "area [ha]": f"{each['area']:.1f}"}

@@ -1,0 +1,1 @@
+"""Forecasts: the posterior of an inversion carried to another flow."""

@@ -1,0 +1,60 @@
+"""`python -m validation.forecast RESULT SCENE --out DIR`: what an answer predicts of another flow."""
+
+import sys
+from pathlib import Path
+
+from datasets.command_line import run
+
+
+def main(
+    result: Path,
+    scene: str,
+    /,
+    *,
+    out: Path,
+    draws: int = 40,
+    model_error: float = 0.0,
+    threshold: float | None = None,
+    pressure: float | None = None,
+    scheduler: str | None = None,
+) -> None:
+    """Forecast another flow with the posterior of an inversion: front, heights, forces, maps of probability.
+
+    Leaves OUT/forecast.json, OUT/report.md, OUT/forecast.png, OUT/mpm, in 3D OUT/probability-*.tif. Running the same
+    command again after a kill uses the MPM runs that are there.
+
+    Parameters
+    ----------
+    result
+        Folder of an inversion (`validation.loop` or `inverse`), or its posterior.npz.
+    scene
+        Path of a scene in TOML, or the name of a shipped one.
+    out
+        Folder for the results.
+    draws
+        Flows, each with a draw of the posterior and a jitter of its own.
+    model_error
+        Relative standard deviation of the model itself, such as 0.1.
+    threshold
+        In 3D the thickness [m] above which a cell counts as covered; unless given as `datasets.maps` has it.
+    pressure
+        In 3D a pressure rho v^2 [Pa], whose probability is mapped too.
+    scheduler
+        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers run the MPM.
+    """
+    # Imported here: torch takes seconds to load, and help has no use for it.
+    from contextlib import nullcontext
+
+    from mpm import simulate_many
+    from mpm.cluster import connected
+    from validation.forecast.report import summary
+    from validation.forecast.solve import forecast_scene
+
+    with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
+        options = {"draws": draws, "model_error": model_error, "threshold": threshold, "pressure": pressure}
+        found = forecast_scene(result, scene, out, simulate=simulate, **options)  # type: ignore[arg-type]
+    print("\n".join(summary(found)))
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, "python -m validation.forecast"))

@@ -1,0 +1,244 @@
+"""What an answer predicts of another flow, and how surely.
+
+Draws theta_s of the posterior of an inversion are run by the MPM in another scene: another slope, another release, with
+barriers. Each run has an initial jitter of its own, so the forecast of a number is the distribution of
+
+    y_s = f_0 + (f(theta_s, jitter_s) + b_s d - f_0) (1 + r z_s),    d = h / (h - h') (f(theta_0; h) - f(theta_0; h'))
+
+| symbol | variable | meaning |
+|---|---|---|
+| f, f_0 | `numbers`, `start` | the number by the MPM on the scene's cells h; at the start, 0 of a height or a force |
+| d | `Forecast.cells` | error of the cells, by runs on others h' (half as large, in 3D twice) at the medians theta_0 |
+| r | `model_error` | relative standard deviation of the model itself, as the user states it |
+| b, z | - | independent standard normal numbers: neither error is known by its sign |
+
+An interval of S draws ends at quantiles of rank p (S + 1), so that a further flow lies within it with its probability.
+In 3D the share of the draws in which a cell of the plan is covered, or hit, is a map of that probability; the errors of
+the cells and of the model are not in the maps.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from datasets.errors import InputError
+from datasets.flow.measures import above, front, ground_of, height_profile, mean_height, profile_stations
+from datasets.flow.trajectory import Trajectory, solid_names
+from datasets.forces import forces_of
+from datasets.maps import PlanMaps, maps_of
+from datasets.scene import Scene
+from datasets.scene.grid_field import Floats
+from datasets.scene.particles import initial_particles
+from inverse.parameters import with_parameters
+from inverse.search.waves import jitter_seed
+from mpm import LAST, Recording
+from validation.loop.verdict import OTHER_CELLS
+from validation.runs import RunStore
+
+FRAMES = 50
+"""Frames of a flow that are kept at most where its peaks are wanted."""
+CHECKS = 2
+"""Runs on the cells of the scene, and on others, by which that error is measured."""
+LEVELS = {"interval": 0.95, "half": 0.5}
+"""Keys of intervals in `forecast.json`, and their probabilities."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """What the posterior of an answer predicts of a scene: S draws of U unknowns."""
+
+    scene: Scene
+    names: tuple[str, ...]
+    """Of the unknowns that the scene has too."""
+    draws: Floats
+    """Their values in the units of their names, shape [S, U]."""
+    numbers: Mapping[str, Floats]
+    """By the MPM: `front` and `mean_height` [m], `force NAME` on each solid [N, in 2D N/m]; shape [S] each."""
+    start: float = 0.0
+    """f_0 of the front [m]."""
+    stations: Floats
+    """x of the profile [m], on the map where the box of the scene has an origin, shape [X]."""
+    profiles: Floats
+    """Height of the deposit at its initial density [m], in 3D its mean over the width, shape [S, X]."""
+    cells: Mapping[str, float] = field(default_factory=dict)
+    """d of each number, by its name; none where the box does not divide into other cells."""
+    model_error: float = 0.0
+    """r [-]."""
+    maps: PlanMaps | None = None
+    """In 3D those of the last draw: where the maps below lie."""
+    covered: Mapping[str, Floats] = field(default_factory=dict)
+    """In 3D the probability of more than the threshold of `thickness`, `depth` or `pressure`, shape [X, Z] each."""
+    remarks: tuple[str, ...] = ()
+
+    @cached_property
+    def predicted(self) -> dict[str, Floats]:
+        """y of each number, sorted, shape [S]."""
+        rng, count = np.random.default_rng([self.scene.seed, 3]), len(self.draws)
+        cells, model = (norm.ppf((rng.permutation(count) + 0.5) / count) for _ in range(2))
+        found = {}
+        for name, values in self.numbers.items():
+            start, least = (self.start, -np.inf) if name == "front" else (0.0, 0.0)
+            moved = values + cells * self.cells.get(name, 0.0) - start
+            # Heights and forces are not negative.
+            found[name] = np.sort(np.maximum(start + moved * (1.0 + self.model_error * model), least))
+        return found
+
+    def quantiles(self, level: float) -> tuple[float, float, float]:
+        """Shares below the lower end, the middle and the upper end of an interval."""
+        return 0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level
+
+    def as_json(self) -> dict[str, Any]:
+        """`forecast.json`."""
+        numbers = {}
+        for name, values in self.predicted.items():
+            intervals = {}
+            for key, level in LEVELS.items():
+                low, middle, high = quantile(values, self.quantiles(level))
+                intervals[key] = [low, high]
+            numbers[name] = {
+                "median": middle,
+                **intervals,
+                "cells": self.cells.get(name),
+                "unit": unit(name, self.scene),
+            }
+        low, middle, high = quantile(self.profiles, self.quantiles(LEVELS["interval"]))
+        profile = {"x": self.stations, "median": middle, "lower": low, "upper": high}
+        return {
+            "unknowns": list(self.names),
+            "draws": self.draws.tolist(),
+            "numbers": numbers,
+            "profile": {key: np.asarray(values).tolist() for key, values in profile.items()},
+            "model_error": self.model_error,
+            "flows": {name: values.tolist() for name, values in self.numbers.items()},
+            "remarks": list(self.remarks),
+        }
+
+
+def unit(name: str, scene: Scene) -> str:
+    """Of a number of a forecast."""
+    return ("N/m" if scene.dimension == 2 else "N") if name.startswith("force ") else "m"
+
+
+def quantile(values: Floats, shares: Sequence[float]) -> list[Any]:
+    """Quantiles of rank p (S + 1) over the first axis: as many floats, or arrays of the other axes."""
+    found = np.quantile(values, shares, axis=0, method="weibull")
+    return [float(each) if each.ndim == 0 else each for each in found]
+
+
+def predicted(
+    scene: Scene,
+    names: Sequence[str],
+    samples: Floats,
+    store: RunStore,
+    *,
+    draws: int,
+    model_error: float = 0.0,
+    threshold: float | None = None,
+    pressure: float | None = None,
+    remarks: Sequence[str] = (),
+) -> Forecast:
+    """The forecast of `scene` by `draws` of the samples [S, U] of the unknowns `names`; see `forecast_scene`."""
+    rng = np.random.default_rng([scene.seed, 2])
+    # One of each of as many equal parts of the posterior, in the order of its first number.
+    ordered = samples[np.argsort(samples[:, 0], kind="stable")]
+    chosen = ordered[((np.arange(draws) + rng.random(draws)) * len(ordered) / draws).astype(int)]
+    moves = scene.dimension == 3 or len(solid_names(scene)) > 0
+    record = Recording(frames=max(1, math.ceil((scene.frames - 1) / FRAMES))) if moves else LAST
+    flows = store(
+        [at(scene, names, row, jitter_seed(scene.seed, number)) for number, row in enumerate(chosen)], record=record
+    )
+    numbers, stations = [numbers_of(flow) for flow in flows], profile_stations(scene, scene.domain.cell)
+    released, corner = initial_particles(scene), float(scene.domain.corner[0])
+    found = Forecast(
+        scene=scene,
+        names=tuple(names),
+        draws=chosen,
+        numbers={name: np.array([each[name] for each in numbers]) for name in numbers[0]},
+        start=corner + front(released.positions, released.volume),
+        stations=corner + stations,
+        profiles=np.stack([profile_of(flow, stations) for flow in flows]),
+        cells=cells_error(scene, names, np.median(samples, axis=0), store, record),
+        model_error=model_error,
+        remarks=(*remarks, *caveats(flows)),
+    )
+    return found if scene.dimension == 2 else with_maps(found, flows, threshold, pressure)
+
+
+def at(scene: Scene, names: Sequence[str], values: Floats, seed: int) -> Scene:
+    """The scene with these values and a jitter seed. Raises InputError, which names them."""
+    try:
+        return replace(with_parameters(scene, names, [float(f"{value:.8g}") for value in values]), seed=seed)
+    except InputError as error:
+        where = ", ".join(f"{name} = {value:.4g}" for name, value in zip(names, values, strict=True))
+        raise InputError(f"{error.message} with {where}, of the posterior", key=error.key) from None
+
+
+def numbers_of(flow: Trajectory) -> dict[str, float]:
+    """The numbers of a forecast that a flow has."""
+    scene, last, volumes = flow.scene, flow.positions[-1], flow.volumes
+    inside = within(flow)
+    found = {
+        "front": float(scene.domain.corner[0]) + front(last[inside], volumes[inside]),
+        "mean_height": mean_height(above(last[inside], ground_of(scene)), volumes[inside]),
+    }
+    if solids := solid_names(scene):
+        forces = forces_of(flow)
+        peaks = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
+        found |= {f"force {name}": peaks[name] for name in solids}
+    return found
+
+
+def within(flow: Trajectory) -> Any:
+    """Which particles are in the box at the end, shape [N]; all where none is."""
+    last, size = flow.positions[-1], np.array(flow.scene.domain.size)
+    inside = ((last >= 0.0) & (last <= size)).all(axis=1)
+    return inside if inside.any() else ~inside
+
+
+def profile_of(flow: Trajectory, stations: Floats) -> Floats:
+    """Height of the deposit [m], in 3D its mean over the width, shape [X]."""
+    width, inside = (1.0 if flow.scene.dimension == 2 else flow.scene.domain.size[2]), within(flow)
+    return height_profile(flow.positions[-1][inside], flow.volumes[inside], stations) / width
+
+
+def cells_error(
+    scene: Scene, names: Sequence[str], median: Floats, store: RunStore, record: Recording
+) -> dict[str, float]:
+    """d of each number, from runs at the medians; none where the box does not divide into other cells."""
+    own = scene.domain.cell
+    other = OTHER_CELLS[scene.dimension] * own
+    try:
+        scenes = [at(scene.with_cell(cell), names, median, seed) for cell in (own, other) for seed in range(CHECKS)]
+    except InputError:
+        return {}
+    flows = [numbers_of(flow) for flow in store(scenes, record=record)]
+    here, there = (
+        {name: float(np.mean([each[name] for each in part])) for name in part[0]}
+        for part in (flows[:CHECKS], flows[CHECKS:])
+    )
+    return {name: abs(own / (own - other) * (here[name] - there[name])) for name in here}
+
+
+def with_maps(
+    found: Forecast, flows: Sequence[Trajectory], threshold: float | None, pressure: float | None
+) -> Forecast:
+    """The forecast with its maps of probability."""
+    counts: dict[str, Floats] = {}
+    for flow in flows:
+        maps = maps_of(flow, found.scene.domain.cell, threshold=threshold)
+        hit = {"thickness": maps.thickness > maps.threshold, "depth": maps.depth > maps.threshold}
+        if pressure is not None and maps.velocity is not None:
+            hit["pressure"] = found.scene.material.density * maps.velocity**2 > pressure
+        counts = {name: counts.get(name, 0.0) + where / len(flows) for name, where in hit.items()}
+    return replace(found, maps=maps, covered=counts)
+
+
+def caveats(flows: Sequence[Trajectory]) -> list[str]:
+    """What the flows themselves say, each kind once."""
+    said = [line for flow in flows for line in flow.summary.get("remarks", [])[:1]]
+    return [f"{len(said)} of {len(flows)} flows, such as: {said[0]}"] if said else []
