@@ -201,8 +201,8 @@ def kernel(features: Features) -> Callable[..., None]:
     """The kernel for scenes with `features`; nothing else is compiled into it.
 
     It takes the arrays of `mpm.arrays.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute
-    and record the frames before `last`, while grids have room. The others are parts of a frame, each on as many threads as there are
-    particles, for a GPU: see `mpm.device`.
+    and record the frames before `last`, while grids have room. The others are parts of a frame, each on as many threads
+    as there are particles, for a GPU: see `mpm.device`.
     """
     return kernel_of(STEP | RECORD | DEVICE, advance, features)
 

@@ -29,17 +29,7 @@ from mpm.arrays.access import box_cells, columns_deep, node_number, zero_node
 from mpm.arrays.layout import Setting, Span, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.contact import apply_solids
-from mpm.physics.grid import (
-    SLOW,
-    TINY,
-    acceleration,
-    damping_terms,
-    node_of,
-    own_node,
-    owns,
-    put_node,
-    velocity_before,
-)
+from mpm.physics.grid import SLOW, TINY, acceleration, damping_terms, node_of, own_node, owns, put_node, velocity_before
 
 SUMS = 6
 """Bars that nodes share: of the two components of gravity, floor and wall friction, damping and kappa."""

@@ -284,7 +284,7 @@ class Batch:
                     self.store(index, slot)
 
     def sort(self, index: int) -> None:
-        """Put the particles of one scene in the order of their cells, as nodes lie: neighbours in space are so in memory."""
+        """Put the particles of one scene in the order of their cells, as nodes lie: near in space, near in memory."""
         state, features, scene = self.state_of(index), self.features, self.scenes[index]
         key = np.zeros(state.shape[0] * features.lanes, np.int64)
         for axis in (0, 2, 1) if features.dimension == 3 else (0, 1):

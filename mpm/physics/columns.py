@@ -1,13 +1,13 @@
 """The columns of the background grid: nodes are held only where material is.
 
-A column is a line of nodes along y, over one place (x, z) of the box. Those in use lie one after the other in a worker's
-part of `grid`, each over the range [low, high) of j that the particles near it need; `bases` has for every place of the
-box where the node j = 0 of its column would lie, so that node j is number base + j. Memory and time thus follow the
-material, whatever the size of the box.
+A column is a line of nodes along y, over one place (x, z) of the box. Those in use lie one after the other in the part
+of `grid` that a worker has, each over the range [low, high) of j that the particles near it need. `bases` has for every
+place of the box where node 0 of its column would lie, so that node j is number base + j. Memory and time thus follow
+the material, whatever the size of the box.
 
-A particle in cell c gives to the nodes c - 1 to c + 2 of each axis, wherever it goes by less than half a cell: columns
-hold these, and are made anew when the largest displacement of every step since then adds up to MARGIN, and at the
-start of each frame, so that a run that was interrupted goes on with the same ones.
+A particle in cell c gives to nodes c - 1 to c + 2 along each axis as long as it moves by less than half a cell. Columns
+hold these nodes; they are made anew once the largest displacements of the steps since then add up to MARGIN, and at the
+start of each frame, so that a run that was interrupted goes on with the same columns.
 """
 
 import taichi as ti

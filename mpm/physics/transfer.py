@@ -309,7 +309,7 @@ def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
 
 @ti.func
 def node_sums(column, j, deep, weight, lever, arrays: ti.template()):
-    """Sums over a particle's nodes, from node j of `column` on, times its weights, and times its levers of each axis."""
+    """Sums over a particle's nodes, from node j of `column` on, times its weights, and times its levers by axis."""
     lanes = arrays.features.lanes
     wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
     lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
