@@ -3,9 +3,9 @@
     >>> print(footprint(read_scene("column-tall-42")))
     3200 particles, 107 x 107 nodes, 401 frames, 4400 steps or more
 
-The arrays of a run are those of `mpm.arrays.batch`, counted here from the scene alone; the grid follows the particles, not the
-box, and is counted with the room that it has at first (`mpm.arrays.layout.node_room`). What else a process holds is
-measured: Taichi with a compiled kernel (`PROCESS`), and what stands beside the state while it is filled (`BESIDE`).
+The arrays of a run are those of `mpm.arrays.batch`, counted here from the scene alone; the grid, which follows the
+particles and not the box, with the room that it has at first (`mpm.arrays.layout.node_room`). What else a process holds
+is measured: Taichi with a compiled kernel (`PROCESS`), and what stands beside the state while it is filled (`BESIDE`).
 
     >>> print(expected(read_scene("column-tall-42"), 1.4e9, memory=3e8))
     expected: 25 to 110 s, 286 MiB of memory
