@@ -225,9 +225,9 @@ class Tape:
 
     def solids(self, index: int) -> tuple[slice, slice]:
         """Where the faces of scene `index`, and its holds of nodes, lie among those of all scenes."""
-        firsts = self.batch.first_obstacles[:, 1:].tolist()
         if not self.features.contact:
             return slice(0), slice(0)
+        firsts = self.batch.first_obstacles[:, 1:].tolist()
         (face, hold), (last_face, last_hold) = firsts[index : index + 2]
         return slice(face, last_face), slice(hold, last_hold)
 

@@ -45,7 +45,7 @@ from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
 from mpm.initial.barriers import barrier_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.output.request import ALL, Recording, window_frames
-from mpm.solids.obstacles import initial_contacts, obstacles_of
+from mpm.solids.obstacles import initial_contacts, no_obstacles, obstacles_of
 
 Array = NDArray[Any]
 PORTION = 2**18
@@ -179,9 +179,10 @@ class Batch:
 
     def add_contacts(self, real: np.dtype[Any]) -> None:
         """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
-        scenes = self.scenes if self.features.contact else self.scenes[:1]
-        obstacles, self.first_obstacles = obstacles_of(scenes)
-        self.offsets[: len(scenes), Offset.GEOMETRY] = self.first_obstacles[:-1, 0]
+        obstacles = no_obstacles(self.features.face.size)
+        if self.features.contact:
+            obstacles, self.first_obstacles = obstacles_of(self.scenes)
+            self.offsets[:, Offset.GEOMETRY] = self.first_obstacles[:-1, 0]
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""
