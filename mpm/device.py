@@ -28,7 +28,7 @@ def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", 
     def call_kernel(phase: Phase, first: int = 0, last: int = 0) -> None:
         kernel(*device.values(), first, last, phase)
 
-    largest = int(np.diff([*batch.workers[:, Worker.NODE], len(batch.grid)]).max())
+    largest = int(batch.workers[:, Worker.ROOM].max())
     ended = np.zeros(len(batch.scenes), bool)
     for frame in range(batch.computed + 1, max(scene.frames for scene in batch.scenes)):
         if stop():

@@ -3,8 +3,9 @@
     >>> print(footprint(read_scene("column-tall-42")))
     3200 particles, 107 x 107 nodes, 401 frames, 4400 steps or more
 
-The arrays of a run are those of `mpm.arrays.batch`, counted here from the scene alone; what else a process holds is
-measured: Taichi with a compiled kernel (`PROCESS`), and what stands beside the state while it is filled (`BESIDE`).
+The arrays of a run are those of `mpm.arrays.batch`, counted here from the scene alone; the grid, which follows the
+particles and not the box, with the room that it has at first (`mpm.arrays.layout.node_room`). What else a process holds
+is measured: Taichi with a compiled kernel (`PROCESS`), and what stands beside the state while it is filled (`BESIDE`).
 
     >>> print(expected(read_scene("column-tall-42"), 1.4e9, memory=3e8))
     expected: 25 to 110 s, 286 MiB of memory
@@ -22,7 +23,7 @@ from datasets.errors import InputError
 from datasets.scene import Scene
 from datasets.scene.particles import mass_counts
 from mpm.arrays.features import NODE, features_of
-from mpm.arrays.layout import Energy, Precision, node_shape
+from mpm.arrays.layout import Energy, Precision, Span, column_count, node_room, node_shape
 from mpm.arrays.properties import substeps_per_frame
 from mpm.output.request import ALL, Recording
 from mpm.resolution import particle_steps
@@ -60,7 +61,7 @@ class Footprint:
 
     particles: int
     nodes: tuple[int, ...]
-    """Of the grid along each axis."""
+    """Of the box along each axis; the grid holds those near the material."""
     frames: int
     """With the first."""
     steps: int
@@ -104,10 +105,12 @@ def footprint(
     nodes = node_shape(scene.domain)
     real = 4 if features.precision == "f32" else 8
     particle = 8 * (2 * dimension + dimension**2 + 2) + 8
+    room = math.prod(nodes) if gpu else node_room(scene.domain, math.ceil(count / workers))
     sizes = (
         PROCESS,
         count * BESIDE * (particle + real * features.state.size),
-        math.prod(nodes) * workers * (real * NODE + (16 if features.contact else 0)),
+        workers * room * real * NODE + workers * column_count(scene.domain) * 4 * (1 + len(Span)),
+        math.prod(nodes) * (16 if features.contact else 0),
         STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
     )
     kept = len(record.kept(scene.frames))

@@ -15,7 +15,8 @@ from functools import cache
 
 import taichi as ti
 
-from mpm.arrays.access import node_strides
+from mpm.arrays.access import columns_deep
+from mpm.arrays.batch import Batch
 from mpm.arrays.features import NODE, Features
 from mpm.arrays.layout import Energy, Offset, Setting, StepControl, Worker
 from mpm.arrays.table import DEVICE, RECORD, STEP, kernel_of
@@ -28,6 +29,7 @@ from mpm.output.recorder import (
     steps_at_speed,
     steps_of_frame,
 )
+from mpm.physics.columns import MARGIN, OUTDATED, has_room, make_columns
 from mpm.physics.grid import clear, relaxation_factor, update_grid, update_node
 from mpm.physics.particles import update_block, update_particles
 from mpm.physics.transfer import number_to_grid, particles_to_grid, prepare_contributions
@@ -44,7 +46,7 @@ class Phase(Enum):
     """What a call of the kernel computes."""
 
     FRAMES = auto()
-    """Frames from `first` to before `last`, a thread per worker."""
+    """Each scene's frames from `Offset.NEXT` to before `last`, a thread per worker."""
     SPEED = auto()
     """The number of steps that each scene needs for its next frame."""
     STEP = auto()
@@ -69,38 +71,64 @@ def synchronise(arrays: ti.template()):
 
 
 @ti.func
-def step(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """Bring a worker's part of a scene forward by a step."""
-    clear(worker, strides, arrays)
-    particles_to_grid(worker, scene, strides, arrays)
+def step(worker, scene, dt, kappa, moved, arrays: ti.template()):
+    """Bring a worker's part of a scene forward by a step; where its grid has no room for it, nothing changes.
+
+    moved: cells that its particles have moved at most since its columns were made. Returns the same after the step,
+    less than zero where there was no room.
+    """
+    if moved > MARGIN:
+        make_columns(worker, scene, arrays)
+        moved = 0.0 * moved
+    if arrays.workers[worker, Worker.USED] <= arrays.workers[worker, Worker.ROOM]:
+        clear(worker, arrays)
+        particles_to_grid(worker, scene, arrays)
     synchronise(arrays)
-    update_grid(worker, scene, dt, kappa, strides, arrays)
-    synchronise(arrays)
-    update_particles(worker, scene, dt, kappa, strides, arrays)
+    if has_room(worker, arrays):
+        update_grid(worker, scene, dt, kappa, arrays)
+        synchronise(arrays)
+        moved += update_particles(worker, scene, dt, kappa, arrays)
+    else:
+        moved = 0.0 * moved - 1.0
+    return moved
 
 
 @ti.func
-def advance_worker(worker, first, last, arrays: ti.template()):
-    """Compute the frames [first, last) of a worker's part of its scene; record them if it is the scene's first."""
+def advance_worker(worker, last, arrays: ti.template()):
+    """Compute the frames before `last` of a worker's part of its scene; record them if it is the scene's first.
+
+    It stops before a step for which a grid of the scene has no room, and goes on from there in the next call.
+    """
     scene = arrays.workers[worker, Worker.SCENE]
-    strides = node_strides(scene, arrays)
-    for frame in range(first, ti.min(last, arrays.offsets[scene, Offset.FRAMES])):
+    for frame in range(arrays.offsets[scene, Offset.NEXT], ti.min(last, arrays.offsets[scene, Offset.FRAMES])):
         if arrays.offsets[scene, Offset.REST] > 0:
             break
-        substeps = steps_of_frame(scene, arrays)
+        done, substeps = arrays.offsets[scene, Offset.DONE], arrays.offsets[scene, Offset.FRAME_STEPS]
+        if done == 0:
+            substeps = steps_of_frame(scene, arrays)
         synchronise(arrays)
         if substeps == 0:
             arrays.offsets[scene, Offset.FRAMES] = frame
             break
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
-        for _ in range(substeps):
-            step(worker, scene, dt, kappa, strides, arrays)
+        moved = 0.0 * dt + OUTDATED
+        while done < substeps:
+            moved = step(worker, scene, dt, kappa, moved, arrays)
+            if moved < 0.0:
+                break
+            done += 1
         synchronise(arrays)
         if worker == 0 or not ti.static(arrays.features.processor.shared):
-            arrays.offsets[scene, Offset.STEPS] = arrays.offsets[scene, Offset.STEPS] + substeps
-            record_frame(scene, frame, arrays)
+            arrays.offsets[scene, Offset.NEXT], arrays.offsets[scene, Offset.DONE] = frame, done
+            arrays.offsets[scene, Offset.FRAME_STEPS] = substeps
+            if done == substeps:
+                arrays.offsets[scene, Offset.NEXT], arrays.offsets[scene, Offset.DONE] = frame + 1, 0
+                arrays.offsets[scene, Offset.STEPS] = arrays.offsets[scene, Offset.STEPS] + substeps
+                record_frame(scene, frame, arrays)
         synchronise(arrays)
+        if done < substeps:
+            break
 
 
 @ti.func
@@ -118,7 +146,7 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
         ti.loop_config(block_dim=ITERATIONS)
         for iteration in range(arrays.workers.shape[0] * ITERATIONS):
             if iteration % ITERATIONS == 0:
-                advance_worker(iteration // ITERATIONS, first, last, arrays)
+                advance_worker(iteration // ITERATIONS, last, arrays)
     if ti.static(phase == Phase.SPEED):
         for scene in range(arrays.offsets.shape[0]):
             arrays.step_control[scene, StepControl.SPEED] = 0.0
@@ -143,16 +171,15 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
             block, k = number // NODE, number % NODE
             scene = arrays.owner[block]
             if k < arrays.features.node.size and arrays.step_control[scene, StepControl.DT] > 0.0:
-                number_to_grid(arrays.workers[scene, Worker.NODE], block, k, node_strides(scene, arrays), arrays)
+                number_to_grid(arrays.workers[scene, Worker.COLUMN], block, k, columns_deep(scene, arrays), arrays)
         for q in range(last * arrays.offsets.shape[0]):
             update_node(q % last, q // last, arrays)
         for block in range(arrays.owner.shape[0]):
             scene = arrays.owner[block]
             dt = arrays.step_control[scene, StepControl.DT]
             if dt > 0.0:
-                at = arrays.workers[scene, Worker.NODE]
-                kappa, strides = relaxation_factor(scene, dt, arrays), node_strides(scene, arrays)
-                update_block(scene, at, scene, block, block * arrays.features.scratch.size, dt, kappa, strides, arrays)
+                table, kappa = arrays.workers[scene, Worker.COLUMN], relaxation_factor(scene, dt, arrays)
+                update_block(scene, table, scene, block, block * arrays.features.scratch.size, dt, kappa, arrays)
     if ti.static(phase == Phase.RECORD):
         for portion in range((arrays.owner.shape[0] + SUMMED - 1) // SUMMED):
             sums = ti.Vector.zero(ti.f64, ti.static(len(Energy)))
@@ -174,7 +201,22 @@ def kernel(features: Features) -> Callable[..., None]:
     """The kernel for scenes with `features`; nothing else is compiled into it.
 
     It takes the arrays of `mpm.arrays.batch.Batch.arguments`, then `first`, `last` and the phase. Phase.FRAMES: compute
-    and record the frames [first, last). The others are parts of a frame, each on as many threads as there are
-    particles, for a GPU: see `mpm.device`.
+    and record the frames before `last`, while grids have room. The others are parts of a frame, each on as many threads
+    as there are particles, for a GPU: see `mpm.device`.
     """
     return kernel_of(STEP | RECORD | DEVICE, advance, features)
+
+
+def compute(batch: Batch, last: int) -> None:
+    """Compute the frames of a batch after those that are computed and before `last`, on the threads of a CPU.
+
+    Where a grid has no room for what is to come, the kernel returns before that step, and goes on with a larger one.
+    """
+    first, run = batch.computed + 1, kernel(batch.features)
+    batch.offsets[:, Offset.NEXT], batch.offsets[:, Offset.DONE] = first, 0
+    grown = True
+    while grown:
+        batch.arrivals[:] = 0
+        run(*batch.arguments.values(), first, last, Phase.FRAMES)
+        grown = batch.grow_grid()
+    batch.computed = last - 1

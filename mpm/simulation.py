@@ -22,7 +22,7 @@ from mpm.arrays.layout import FRAMES_PER_CALL, Offset, Precision
 from mpm.device import run_on_device
 from mpm.footprint import footprint, require_memory
 from mpm.initial.stages import begin_stages, call_end
-from mpm.kernel import Phase, kernel
+from mpm.kernel import Phase, compute, kernel
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.outcome import trajectory
 from mpm.output.request import ALL, Recording
@@ -203,11 +203,14 @@ def run_batch(
         waiting.cancel()
     compile_s = time.perf_counter() - begin
     begin = time.perf_counter()
-    (run_on_threads if arch == "cpu" else run_on_device)(batch, run, bar, stop)
+    if arch == "cpu":
+        run_on_threads(batch, bar, stop)
+    else:
+        run_on_device(batch, run, bar, stop)
     return time.perf_counter() - begin, compile_s
 
 
-def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
+def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
     """Compute the frames of all scenes of a batch, after `batch.computed`, on the threads of the CPU.
 
     A call ends where particles are sorted, in the same frames wherever a run was interrupted, where a frame is kept
@@ -227,9 +230,7 @@ def run_on_threads(batch: Batch, run: Callable[..., None], bar: "tqdm[None]", st
                 batch.sort(index)
             elif since_sorted == 0 and batch.features.contact:
                 batch.put_contacts_first(index)
-        batch.arrivals[:] = 0
-        run(*batch.arguments.values(), first, last, Phase.FRAMES)
-        batch.computed = last - 1
+        compute(batch, last)
         batch.keep(first)
         begin_stages(batch)
         bar.update(last - first)

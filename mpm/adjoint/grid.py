@@ -25,54 +25,34 @@ import taichi as ti
 
 from mpm.adjoint.boundary import before_wall, wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
-from mpm.arrays.access import box_cells, zero_node
-from mpm.arrays.layout import Offset, Setting, Worker
+from mpm.arrays.access import box_cells, columns_deep, node_number, zero_node
+from mpm.arrays.layout import Setting, Span, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.contact import apply_solids
-from mpm.physics.grid import (
-    SLOW,
-    TINY,
-    acceleration,
-    damping_terms,
-    node_of,
-    own_box,
-    put_node,
-    shares_row,
-    velocity_before,
-)
+from mpm.physics.grid import SLOW, TINY, acceleration, damping_terms, node_of, own_node, owns, put_node, velocity_before
 
 SUMS = 6
 """Bars that nodes share: of the two components of gravity, floor and wall friction, damping and kappa."""
 
 
 @ti.func
-def keep_nodes(worker, strides, arrays: ti.template()):
-    """Keep momentum, mass and force of the nodes of a worker, or of its share of all; their bars become 0."""
-    zero = zero_node()
-    low, high = own_box(worker, arrays)
-    for i in range(low[0], high[0]):
-        if shares_row(i, worker, arrays):
-            for j in range(low[1], high[1]):
-                for k in range(low[2], high[2]):
-                    n = i * strides[0] + j * strides[1] + k
-                    arrays.kept[first_kept(worker, arrays) + n] = node_of(arrays.grid, n, [i, j, k], worker, arrays)
-                    put_node(arrays.grid_adjoints, zero, n, [i, j, k], worker, arrays)
+def keep_nodes(worker, arrays: ti.template()):
+    """Keep momentum, mass and force of the nodes that a worker owns; the bars of all of its nodes become 0."""
+    zero, first = zero_node(), arrays.workers[worker, Worker.COLUMN]
+    for n in range(arrays.workers[worker, Worker.ACTIVE]):
+        column = arrays.spans[first + n, Span.ACTIVE] - first
+        for j in range(arrays.spans[first + column, Span.LOW], arrays.spans[first + column, Span.HIGH]):
+            at = own_node(column, j, worker, arrays)
+            arrays.grid_adjoints[at] = zero
+            if owns(column, j, worker, arrays):
+                arrays.kept[at] = node_of(arrays.grid, column, j, worker, arrays)
 
 
 @ti.func
-def first_kept(worker, arrays: ti.template()):
-    """The first of a worker's nodes in `kept`; workers of a shared scene keep theirs where the first one does."""
-    if ti.static(arrays.features.processor.shared):
-        return arrays.workers[0, Worker.NODE]
-    else:
-        return arrays.workers[worker, Worker.NODE]
-
-
-@ti.func
-def node_reverse(node, bar, n, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
+def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
     """Bar of a node (momentum, mass, force) from that of what it became; then the SUMS that it shares.
 
-    node: the n-th of its scene, before its velocity was computed; index: i, j, k.
+    node: before its velocity was computed; index: i, j, k.
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
@@ -97,7 +77,7 @@ def node_reverse(node, bar, n, index: ti.template(), worker, scene, dt, kappa, a
         new_bar = apply_barriers(new_bar, indices, scene, dt, arrays)
     mass_bar, side_bar = zero, zero
     if ti.static(features.contact or features.channel):
-        n += arrays.offsets[scene, Offset.GEOMETRY]
+        n = node_number(indices, scene, arrays)
         stopped = before_wall(v_star, indices, box_cells(scene, arrays), dimension, scene, arrays)
         if ti.static(features.channel):
             braked = stopped
@@ -146,22 +126,22 @@ def node_reverse(node, bar, n, index: ti.template(), worker, scene, dt, kappa, a
 
 
 @ti.func
-def update_grid_reverse(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """Bars of the nodes of a worker, or of its share of all, in place; add what they share to `arrays.sums`."""
+def update_grid_reverse(worker, scene, dt, kappa, arrays: ti.template()):
+    """Bars of the nodes that a worker owns, in place; add what they share to `arrays.sums`."""
     total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
-    low, high = own_box(worker, arrays)
-    for i in range(low[0], high[0]):
-        if shares_row(i, worker, arrays):
-            for j in range(low[1], high[1]):
-                for k in range(low[2], high[2]):
-                    n = i * strides[0] + j * strides[1] + k
-                    node = arrays.kept[first_kept(worker, arrays) + n]
-                    if node[arrays.features.dimension] > 0.0:
-                        bar = node_of(arrays.grid_adjoints, n, [i, j, k], worker, arrays)
-                        bar, shared = node_reverse(node, bar, n, [i, j, k], worker, scene, dt, kappa, arrays)
-                        for number in ti.static(range(SUMS)):
-                            total[number] += ti.cast(shared[number], ti.f64)
-                        put_node(arrays.grid_adjoints, bar, n, [i, j, k], worker, arrays)
+    first, deep = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays)
+    for n in range(arrays.workers[worker, Worker.ACTIVE]):
+        column = arrays.spans[first + n, Span.ACTIVE] - first
+        i, k = column // deep, column % deep
+        for j in range(arrays.spans[first + column, Span.LOW], arrays.spans[first + column, Span.HIGH]):
+            if owns(column, j, worker, arrays):
+                node = arrays.kept[own_node(column, j, worker, arrays)]
+                if node[arrays.features.dimension] > 0.0:
+                    bar = node_of(arrays.grid_adjoints, column, j, worker, arrays)
+                    bar, shared = node_reverse(node, bar, [i, j, k], worker, scene, dt, kappa, arrays)
+                    for number in ti.static(range(SUMS)):
+                        total[number] += ti.cast(shared[number], ti.f64)
+                    put_node(arrays.grid_adjoints, bar, column, j, worker, arrays)
     columns = ti.static(
         (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
     )

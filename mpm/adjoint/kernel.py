@@ -18,14 +18,13 @@ from mpm.adjoint.faces import found_reverse
 from mpm.adjoint.grid import keep_nodes, update_grid_reverse
 from mpm.adjoint.layout import Layout
 from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
-from mpm.arrays.access import maximum, minimum, node_strides
 from mpm.arrays.layout import Setting, Worker
 from mpm.arrays.table import ADJOINT, STEP, kernel_of
 from mpm.kernel import ITERATIONS, synchronise
 from mpm.kernel import step as advance
 from mpm.output.recorder import steps_of_frame
+from mpm.physics.columns import OUTDATED, has_room, make_columns
 from mpm.physics.grid import clear, relaxation_factor, update_grid
-from mpm.physics.particles import set_box
 from mpm.physics.transfer import particles_to_grid
 
 
@@ -57,68 +56,90 @@ def state_before(step, block, arrays: ti.template()):
 
 
 @ti.func
-def restore_state(worker, scene, step, arrays: ti.template()):
-    """The states of a worker's blocks before `step`, and the box of nodes in their support."""
-    features = arrays.features
-    first = arrays.workers[worker, Worker.FIRST]
-    low = [arrays.state[first * features.state.size + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
-    high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
-    for block in range(first, arrays.workers[worker, Worker.LAST]):
-        at, own = state_before(step, block, arrays), block * features.state.size
+def restore_state(worker, step, arrays: ti.template()):
+    """The states of a worker's blocks before `step`."""
+    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+        at, own = state_before(step, block, arrays), block * arrays.features.state.size
         for k in range(arrays.layout.history):
             arrays.state[own + k] = arrays.history[at + k]
-        for k in ti.static(range(features.dimension)):
-            low[k], high[k] = minimum(low[k], arrays.state[own + k]), maximum(high[k], arrays.state[own + k])
-    set_box(worker, scene, low, high, arrays)
 
 
 @ti.func
 def replay(worker, first, last, arrays: ti.template()):
-    """Compute the frames [first, last) of a worker as `mpm.kernel.advance_worker` does, and keep every state."""
+    """Compute the frames [first, last) of a worker as `mpm.kernel.advance_worker` does, and keep every state.
+
+    It stops where a grid has no room for what is to come.
+    """
     scene = arrays.workers[worker, Worker.SCENE]
-    strides = node_strides(scene, arrays)
-    step = 0
+    step, moved = 0, 0.0 * arrays.settings[scene, Setting.CELL]
     for _frame in range(first, last):
         substeps = steps_of_frame(scene, arrays)
         synchronise(arrays)
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
+        moved = 0.0 * dt + OUTDATED
         for _step in range(substeps):
             keep_state(worker, step, arrays)
             arrays.step_times[scene, step] = dt
-            advance(worker, scene, dt, kappa, strides, arrays)
+            moved = advance(worker, scene, dt, kappa, moved, arrays)
+            if moved < 0.0:
+                break
             step += 1
         synchronise(arrays)
+        if moved < 0.0:
+            break
     keep_state(worker, step, arrays)
     arrays.step_counts[scene] = step
 
 
 @ti.func
 def reverse(worker, arrays: ti.template()):
-    """Bars of a worker's scene at the beginning of its replayed steps from those at their end."""
+    """Bars of a worker's scene at the beginning of its replayed steps from those at their end.
+
+    Where a grid has no room for a step, `step_counts` says how many remain to be reversed.
+    """
     scene = arrays.workers[worker, Worker.SCENE]
-    strides = node_strides(scene, arrays)
-    grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
-    count = arrays.step_counts[scene]
-    for number in range(count):
-        step = count - 1 - number
-        dt = arrays.step_times[scene, step]
-        kappa = relaxation_factor(scene, dt, arrays)
-        restore_state(worker, scene, step, arrays)
-        clear(worker, strides, arrays)
-        particles_to_grid(worker, scene, strides, arrays)
+    remaining = arrays.step_counts[scene]
+    room = True
+    while remaining > 0:
+        make_grid(worker, scene, remaining - 1, arrays)
         synchronise(arrays)
-        keep_nodes(worker, strides, arrays)
-        update_grid(worker, scene, dt, kappa, strides, arrays)
-        synchronise(arrays)
-        for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-            after = state_before(step + 1, block, arrays)
-            update_block_reverse(worker, grid, scene, block, scratch, after, dt, kappa, strides, arrays)
-        synchronise(arrays)
-        update_grid_reverse(worker, scene, dt, kappa, strides, arrays)
-        synchronise(arrays)
-        for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-            block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides, arrays)
+        room = has_room(worker, arrays)
+        if not room:
+            break
+        remaining -= 1
+        reverse_step(worker, scene, remaining, arrays)
+    synchronise(arrays)
+    arrays.step_counts[scene] = remaining
+
+
+@ti.func
+def make_grid(worker, scene, step, arrays: ti.template()):
+    """The states of a worker before `step`, and what they give to its nodes, if it has room for them."""
+    restore_state(worker, step, arrays)
+    make_columns(worker, scene, arrays)
+    if arrays.workers[worker, Worker.USED] <= arrays.workers[worker, Worker.ROOM]:
+        clear(worker, arrays)
+        particles_to_grid(worker, scene, arrays)
+
+
+@ti.func
+def reverse_step(worker, scene, step, arrays: ti.template()):
+    """Bars of a worker before `step` from those after it; its grid is made."""
+    table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
+    dt = arrays.step_times[scene, step]
+    kappa = relaxation_factor(scene, dt, arrays)
+    keep_nodes(worker, arrays)
+    update_grid(worker, scene, dt, kappa, arrays)
+    synchronise(arrays)
+    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+        after = state_before(step + 1, block, arrays)
+        update_block_reverse(worker, table, scene, block, scratch, after, dt, kappa, arrays)
+    synchronise(arrays)
+    update_grid_reverse(worker, scene, dt, kappa, arrays)
+    synchronise(arrays)
+    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+        block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays)
 
 
 @ti.func

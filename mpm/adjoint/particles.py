@@ -25,12 +25,10 @@ from mpm.physics.transfer import contributions, prepare_contributions, property_
 
 
 @ti.func
-def update_block_reverse(
-    worker, grid, scene, block, scratch, after, dt, kappa, strides: ti.template(), arrays: ti.template()
-):
-    """Bars of a block at the start of a step, but for what it gave to the grid; and those of the nodes from `grid` on.
+def update_block_reverse(worker, table, scene, block, scratch, after, dt, kappa, arrays: ti.template()):
+    """Bars of a block at the start of a step, but for what it gave to the grid; and those of the nodes.
 
-    after: its first vector in the history of the state after the step.
+    table: the first column of the nodes; after: its first vector in the history of the state after the step.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
@@ -47,15 +45,15 @@ def update_block_reverse(
     if ti.static(features.channel):
         for k in ti.static(range(1 + size)):
             arrays.scratch[values + k * NODE + features.node.side_friction] = 0.0 * arrays.state[first]
-    f = weights_of(block, scratch, per_dx, arrays)
+    f = weights_of(scene, block, scratch, per_dx, arrays)
     prepare_weights(scene, block, scratch, arrays)
     if ti.static(features.volume_correction):
-        gather_moments(grid, block, scratch, strides, arrays)
+        gather_moments(table, scene, block, scratch, arrays)
         arrays.scratch[scratch + features.scratch.density] = arrays.scratch[scratch + layout.scratch.sums + size]
         for k in ti.static(range(size)):
             moment = arrays.scratch[scratch + layout.scratch.sums + (1 + k) * NODE + size]
             arrays.scratch[scratch + features.scratch.density + 1 + k] = (4.0 * per_dx * per_dx) * moment
-    stress_reverse(worker, grid, scene, block, scratch, after, dt, strides, arrays)
+    stress_reverse(worker, table, scene, block, scratch, after, dt, arrays)
     slope_bar, change_bar, affine_bar, kappa_bar, slow_bar = affine_reverse(
         scene, block, scratch, per_dx, kappa, arrays
     )
@@ -96,7 +94,7 @@ def update_block_reverse(
             value = value - slope * f[j]
             arrays.scratch[values + (1 + j) * NODE + size] = slope
         arrays.scratch[values + size] = value
-    transfer_reverse(grid, block, scratch, True, strides, arrays)
+    transfer_reverse(table, scene, block, scratch, True, arrays)
     square = 4.0 * per_dx * per_dx
     for j in ti.static(range(size)):
         moved = arrays.adjoints[own + j] + arrays.scratch[scratch + layout.scratch.forces + j]
@@ -122,8 +120,8 @@ def given_of(carried, volume, density, pushed, grip, dx, features):
 
 
 @ti.func
-def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.template(), arrays: ti.template()):
-    """Add to the bars of a block those of what it gave to the nodes from `grid` on, whose bars are known.
+def block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays: ti.template()):
+    """Add to the bars of a block those of what it gave to the nodes in the columns from `table` on, whose are known.
 
     Particles whose velocity then has a bar beyond the cut (`mpm.adjoint.tape.CUT`) have none any more.
     """
@@ -136,7 +134,7 @@ def block_to_grid_reverse(worker, grid, scene, block, scratch, dt, strides: ti.t
             for k in ti.static(range(2 * size)):
                 arrays.scratch[scratch + features.scratch.push + k] = 0.0 * arrays.state[first]
     prepare_weights(scene, block, scratch, arrays)
-    transfer_reverse(grid, block, scratch, False, strides, arrays)
+    transfer_reverse(table, scene, block, scratch, False, arrays)
     dx = arrays.settings[scene, Setting.CELL]
     per_dx = 1.0 / dx
     volume, density = volume_of(scene, block, arrays), property_of(scene, block, Property.DENSITY, arrays)

@@ -71,7 +71,7 @@ def principal_return(s1, s2, s3, strengths, lame, shear, return_principal, featu
 
 
 @ti.func
-def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.template(), arrays: ti.template()):
+def stress_reverse(worker, table, scene, block, scratch, after, dt, arrays: ti.template()):
     """Bars of the stress before the step, of C after it and of the properties, from that of the stress after it.
 
     With volume correction also of the grid's mass and its slopes, in their place in `scratch`.
@@ -93,7 +93,7 @@ def stress_reverse(worker, grid, scene, block, scratch, after, dt, strides: ti.t
         for k in ti.static(range(size)):
             arrays.scratch[scratch + layout.scratch.foot + k] = zero
         if touching == 1:
-            gather_moments(grid, block, scratch, strides, arrays)
+            gather_moments(table, scene, block, scratch, arrays)
             jump = jump_at_contact((grid_motion(scratch, arrays), affine), contact, stress, modulus, dt, size)
             slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays)
     gap = [arrays.state[first + features.state.gap] for _ in ti.static(range(corrected))]

@@ -25,8 +25,7 @@ from mpm.arrays.batch import Batch, aligned, particles_of, put_vectors
 from mpm.arrays.features import Features, features_of
 from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
 from mpm.arrays.table import ADJOINT, STEP, arguments
-from mpm.kernel import Phase
-from mpm.kernel import kernel as step_kernel
+from mpm.kernel import compute
 from mpm.output.outcome import failure
 from mpm.output.request import LAST
 
@@ -136,8 +135,8 @@ class Tape:
         self.memory_mib, vector = memory_mib, self.batch.state[:, 0].nbytes
         self.state_bytes, self.step_bytes = len(self.changing) * vector, self.layout.history * vector
         """Of a checkpoint, and of the states before one step."""
-        self.fixed_bytes = 2 * self.batch.grid.nbytes + outputs * self.layout.width * vector
-        """Of bars and of the nodes that a reverse step keeps."""
+        self.bar_bytes = outputs * self.layout.width * vector
+        """Of the bars of particles."""
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
         self.boundaries = self.plan(usual, SPARE * usual)
         self.run()
@@ -152,6 +151,11 @@ class Tape:
             most = float(np.max(self.steps / np.diff(self.boundaries)[:, None]))
             self.boundaries = self.plan(most, most)
             self.run()
+
+    @property
+    def fixed_bytes(self) -> int:
+        """Of bars and of the nodes that a reverse step keeps."""
+        return 2 * self.batch.grid.nbytes + self.bar_bytes
 
     def plan(self, usual: float, most: float) -> list[int]:
         """The frames at which segments begin, and the last; steps in a frame: `usual` ones, at `most`."""
@@ -176,17 +180,16 @@ class Tape:
         longest = int(self.steps.max()) + 1
         return self.fixed_bytes + len(self.checkpoints) * self.state_bytes + longest * self.step_bytes
 
-    def checkpoint(self) -> tuple[Array, Array]:
-        """The state of all scenes, and the nodes in the support of their particles."""
-        return self.batch.state[:, self.changing].copy(), self.batch.workers.copy()
+    def checkpoint(self) -> Array:
+        """The state of all scenes."""
+        return self.batch.state[:, self.changing].copy()
 
-    def restore(self, checkpoint: tuple[Array, Array]) -> None:
+    def restore(self, checkpoint: Array) -> None:
         """Go back to a state."""
-        self.batch.state[:, self.changing], self.batch.workers[:] = checkpoint
+        self.batch.state[:, self.changing] = checkpoint
 
     def run(self) -> None:
         """Forwards, by the solver's kernel."""
-        run, own = step_kernel(self.features), self.batch.arguments
         self.restore(self.start)
         self.batch.impulse[:], self.batch.recorded_impulse[:] = 0.0, 0.0
         self.batch.retained[:], self.batch.settling[:] = self.barriers
@@ -195,7 +198,8 @@ class Tape:
         steps = [self.batch.offsets[:, Offset.STEPS].copy()]
         for first, last in zip(self.boundaries, self.boundaries[1:], strict=False):
             self.checkpoints.append(self.checkpoint())
-            run(*own.values(), first + 1, last + 1, Phase.FRAMES)
+            self.batch.computed = first
+            compute(self.batch, last + 1)
             steps.append(self.batch.offsets[:, Offset.STEPS].copy())
             if last in self.frames:
                 self.observed[last] = self.motion()
@@ -221,9 +225,9 @@ class Tape:
 
     def solids(self, index: int) -> tuple[slice, slice]:
         """Where the faces of scene `index`, and its holds of nodes, lie among those of all scenes."""
-        firsts = self.batch.first_obstacles[:, 1:].tolist()
         if not self.features.contact:
             return slice(0), slice(0)
+        firsts = self.batch.first_obstacles[:, 1:].tolist()
         (face, hold), (last_face, last_hold) = firsts[index : index + 2]
         return slice(face, last_face), slice(hold, last_hold)
 
@@ -252,9 +256,7 @@ class Tape:
         if history.size >= INDEX_LIMIT:
             expected = "expected fewer particles or observed frames"
             raise InputError(f"{expected}: {history.size} numbers in a segment, of at most 2^30")
-        shared: dict[str, Any] = vars(batch) | {
-            "kept": aligned(batch.grid.shape, real),
-            "grid_adjoints": aligned(batch.grid.shape, real),
+        shared: dict[str, Any] = self.nodes() | {
             "history": history,
             "step_times": np.zeros((len(batch.scenes), len(history)), real),
             "step_counts": np.zeros(len(batch.scenes), np.int32),
@@ -273,20 +275,33 @@ class Tape:
         forced = any(each.impulses is not None for per_scene in flow_adjoints for each in per_scene)
         walk = adjoint_kernel(dataclasses.replace(layout, impulses=forced))
 
-        def call(own: dict[str, Array], first: int, last: int, direction: Pass) -> None:
+        def call(own: dict[str, Array], first: int, last: int, direction: Pass) -> bool:
+            """Whether the call came to its end: else grids had no room, which they have now."""
             batch.arrivals[:] = 0
-            walk(*arguments(STEP | ADJOINT, shared | own, lanes).values(), first, last, direction)
+            walk(*arguments(STEP | ADJOINT, vars(batch) | shared | own, lanes).values(), first, last, direction)
+            grown = batch.grow_grid()
+            if grown:
+                shared.update(self.nodes())
+            return not grown
+
+        def replay(segment: int, first: int, last: int) -> bool:
+            """The same of a replay from the start of its segment."""
+            self.restore(self.checkpoints[segment])
+            return call(objectives[0], first + 1, last + 1, Pass.REPLAY)
 
         opened = batch.retained[:, Retained.OPENED].copy()
         for segment in reversed(range(len(self.checkpoints))):
             first, last = self.boundaries[segment : segment + 2]
-            self.restore(self.checkpoints[segment])
             batch.retained[:, Retained.OPENED] = np.where(opened <= first, opened, 0)
-            call(objectives[0], first + 1, last + 1, Pass.REPLAY)
+            while not replay(segment, first, last):
+                pass
+            counts = shared["step_counts"].copy()
             for own, per_scene in zip(objectives, flow_adjoints, strict=True):
                 if last in self.frames:
                     self.add_adjoints(own, per_scene, self.frames.index(last))
-                call(own, first + 1, last + 1, Pass.REVERSE)
+                shared["step_counts"][:] = counts
+                while not call(own, first + 1, last + 1, Pass.REVERSE):
+                    pass
         batch.retained[:, Retained.OPENED] = opened
         for own, per_scene in zip(objectives, flow_adjoints, strict=True):
             call(own, 0, 0, Pass.START)
@@ -305,6 +320,11 @@ class Tape:
             own["cut"], own["settings"] = share, np.zeros((len(batch.scenes), len(Setting)))
             np.add.at(own["settings"], batch.workers[:, Worker.SCENE], own["sums"])
         return objectives
+
+    def nodes(self) -> dict[str, Array]:
+        """What a reverse step keeps of the nodes, and their bars, by the names of the kernel's arrays."""
+        shape, real = self.batch.grid.shape, self.batch.state.dtype
+        return {"kept": aligned(shape, real), "grid_adjoints": aligned(shape, real)}
 
     def cuts(self, per_scene: Sequence[FlowAdjoints]) -> Array:
         """The square of the largest bar of a velocity, and how many were beyond it so far, shape [scenes, 2]."""

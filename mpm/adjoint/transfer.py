@@ -18,10 +18,11 @@ dw_ip/dx_p times the product of what lies at the node and what the particle give
 import taichi as ti
 
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import add, no_overflow, vectors, zero_node
+from mpm.arrays.access import add, columns_deep, no_overflow, vectors, zero_node
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Setting
-from mpm.physics.transfer import lowest_node, node_sums, node_vector, three_vectors
+from mpm.physics.columns import node_at
+from mpm.physics.transfer import lowest_column, node_sums, node_vector, three_vectors
 from mpm.physics.volume_correction import held_affine, looseness
 
 
@@ -43,19 +44,20 @@ def prepare_weights(scene, block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def transfer_reverse(grid, block, scratch, scatters: ti.template(), strides: ti.template(), arrays: ti.template()):
-    """The reverse of one transfer, between a block and the nodes from `grid` on; leaves the `weight_forces`.
+def transfer_reverse(table, scene, block, scratch, scatters: ti.template(), arrays: ti.template()):
+    """The reverse of one transfer, between a block and its nodes, in the columns from `table` on; leaves
+    the `weight_forces`.
 
     scatters: add the values and slopes that the block has left in `scratch` to the bars of the nodes, and leave the sum
     of w_ip n_i of what lies at the nodes. Else leave Z, Y_j of each particle from the bars of the nodes.
     """
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     size = ti.static(features.dimension)
-    last = ti.static(size - 1)
+    deep = columns_deep(scene, arrays)
     # With volume correction the bar of the mass differs from node to node.
     varies = ti.static(scatters and features.volume_correction)
     for lane in range(lanes):
-        n = lowest_node(arrays, scratch, lane, grid, strides)
+        column, j = lowest_column(arrays, scratch, lane, table, deep)
         weight = no_overflow(scratch * lanes + lane)
         slope, lever = weight + layout.scratch.slopes * lanes, weight + layout.scratch.levers * lanes
         w = [three_vectors(arrays, weight + 3 * k * lanes) for k in ti.static(range(size))]
@@ -68,7 +70,7 @@ def transfer_reverse(grid, block, scratch, scatters: ti.template(), strides: ti.
         for a in ti.static(range(3)):
             along = value
             for b in ti.static(range(3 if size == 3 else 1)):
-                first = no_overflow(n + a * strides[0] + b * strides[1] * ti.static(size - 2))
+                first = node_at(no_overflow(column + a * deep) + b, j, arrays)
                 outer, arm = outer_weights(w, d, a, b, size), outer_weights(w, levers, a, b, size)
                 row, lever_row, product = zero_node(), zero_node(), zero_node()
                 slope_product = zero_node()
@@ -77,22 +79,23 @@ def transfer_reverse(grid, block, scratch, scatters: ti.template(), strides: ti.
                     node = zero_node()
                     if ti.static(scatters):
                         node = arrays.grid[first + c]
-                        add(arrays.grid_adjoints, first + c, (outer[0] * w[last][c]) * here, arrays)
+                        add(arrays.grid_adjoints, first + c, (outer[0] * w[1][c]) * here, arrays)
                     else:
                         node = arrays.grid_adjoints[first + c]
-                        lever_row = lever_row + levers[last][c] * node
+                        lever_row = lever_row + levers[1][c] * node
                     both = node * here
-                    row = row + w[last][c] * node
-                    product = product + w[last][c] * both
-                    slope_product = slope_product + d[last][c] * both
-                    here = here + steps[last]
+                    row = row + w[1][c] * node
+                    product = product + w[1][c] * both
+                    slope_product = slope_product + d[1][c] * both
+                    here = here + steps[1]
                 sums[0] = sums[0] + outer[0] * row
-                for k in ti.static(range(last)):
-                    sums[1 + k] = sums[1 + k] + arm[1 + k] * row
-                    forces[k] = forces[k] + outer[1 + k] * product
-                sums[size] = sums[size] + outer[0] * lever_row
-                forces[last] = forces[last] + outer[0] * slope_product
-                along = along + steps[1]
+                # x and, in 3D, z.
+                for k in ti.static(range(size - 1)):
+                    sums[1 + 2 * k] = sums[1 + 2 * k] + arm[1 + k] * row
+                    forces[2 * k] = forces[2 * k] + outer[1 + k] * product
+                sums[2] = sums[2] + outer[0] * lever_row
+                forces[1] = forces[1] + outer[0] * slope_product
+                along = along + steps[ti.static(2 * size - 4)]
             value = value + steps[0]
         store_forces(forces, scratch, lane, arrays)
         for k in ti.static(range(1 if scatters else 1 + size)):
@@ -101,21 +104,21 @@ def transfer_reverse(grid, block, scratch, scatters: ti.template(), strides: ti.
 
 @ti.func
 def outer_weights(w: ti.template(), d: ti.template(), a: ti.template(), b: ti.template(), size: ti.template()):
-    """Of a line of nodes along the last axis: the weight by the other axes, then with that of each in `d` instead."""
+    """Of three nodes of a column: the weight by the other axes, then with that of each in `d` instead."""
     if ti.static(size == 2):
         return w[0][a], d[0][a]
     else:
-        return w[0][a] * w[1][b], d[0][a] * w[1][b], w[0][a] * d[1][b]
+        return w[0][a] * w[2][b], d[0][a] * w[2][b], w[0][a] * d[2][b]
 
 
 @ti.func
-def gather_moments(grid, block, scratch, strides: ti.template(), arrays: ti.template()):
+def gather_moments(table, scene, block, scratch, arrays: ti.template()):
     """Leave sum_i w_ip n_i and sum_i w_ip x_ip n_i of what lies at the nodes, for each particle of a block."""
-    lanes = arrays.features.lanes
+    lanes, deep = arrays.features.lanes, columns_deep(scene, arrays)
     for lane in range(lanes):
-        n = lowest_node(arrays, scratch, lane, grid, strides)
+        column, j = lowest_column(arrays, scratch, lane, table, deep)
         weight = no_overflow(scratch * lanes + lane)
-        sums = node_sums(n, weight, weight + arrays.layout.scratch.levers * lanes, strides, arrays)
+        sums = node_sums(column, j, deep, weight, weight + arrays.layout.scratch.levers * lanes, arrays)
         for k in ti.static(range(1 + arrays.features.dimension)):
             store_sum(sums[k], k, scratch, lane, arrays)
 

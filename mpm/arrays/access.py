@@ -1,4 +1,4 @@
-"""How kernels read and write the arrays: vectors of lanes, which run on vector registers, and strides of the grid.
+"""How kernels read and write the arrays: vectors of lanes, which run on vector registers, and strides of the box.
 
 A value of a kernel here is either a number or a Taichi vector with one entry per particle of a block; with
 `real_matrix_scalarize=False` the latter is one vector value to LLVM, which computes all lanes at once. Such code has no
@@ -124,8 +124,20 @@ def box_cells(scene, arrays: ti.template()):
 
 
 @ti.func
+def columns_deep(scene, arrays: ti.template()):
+    """Columns of nodes from one to its neighbour along x: how many the box has along z, 1 in 2D."""
+    deep = 1
+    if ti.static(arrays.features.dimension == 3):
+        deep = arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1
+    return deep
+
+
+@ti.func
 def node_strides(scene, arrays: ti.template()):
-    """Nodes from one to its neighbour along each axis, shape [3]; the last axis is the innermost."""
+    """From the number of a node of the box to its neighbour's along each axis, shape [3]; z is the innermost in 3D.
+
+    So are the cells and nodes of solids numbered (`mpm.solids.obstacles`), not those of the grid.
+    """
     features = arrays.features
     across = arrays.offsets[scene, Offset.CELLS_Y] + 2 * PADDING + 1
     if ti.static(features.dimension == 2):
@@ -133,3 +145,12 @@ def node_strides(scene, arrays: ti.template()):
     else:
         deep = arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1
         return ti.Vector([across * deep, deep, 1])
+
+
+@ti.func
+def node_number(index, scene, arrays: ti.template()):
+    """The number of a node of the box, or of the cell above it, among those of all solids; index: [D]."""
+    strides, n = node_strides(scene, arrays), arrays.offsets[scene, Offset.GEOMETRY]
+    for k in ti.static(range(arrays.features.dimension)):
+        n += index[k] * strides[k]
+    return n

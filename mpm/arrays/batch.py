@@ -14,6 +14,7 @@ from datasets.scene.particles import Particles, initial_particles
 from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import (
     ALIGNMENT,
+    GROWTH,
     INDEX_LIMIT,
     PADDING,
     Barrier,
@@ -25,8 +26,11 @@ from mpm.arrays.layout import (
     Retained,
     Setting,
     Settling,
+    Span,
     StepControl,
     Worker,
+    column_count,
+    node_room,
     node_shape,
 )
 from mpm.arrays.properties import (
@@ -41,7 +45,7 @@ from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
 from mpm.initial.barriers import barrier_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.output.request import ALL, Recording, window_frames
-from mpm.solids.obstacles import initial_contacts, obstacles_of
+from mpm.solids.obstacles import initial_contacts, no_obstacles, obstacles_of
 
 Array = NDArray[Any]
 PORTION = 2**18
@@ -86,7 +90,7 @@ class Batch:
         self.add_barriers()
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
         self.in_kernel = record.every == 1 and not record.fields and file is None
-        block = node = impulse = line = recorded = recorded_impulse = 0
+        block = column = impulse = line = recorded = recorded_impulse = 0
         for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
             count = len(own.positions)
             blocks = -(-count // lanes)
@@ -106,19 +110,19 @@ class Batch:
             ends = np.linspace(0, blocks, workers + 1).astype(int)
             for number in range(workers):
                 worker = self.workers[index * workers + number]
-                worker[Worker.SCENE], worker[Worker.NODE], worker[Worker.IMPULSE] = index, node, impulse
+                worker[Worker.SCENE], worker[Worker.COLUMN], worker[Worker.IMPULSE] = index, column, impulse
                 worker[Worker.FIRST], worker[Worker.LAST] = block + ends[number], block + ends[number + 1]
                 worker[Worker.SCRATCH] = (index * workers + number) * features.scratch.size
-                # The first clearing covers everything, then the box closes around the material.
-                worker[Worker.HIGH_X : Worker.HIGH_X + 3] = nodes
-                node += math.prod(nodes)
+                own_particles = (ends[number + 1] - ends[number]) * lanes
+                worker[Worker.ROOM] = math.prod(nodes) if gpu else node_room(scene.domain, own_particles)
+                column += column_count(scene.domain)
                 impulse += solids * features.dimension
             block += blocks
             recorded += count * scene.frames * self.in_kernel
             line += scene.frames
             recorded_impulse += scene.frames * solids
         scratch = (block if features.processor.gpu else len(self.workers)) * features.scratch.size
-        longest = max(node * NODE, recorded * features.dimension)
+        longest = max(int(self.workers[:, Worker.ROOM].sum()) * NODE, recorded * features.dimension)
         indexed = max(block * features.state.size, scratch) * lanes
         if longest >= 2**31 or indexed >= INDEX_LIMIT:
             raise InputError(
@@ -127,7 +131,12 @@ class Batch:
             )
         self.state = aligned((block, features.state.size, lanes), real)
         self.order = np.zeros(block * lanes, np.int32)
-        self.grid = aligned((node, NODE), real)
+        self.bases = np.zeros(column, np.int32)
+        # Zeros take memory where something is written: columns near the material, and the nodes in use.
+        self.spans = np.zeros((1 if gpu else column, len(Span)), np.int32)
+        self.make_grid()
+        if gpu:
+            self.hold_box()
         counts = [len(particles.positions) for particles in self.particles]
         self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
@@ -145,11 +154,35 @@ class Batch:
         for index in range(len(scenes)):
             self.fill(index)
 
+    def make_grid(self) -> None:
+        """A grid with as many nodes as the workers have room for. Raises InputError for more than can be counted."""
+        room = self.workers[:, Worker.ROOM].astype(np.int64)
+        if room.sum() * NODE >= 2**31:
+            raise InputError(f"expected a smaller run: {room.sum()} nodes in use, of at most {2**31 // NODE}")
+        self.workers[:, Worker.NODE] = np.cumsum(room) - room
+        self.grid = aligned((int(room.sum()), NODE), self.state.dtype)
+
+    def grow_grid(self) -> bool:
+        """Give the workers whose columns need more nodes than they have room for more room; whether there were any."""
+        short = self.workers[:, Worker.USED] > self.workers[:, Worker.ROOM]
+        if short.any():
+            self.workers[short, Worker.ROOM] = (GROWTH * self.workers[short, Worker.USED]).astype(np.int32)
+            self.make_grid()
+        return bool(short.any())
+
+    def hold_box(self) -> None:
+        """Hold all nodes of the boxes, as on a GPU."""
+        for scene, worker in zip(self.scenes, self.workers, strict=True):
+            count, first = column_count(scene.domain), int(worker[Worker.COLUMN])
+            high = node_shape(scene.domain)[1]
+            self.bases[first : first + count] = worker[Worker.NODE] + high * np.arange(count)
+
     def add_contacts(self, real: np.dtype[Any]) -> None:
         """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
-        scenes = self.scenes if self.features.contact else self.scenes[:1]
-        obstacles, self.first_obstacles = obstacles_of(scenes)
-        self.offsets[: len(scenes), Offset.GEOMETRY] = self.first_obstacles[:-1, 0]
+        obstacles = no_obstacles(self.features.face.size)
+        if self.features.contact:
+            obstacles, self.first_obstacles = obstacles_of(self.scenes)
+            self.offsets[:, Offset.GEOMETRY] = self.first_obstacles[:-1, 0]
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""
@@ -252,10 +285,10 @@ class Batch:
                     self.store(index, slot)
 
     def sort(self, index: int) -> None:
-        """Put the particles of one scene in the order of their cells, so that neighbours in space are so in memory."""
+        """Put the particles of one scene in the order of their cells, as nodes lie: near in space, near in memory."""
         state, features, scene = self.state_of(index), self.features, self.scenes[index]
         key = np.zeros(state.shape[0] * features.lanes, np.int64)
-        for axis in range(features.dimension):
+        for axis in (0, 2, 1) if features.dimension == 3 else (0, 1):
             cells = np.floor(state[:, axis].ravel() / scene.domain.cell).astype(np.int64)
             key = key * (round(scene.domain.size[axis] / scene.domain.cell) + 1) + cells
         count = len(self.particles[index].positions)
@@ -265,10 +298,6 @@ class Batch:
             state[:, vector] = state[:, vector].ravel()[order].reshape(-1, features.lanes)
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(order)] = self.order[first : first + len(order)][order]
-        # The workers of a shared scene have other particles now: the next clearing covers everything again.
-        own = self.workers[:, Worker.SCENE] == index
-        self.workers[own, Worker.LOW_X : Worker.LOW_X + 3] = 0
-        self.workers[own, Worker.HIGH_X : Worker.HIGH_X + 3] = [*node_shape(scene.domain), 1][:3]
 
     def put_contacts_first(self, index: int) -> None:
         """Put particles of one scene that touch a solid first in each worker's part: few blocks compute contact."""

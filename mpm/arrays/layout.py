@@ -5,6 +5,7 @@ particle (its first coordinate, its second, ...), so a block is brought forward 
 and from the grid address single lanes of the same memory through a second, scalar view of it.
 """
 
+import math
 from enum import IntEnum, auto
 from typing import Literal
 
@@ -16,10 +17,16 @@ INDEX_LIMIT = 2**30
 """Numbers that an array of the particles may hold (`mpm.arrays.access.no_overflow`)."""
 PADDING = 3
 """Cells of grid beyond every wall: the support of a quadratic B-spline is one and a half to either side."""
+NODES_PER_PARTICLE, FEWEST_NODES = 2, 1024
+"""Nodes for which a worker has room at first, but no more than its box has; flows of two cells and more need less."""
 CACHE_LINE = 64
 """Bytes."""
 ALIGNMENT = 128
 """Bytes: loads of a whole vector of lanes fail on less."""
+
+
+GROWTH = 1.5
+"""Nodes for which a worker that has too few gets room, over those it needs."""
 
 
 class Column(IntEnum):
@@ -86,6 +93,9 @@ class Offset(Column):
     FRAMES = auto()  # how many, the initial one included
     SUBSTEPS = auto()  # per frame, by the scene's fraction of the stable step
     STEPS = auto()  # so far
+    NEXT = auto()  # the next frame to compute
+    DONE = auto()  # steps of that frame that are done: 0 unless it waits for room in the grid
+    FRAME_STEPS = auto()  # how many that frame then has
     REST = auto()  # the frame in which it was found at rest, 0 while it moves
     BARRIER = auto()  # its first line in `barriers`
     BARRIERS = auto()  # how many
@@ -110,11 +120,22 @@ class Worker(Column):
     SCENE = auto()
     FIRST = auto()  # its blocks: [first, last)
     LAST = auto()
-    NODE = auto()  # the first node of its grid
+    NODE = auto()  # the first node of its part of `grid`
+    ROOM = auto()  # how many nodes that part has
+    USED = auto()  # how many its columns take; where those are more, the run waits for room
+    COLUMN = auto()  # its first column in `bases` and `spans`
+    ACTIVE = auto()  # how many columns are in use
     SCRATCH = auto()  # its first vector of `scratch`
     IMPULSE = auto()  # its first vector of `impulse`
-    LOW_X, LOW_Y, LOW_Z = auto(), auto(), auto()  # the nodes in the support of its particles: [low, high)
-    HIGH_X, HIGH_Y, HIGH_Z = auto(), auto(), auto()
+
+
+class Span(Column):
+    """Columns of `spans`, integers, shape [columns of nodes of all workers, len(Span)]: see `mpm.physics.columns`."""
+
+    LOW, HIGH = auto(), auto()  # the nodes of a column that are in use, [low, high); high is 0 where it is not
+    CELL_LOW, CELL_HIGH = auto(), auto()  # the cells above it that hold particles, while columns are made
+    ACTIVE = auto()  # line n: the n-th column in use
+    OCCUPIED = auto()  # line n: the n-th column of cells that holds particles
 
 
 class StepControl(Column):
@@ -173,6 +194,17 @@ class Settling(Column):
 def node_shape(domain: Domain) -> tuple[int, ...]:
     """Nodes of the background grid along each axis, PADDING cells beyond every wall."""
     return tuple(round(length / domain.cell) + 2 * PADDING + 1 for length in domain.size)
+
+
+def node_room(domain: Domain, particles: int) -> int:
+    """Nodes for which the grid of so many particles has room at first."""
+    return min(math.prod(node_shape(domain)), max(FEWEST_NODES, NODES_PER_PARTICLE * particles))
+
+
+def column_count(domain: Domain) -> int:
+    """Vertical columns of nodes in the box."""
+    nodes = node_shape(domain)
+    return math.prod(nodes) // nodes[1]
 
 
 def component(i: int, j: int, dimension: int) -> int:

@@ -37,8 +37,8 @@ STEP = named(
     NODES="grid",
     REAL="cell_distance",
     REAL_TABLE="settings properties faces holds",
-    INTEGER="cell_faces near_faces node_holds covered arrivals",
-    INTEGER_TABLE="offsets workers barriers retained",
+    INTEGER="cell_faces near_faces node_holds covered arrivals bases",
+    INTEGER_TABLE="offsets workers spans barriers retained",
     DOUBLE_TABLE="settling",
 )
 """What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
@@ -99,7 +99,7 @@ def kernel_of(
     node = ti.types.vector(NODE, real)
     elements = {"block": block, "lane": real, "node": node, "real": real, "i32": ti.i32, "f32": ti.f32, "f64": ti.f64}
     # Taichi 1.7.4 reads a kernel's parameters in its source, refuses *args, and takes no NumPy array inside another:
-    # a plain signature would name each of these 31 and 38 parameters three times.
+    # a plain signature would name each of these 33 and 40 parameters three times.
     # `ti.static` makes the object while the kernel is compiled.
     source = (
         f"def run({', '.join(arrays)}, first, last, phase):\n"

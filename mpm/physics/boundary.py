@@ -8,7 +8,7 @@ under a terrain or behind a lining, there is no wall: its nodes are the solid's 
 
 import taichi as ti
 
-from mpm.arrays.access import add, node_strides
+from mpm.arrays.access import add, node_number
 from mpm.arrays.layout import PADDING, Offset, Setting, Worker
 
 
@@ -87,10 +87,7 @@ def is_covered(side, node, scene, arrays: ti.template()):
     """1 where a solid lies between a node beyond a side of the box and the material, else 0; node: [D]."""
     result = 0
     if ti.static(arrays.features.contact):
-        strides, n = node_strides(scene, arrays), arrays.offsets[scene, Offset.GEOMETRY]
-        for k in ti.static(range(arrays.features.dimension)):
-            n += node[k] * strides[k]
-        result = (arrays.covered[n] >> side) & 1
+        result = (arrays.covered[node_number(node, scene, arrays)] >> side) & 1
     return result
 
 

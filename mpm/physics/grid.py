@@ -8,16 +8,17 @@ continuous over v_s = SLOW sqrt(g dx), so that the flow depends continuously on 
 sliding like a friction of the base and turns with the stress, not with the speed: a block that slides on an incline at
 damping 0.12 behaves as if the coefficient of friction were larger by 0.2. It is off by default.
 
-Only the bounding box of the material is cleared and updated.
+Only the nodes of columns near the material are cleared and updated (`mpm.physics.columns`).
 """
 
 import taichi as ti
 
-from mpm.arrays.access import box_cells, node_strides, zero_node
-from mpm.arrays.layout import PADDING, Offset, Setting, StepControl, Worker
+from mpm.arrays.access import box_cells, columns_deep, node_number, zero_node
+from mpm.arrays.layout import PADDING, Offset, Setting, Span, StepControl, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import add_wall_impulse, apply_walls
 from mpm.physics.channel import after_side_walls
+from mpm.physics.columns import node_at
 from mpm.physics.contact import apply_solids
 
 TINY = 1.0e-30
@@ -27,108 +28,92 @@ SLOW = 1.0e-3
 
 
 @ti.func
-def clear(worker, strides, arrays: ti.template()):
-    """Set the nodes around the material of `worker` to zero."""
-    zero = zero_node()
-    for i in range(arrays.workers[worker, Worker.LOW_X], arrays.workers[worker, Worker.HIGH_X]):
-        for j in range(arrays.workers[worker, Worker.LOW_Y], arrays.workers[worker, Worker.HIGH_Y]):
-            first = arrays.workers[worker, Worker.NODE] + i * strides[0] + j * strides[1]
-            for k in range(arrays.workers[worker, Worker.LOW_Z], arrays.workers[worker, Worker.HIGH_Z]):
-                arrays.grid[first + k] = zero
+def clear(worker, arrays: ti.template()):
+    """Set the nodes of `worker` to zero."""
+    zero, first = zero_node(), arrays.workers[worker, Worker.NODE]
+    for n in range(first, first + arrays.workers[worker, Worker.USED]):
+        arrays.grid[n] = zero
 
 
 @ti.func
-def update_grid(worker, scene, dt, kappa, strides, arrays: ti.template()):
-    """Momentum to velocity at the nodes of a worker; in a shared scene at its rows of all, summed over the grids."""
-    features = arrays.features
-    low, high = own_box(worker, arrays)
-    for i in range(low[0], high[0]):
-        if shares_row(i, worker, arrays):
-            for j in range(low[1], high[1]):
-                for k in range(low[2], high[2]):
-                    n = i * strides[0] + j * strides[1] + k
-                    node = node_of(arrays.grid, n, [i, j, k], worker, arrays)
-                    if node[features.dimension] > 0.0:
-                        node = moved_node(node, n, [i, j, k], worker, scene, dt, kappa, arrays)
-                        put_node(arrays.grid, node, n, [i, j, k], worker, arrays)
+def update_grid(worker, scene, dt, kappa, arrays: ti.template()):
+    """Momentum to velocity at the nodes of a worker; in a shared scene at those it owns, summed over the workers."""
+    first, deep = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays)
+    for n in range(arrays.workers[worker, Worker.ACTIVE]):
+        column = arrays.spans[first + n, Span.ACTIVE] - first
+        i, k = column // deep, column % deep
+        for j in range(arrays.spans[first + column, Span.LOW], arrays.spans[first + column, Span.HIGH]):
+            if owns(column, j, worker, arrays):
+                node = node_of(arrays.grid, column, j, worker, arrays)
+                if node[arrays.features.dimension] > 0.0:
+                    node = moved_node(node, [i, j, k], worker, scene, dt, kappa, arrays)
+                    put_node(arrays.grid, node, column, j, worker, arrays)
 
 
 @ti.func
-def own_box(worker, arrays: ti.template()):
-    """The nodes in the support of a worker's particles, of those of all workers of a shared scene; [low, high), [3]."""
-    first = worker
-    if ti.static(arrays.features.processor.shared):
-        first = 0
-    low = ti.Vector([arrays.workers[first, Worker.LOW_X + k] for k in ti.static(range(3))])
-    high = ti.Vector([arrays.workers[first, Worker.HIGH_X + k] for k in ti.static(range(3))])
-    if ti.static(arrays.features.processor.shared):
-        for other in range(1, arrays.workers.shape[0]):
-            for k in ti.static(range(3)):
-                low[k] = ti.min(low[k], arrays.workers[other, Worker.LOW_X + k])
-                high[k] = ti.max(high[k], arrays.workers[other, Worker.HIGH_X + k])
-    return low, high
+def has_node(worker, column, j, arrays: ti.template()):
+    """Whether node j of a column of the box is one of a worker's."""
+    at = arrays.workers[worker, Worker.COLUMN] + column
+    return arrays.spans[at, Span.LOW] <= j < arrays.spans[at, Span.HIGH]
 
 
 @ti.func
-def shares_row(i, worker, arrays: ti.template()):
-    """Whether the nodes of row i are a worker's to compute, who is one of several in a shared scene."""
-    result = 1
+def owns(column, j, worker, arrays: ti.template()):
+    """Whether a node is a worker's to compute: in a shared scene one of those that have it does, in turn by column."""
+    result = True
     if ti.static(arrays.features.processor.shared):
-        result = ti.cast(i % arrays.workers.shape[0] == worker, ti.i32)
+        owner = -1
+        for turn in range(arrays.workers.shape[0]):
+            other = (column + turn) % arrays.workers.shape[0]
+            if owner < 0 and has_node(other, column, j, arrays):
+                owner = other
+        result = owner == worker
     return result
 
 
 @ti.func
-def node_of(array: ti.template(), n, index: ti.template(), worker, arrays: ti.template()):
-    """Node `index`, the n-th of a worker; of a shared scene the sum over the workers in whose support it is."""
-    if ti.static(arrays.features.processor.shared):
-        node = zero_node()
-        for other in range(arrays.workers.shape[0]):
-            if covers(other, index, arrays):
-                node += array[arrays.workers[other, Worker.NODE] + n]
-        return node
-    else:
-        return array[arrays.workers[worker, Worker.NODE] + n]
+def own_node(column, j, worker, arrays: ti.template()):
+    """Number in `grid` of node j of a column of the box, as `worker` has it."""
+    return node_at(arrays.workers[worker, Worker.COLUMN] + column, j, arrays)
 
 
 @ti.func
-def put_node(array: ti.template(), value, n, index: ti.template(), worker, arrays: ti.template()):
-    """Put what `node_of` reads; in a shared scene all workers in whose support it is have the sum."""
+def node_of(array: ti.template(), column, j, worker, arrays: ti.template()):
+    """Node j of a column of the box; in a shared scene the sum over the workers that have it."""
+    if ti.static(arrays.features.processor.shared):
+        node = zero_node()
+        for other in range(arrays.workers.shape[0]):
+            if has_node(other, column, j, arrays):
+                node += array[own_node(column, j, other, arrays)]
+        return node
+    else:
+        return array[own_node(column, j, worker, arrays)]
+
+
+@ti.func
+def put_node(array: ti.template(), value, column, j, worker, arrays: ti.template()):
+    """Put what `node_of` reads; in a shared scene all workers that have the node get the sum."""
     if ti.static(arrays.features.processor.shared):
         for other in range(arrays.workers.shape[0]):
-            if covers(other, index, arrays):
-                array[arrays.workers[other, Worker.NODE] + n] = value
+            if has_node(other, column, j, arrays):
+                array[own_node(column, j, other, arrays)] = value
     else:
-        array[arrays.workers[worker, Worker.NODE] + n] = value
+        array[own_node(column, j, worker, arrays)] = value
 
 
 @ti.func
 def update_node(n, scene, arrays: ti.template()):
-    """Momentum to velocity on the n-th node of a scene, where every node has a thread."""
-    strides = node_strides(scene, arrays)
-    i, j, k = n // strides[0], 0, 0
-    if ti.static(arrays.features.dimension == 2):
-        j = n - i * strides[0]
-    else:
-        j = (n - i * strides[0]) // strides[1]
-        k = n - i * strides[0] - j * strides[1]
+    """Momentum to velocity on the n-th node of a scene, where every node of the box is held and has a thread."""
+    deep, high = columns_deep(scene, arrays), arrays.offsets[scene, Offset.CELLS_Y] + 2 * PADDING + 1
+    column, j = n // high, n % high
+    i, k = column // deep, column % deep
     dt = arrays.step_control[scene, StepControl.DT]
     if i < arrays.offsets[scene, Offset.CELLS_X] + 2 * PADDING + 1 and dt > 0.0:
-        at = arrays.workers[scene, Worker.NODE] + n
+        at = own_node(column, j, scene, arrays)
         node = arrays.grid[at]
         if node[arrays.features.dimension] > 0.0:
             kappa = relaxation_factor(scene, dt, arrays)
-            arrays.grid[at] = moved_node(node, n, [i, j, k], scene, scene, dt, kappa, arrays)
-
-
-@ti.func
-def covers(worker, index: ti.template(), arrays: ti.template()):
-    """Whether node `index` is in the support of a worker's particles."""
-    return (
-        arrays.workers[worker, Worker.LOW_X] <= index[0] < arrays.workers[worker, Worker.HIGH_X]
-        and arrays.workers[worker, Worker.LOW_Y] <= index[1] < arrays.workers[worker, Worker.HIGH_Y]
-        and arrays.workers[worker, Worker.LOW_Z] <= index[2] < arrays.workers[worker, Worker.HIGH_Z]
-    )
+            arrays.grid[at] = moved_node(node, [i, j, k], scene, scene, dt, kappa, arrays)
 
 
 @ti.func
@@ -140,11 +125,11 @@ def velocity_before(node, arrays: ti.template()):
 
 
 @ti.func
-def moved_node(node, n, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
-    """Node `index`, the n-th of its scene, with its new velocity for its momentum, and its change new - kept old."""
+def moved_node(node, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
+    """Node `index` of the box, i, j, k, with its new velocity for its momentum, and its change new - kept old."""
     features = arrays.features
     old = velocity_before(node, arrays)
-    new = velocity_after(node, old, n, index, worker, scene, dt, arrays)
+    new = velocity_after(node, old, index, worker, scene, dt, arrays)
     for axis in ti.static(range(features.dimension)):
         node[axis] = new[axis]
         node[features.node.change + axis] = new[axis] - kappa * old[axis]
@@ -176,8 +161,8 @@ def damping_terms(v, a, scene, arrays: ti.template()):
 
 
 @ti.func
-def velocity_after(node, v, n, index: ti.template(), worker, scene, dt, arrays: ti.template()):
-    """The new velocity [m/s] of the n-th node (momentum, mass, force), shape [D], from its old one."""
+def velocity_after(node, v, index: ti.template(), worker, scene, dt, arrays: ti.template()):
+    """The new velocity [m/s] of node `index` (momentum, mass, force), shape [D], from its old one."""
     features = arrays.features
     mass = node[features.dimension]
     a, _ = acceleration(node, scene, arrays)
@@ -188,7 +173,7 @@ def velocity_after(node, v, n, index: ti.template(), worker, scene, dt, arrays: 
     indices = ti.Vector([index[axis] for axis in ti.static(range(features.dimension))])
     v_star = apply_walls(v_star, indices, box_cells(scene, arrays), mass, worker, scene, arrays)
     if ti.static(features.contact):
-        v_star = apply_solids(v_star, mass, arrays.offsets[scene, Offset.GEOMETRY] + n, worker, True, arrays)
+        v_star = apply_solids(v_star, mass, node_number(indices, scene, arrays), worker, True, arrays)
     if ti.static(features.channel):
         v_star = after_side_walls(v_star, node, dt, features)
     if ti.static(features.barriers):

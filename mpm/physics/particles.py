@@ -2,8 +2,8 @@
 
 import taichi as ti
 
-from mpm.arrays.access import clamp, maximum, minimum, no_overflow, over_lanes, vectors
-from mpm.arrays.layout import PADDING, Contact, Offset, Property, Setting, Worker
+from mpm.arrays.access import clamp, magnitude, maximum, no_overflow, over_lanes, vectors
+from mpm.arrays.layout import Contact, Offset, Property, Setting, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.contact import (
     contact_at,
@@ -22,36 +22,30 @@ from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_
 
 
 @ti.func
-def update_particles(worker, scene, dt, kappa, strides: ti.template(), arrays: ti.template()):
-    """Bring every particle of `worker` from the grid's velocities to its new place and stress."""
+def update_particles(worker, scene, dt, kappa, arrays: ti.template()):
+    """Bring every particle of `worker` from the grid's velocities to its new place and stress.
+
+    Returns the largest displacement along an axis [cells].
+    """
     features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
-    # The lowest and highest place of each lane, then of all: the box of nodes that the next step touches.
-    low = [arrays.state[first * features.state.size + k] * 0.0 + 1.0e30 for k in ti.static(range(features.dimension))]
-    high = [0.0 - low[k] for k in ti.static(range(features.dimension))]
-    grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
+    furthest = 0.0 * arrays.state[first * features.state.size]
+    table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
     for block in range(first, arrays.workers[worker, Worker.LAST]):
-        update_block(worker, grid, scene, block, scratch, dt, kappa, strides, arrays)
+        before = vectors(arrays.state, no_overflow(block * features.state.size), features.dimension)
+        update_block(worker, table, scene, block, scratch, dt, kappa, arrays)
         for k in ti.static(range(features.dimension)):
-            low[k] = minimum(low[k], arrays.state[block * features.state.size + k])
-            high[k] = maximum(high[k], arrays.state[block * features.state.size + k])
-    set_box(worker, scene, low, high, arrays)
+            moved = arrays.state[no_overflow(block * features.state.size) + k] - before[k]
+            furthest = maximum(magnitude(moved), furthest)
+    return over_lanes(maximum, furthest, arrays) / arrays.settings[scene, Setting.CELL]
 
 
 @ti.func
-def set_box(worker, scene, low: ti.template(), high: ti.template(), arrays: ti.template()):
-    """The box of nodes in the support of particles between `low` and `high` [m], D vectors of lanes each."""
-    per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
-    for k in ti.static(range(arrays.features.dimension)):
-        lowest = ti.floor(over_lanes(minimum, low[k], arrays) * per_dx + (PADDING - 0.5))
-        highest = ti.floor(over_lanes(maximum, high[k], arrays) * per_dx + (PADDING - 0.5))
-        arrays.workers[worker, Worker.LOW_X + k] = ti.cast(lowest, ti.i32)
-        arrays.workers[worker, Worker.HIGH_X + k] = ti.cast(highest, ti.i32) + 3
+def update_block(worker, table, scene, block, scratch, dt, kappa, arrays: ti.template()):
+    """Bring the particles of a block from the velocities of the nodes to new positions and stresses.
 
-
-@ti.func
-def update_block(worker, grid, scene, block, scratch, dt, kappa, strides: ti.template(), arrays: ti.template()):
-    """Bring the particles of a block from the velocities of the nodes from `grid` on to new positions and stresses."""
+    table: the first column of the nodes.
+    """
     features = arrays.features
     volume = property_of(scene, block, Property.VOLUME, arrays)
     near = False
@@ -61,7 +55,7 @@ def update_block(worker, grid, scene, block, scratch, dt, kappa, strides: ti.tem
             record_traction(block, scratch, volume, dt, worker, arrays)
         for k in ti.static(range(features.dimension)):
             arrays.scratch[scratch + features.scratch.origin + k] = arrays.state[block * features.state.size + k]
-    grid_to_block(grid, scene, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kappa, strides, arrays)
+    grid_to_block(table, scene, block, scratch, 1.0 / arrays.settings[scene, Setting.CELL], kappa, arrays)
     step_particles(scene, block, scratch, dt, kappa, arrays)
     update_stress(scene, block, scratch, near, dt, arrays)
     if ti.static(features.outflow):

@@ -30,10 +30,11 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.arrays.access import add, no_overflow, vectors, zero_node
+from mpm.arrays.access import add, clamp, columns_deep, no_overflow, vectors, zero_node
 from mpm.arrays.features import NODE, REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
+from mpm.physics.columns import node_at
 from mpm.physics.contact import push, touches
 from mpm.physics.volume_correction import held_affine, is_loose, looseness
 
@@ -66,14 +67,17 @@ def volume_of(scene, block, arrays: ti.template()):
 
 
 @ti.func
-def lowest_node(arrays: ti.template(), scratch, lane, grid, strides: ti.template()):
-    """Index of the lowest node of the particle in `lane`, in the whole array of nodes."""
+def lowest_column(arrays: ti.template(), scratch, lane, table, deep):
+    """Of the particle in `lane` the column with its lowest node, among all columns, and that node's j.
+
+    table: the first column of its worker, of which `deep` lie along z (`mpm.physics.columns`).
+    """
     features = arrays.features
-    n, at = grid, no_overflow(scratch * features.lanes + lane)
-    for axis in ti.static(range(features.dimension)):
-        low = arrays.scratch_lanes[at + (features.scratch.lowest + axis) * features.lanes]
-        n += ti.cast(low, ti.i32) * strides[axis]
-    return n
+    at = no_overflow(scratch * features.lanes + lane) + features.scratch.lowest * features.lanes
+    column = table + ti.cast(arrays.scratch_lanes[at], ti.i32) * deep
+    if ti.static(features.dimension == 3):
+        column += ti.cast(arrays.scratch_lanes[at + 2 * features.lanes], ti.i32)
+    return column, ti.cast(arrays.scratch_lanes[at + features.lanes], ti.i32)
 
 
 @ti.func
@@ -97,15 +101,15 @@ def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, vari
 
 
 @ti.func
-def particles_to_grid(worker, scene, strides: ti.template(), arrays: ti.template()):
+def particles_to_grid(worker, scene, arrays: ti.template()):
     """Add mass, momentum and force of every particle of `worker` to its nodes."""
     features, lanes = arrays.features, arrays.features.lanes
-    grid, scratch = arrays.workers[worker, Worker.NODE], arrays.workers[worker, Worker.SCRATCH]
-    stride_x, stride_y = strides[0], strides[1]
+    table, deep = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays)
+    scratch = arrays.workers[worker, Worker.SCRATCH]
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         prepare_contributions(scene, block, scratch, arrays)
         for lane in range(particles_in(scene, block, arrays)):
-            n = lowest_node(arrays, scratch, lane, grid, strides)
+            column, j = lowest_column(arrays, scratch, lane, table, deep)
             weight = no_overflow(scratch * lanes + lane)
             wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
             value = node_vector(arrays, scratch, 0, lane, False)
@@ -113,59 +117,63 @@ def particles_to_grid(worker, scene, strides: ti.template(), arrays: ti.template
             slope_y = node_vector(arrays, scratch, 2, lane, False)
             if ti.static(features.dimension == 2):
                 for a in ti.static(range(3)):
-                    at = no_overflow(n + a * stride_x)
+                    at = node_at(no_overflow(column) + a, j, arrays)
                     here, y_step = wx[a] * value, wx[a] * slope_y
-                    for b in ti.static(range(3)):
-                        add(arrays.grid, at + b, wy[b] * here, arrays)
+                    for c in ti.static(range(3)):
+                        add(arrays.grid, at + c, wy[c] * here, arrays)
                         here = here + y_step
                     value = value + slope_x
             else:
                 wz, slope_z = three_vectors(arrays, weight + 6 * lanes), node_vector(arrays, scratch, 3, lane, False)
                 for a in ti.static(range(3)):
-                    along, y_step, z_slope = wx[a] * value, wx[a] * slope_y, wx[a] * slope_z
+                    row = no_overflow(column + a * deep)
+                    along, z_step, y_slope = wx[a] * value, wx[a] * slope_z, wx[a] * slope_y
                     for b in ti.static(range(3)):
-                        at = no_overflow(n + a * stride_x + b * stride_y)
-                        here, z_step = wy[b] * along, wy[b] * z_slope
+                        at = node_at(row + b, j, arrays)
+                        here, y_step = wz[b] * along, wz[b] * y_slope
                         for c in ti.static(range(3)):
-                            add(arrays.grid, at + c, wz[c] * here, arrays)
-                            here = here + z_step
-                        along = along + y_step
+                            add(arrays.grid, at + c, wy[c] * here, arrays)
+                            here = here + y_step
+                        along = along + z_step
                     value = value + slope_x
 
 
 @ti.func
-def number_to_grid(grid, block, k, strides: ti.template(), arrays: ti.template()):
-    """Add the k-th of the numbers that a block of one particle has left to its nodes from `grid` on, on a GPU.
+def number_to_grid(table, block, k, deep, arrays: ti.template()):
+    """Add the k-th of the numbers that a block of one particle has left to its nodes in the columns from `table` on.
 
-    There each number has a thread: those of a node, which are neighbours in memory, are added in one transaction.
+    On a GPU, where each number has a thread: those of a node, neighbours in memory, are added in one transaction.
     """
     features = arrays.features
     scratch = no_overflow(block * features.scratch.size)
-    n, values = lowest_node(arrays, scratch, 0, grid, strides), scratch + features.scratch.values + k
+    column, j = lowest_column(arrays, scratch, 0, table, deep)
+    values = scratch + features.scratch.values + k
     value = arrays.scratch_lanes[values]
     slope = ti.Vector([0.0 * value for _ in ti.static(range(features.dimension))])
     if k != features.dimension and k <= 2 * features.dimension:
         for axis in ti.static(range(features.dimension)):
             slope[axis] = arrays.scratch_lanes[values + (1 + axis) * NODE]
     w = [three_vectors(arrays, scratch + 3 * axis) for axis in ti.static(range(features.dimension))]
-    for a, b in ti.static(ti.ndrange(3, 3)):
-        along, at = w[0][a] * w[1][b], n + a * strides[0] + b * strides[1]
-        here = value + a * slope[0] + b * slope[1]
-        if ti.static(features.dimension == 2):
-            ti.atomic_add(arrays.grid[at][k], along * here)
-        else:
-            for c in ti.static(range(3)):
-                ti.atomic_add(arrays.grid[at + c][k], along * w[2][c] * (here + c * slope[2]))
+    for a, b in ti.static(ti.ndrange(3, 3 if features.dimension == 3 else 1)):
+        at = node_at(column + a * deep + b, j, arrays)
+        along, here = w[0][a], value + a * slope[0]
+        if ti.static(features.dimension == 3):
+            along, here = along * w[2][b], here + b * slope[2]
+        for c in ti.static(range(3)):
+            ti.atomic_add(arrays.grid[at + c][k], along * w[1][c] * (here + c * slope[1]))
 
 
 @ti.func
-def weights_of(block, scratch, per_dx, arrays: ti.template()):
+def weights_of(scene, block, scratch, per_dx, arrays: ti.template()):
     """Leave in `scratch` the weights and lowest nodes of a block; its places above these nodes [cells], D vectors."""
     features = arrays.features
     first = no_overflow(block * features.state.size)
     f = [arrays.state[first + k] * per_dx + PADDING for k in ti.static(range(features.dimension))]
     for k in ti.static(range(features.dimension)):
         low = ti.floor(f[k] - 0.5)
+        if ti.static(features.outflow):
+            # What has left through an open side, without mass, stays on the grid.
+            low = clamp(low, 0.0, ti.cast(arrays.offsets[scene, Offset.CELLS_X + k] + (2 * PADDING - 2), float))
         f[k] = f[k] - low
         arrays.scratch[scratch + features.scratch.lowest + k] = low
         w = spline(f[k])
@@ -182,7 +190,7 @@ def prepare_contributions(scene, block, scratch, arrays: ti.template()):
     dx = arrays.settings[scene, Setting.CELL]
     volume, zero = volume_of(scene, block, arrays), 0.0 * arrays.state[first]
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) + zero
-    f = weights_of(block, scratch, 1.0 / dx, arrays)
+    f = weights_of(scene, block, scratch, 1.0 / dx, arrays)
     if ti.static(features.contact):
         if touches(block, arrays):
             push(block, scratch, arrays)
@@ -256,12 +264,15 @@ def particles_in(scene, block, arrays: ti.template()):
 
 
 @ti.func
-def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.template(), arrays: ti.template()):
-    """Give every particle of a block the motion of the nodes from `grid` on, v and C, and where asked their mass."""
+def grid_to_block(table, scene, block, scratch, per_dx, kappa, arrays: ti.template()):
+    """Give every particle of a block the motion of the nodes in the columns from `table` on: v and C, and where asked
+    their mass.
+    """
+    deep = columns_deep(scene, arrays)
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.state.size)
     # Weights, and weights times distance, of three nodes along each axis.
-    f = weights_of(block, scratch, per_dx, arrays)
+    f = weights_of(scene, block, scratch, per_dx, arrays)
     for k in ti.static(range(features.dimension)):
         for a in ti.static(range(3)):
             w, apart = arrays.scratch[scratch + 3 * k + a], ti.static(float(a)) - f[k]
@@ -270,8 +281,9 @@ def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.templa
     for lane in range(lanes):
         if ti.static(features.processor.prefetch):
             read_ahead(scene, block, scratch, lane, arrays)
-        n, weight = lowest_node(arrays, scratch, lane, grid, strides), no_overflow(scratch * lanes + lane)
-        sums = node_sums(n, weight, weight + 3 * features.dimension * lanes, strides, arrays)
+        column, j = lowest_column(arrays, scratch, lane, table, deep)
+        weight = no_overflow(scratch * lanes + lane)
+        sums = node_sums(column, j, deep, weight, weight + 3 * features.dimension * lanes, arrays)
         store_sums(sums[0], sums[1:], first, scratch, lane, loose, arrays)
     if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
         if loose:
@@ -296,24 +308,25 @@ def read_ahead(scene, block, scratch, lane, arrays: ti.template()):
 
 
 @ti.func
-def node_sums(n, weight, lever, strides: ti.template(), arrays: ti.template()):
-    """Sums over a particle's nodes, from `n` on, times its weights, and times its levers along each axis."""
+def node_sums(column, j, deep, weight, lever, arrays: ti.template()):
+    """Sums over a particle's nodes, from node j of `column` on, times its weights, and times its levers by axis."""
     lanes = arrays.features.lanes
     wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
     lx, ly = three_vectors(arrays, lever), three_vectors(arrays, lever + 3 * lanes)
     v, x_slope, y_slope, z_slope = zero_node(), zero_node(), zero_node(), zero_node()
-    # Sums along the last axis first: they share the weights of the others.
+    # Sums along a column first: they share the weights of the others.
     for a in ti.static(range(3)):
         u, s, t = zero_node(), zero_node(), zero_node()
+        row = no_overflow(column + a * deep)
         if ti.static(arrays.features.dimension == 2):
-            u, s = line_sums(n + a * strides[0], wy, ly, arrays)
+            u, s = column_sums(row, j, wy, ly, arrays)
         else:
             wz, lz = three_vectors(arrays, weight + 6 * lanes), three_vectors(arrays, lever + 6 * lanes)
             for b in ti.static(range(3)):
-                along, across = line_sums(n + a * strides[0] + b * strides[1], wz, lz, arrays)
-                u = u + wy[b] * along
-                s = s + ly[b] * along
-                t = t + wy[b] * across
+                along, up = column_sums(row + b, j, wy, ly, arrays)
+                u = u + wz[b] * along
+                s = s + wz[b] * up
+                t = t + lz[b] * along
         v = v + wx[a] * u
         x_slope = x_slope + lx[a] * u
         y_slope = y_slope + wx[a] * s
@@ -322,9 +335,9 @@ def node_sums(n, weight, lever, strides: ti.template(), arrays: ti.template()):
 
 
 @ti.func
-def line_sums(first, w: ti.template(), levers: ti.template(), arrays: ti.template()):
-    """Sums of three nodes along the last axis, times weights and times levers."""
-    at = no_overflow(first)
+def column_sums(column, j, w: ti.template(), levers: ti.template(), arrays: ti.template()):
+    """Sums of three nodes of a column, from node j on, times weights and times levers."""
+    at = node_at(column, j, arrays)
     p, q, r = arrays.grid[at], arrays.grid[at + 1], arrays.grid[at + 2]
     return w[0] * p + w[1] * q + w[2] * r, levers[0] * p + levers[1] * q + levers[2] * r
 

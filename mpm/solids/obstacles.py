@@ -97,17 +97,22 @@ def obstacles_in(scene: Scene) -> Obstacles:
     """
     surface = surface_of(scene)
     if surface is None:
-        none = np.zeros(int(np.prod(node_shape(scene.domain))) + 1, np.int32)
-        return Obstacles(
-            faces=np.zeros((0, features_of([scene], "f32").face.size)),
-            cell_faces=none,
-            near_faces=none[:0],
-            cell_distance=np.zeros(len(none)),
-            node_holds=none,
-            holds=np.zeros((0, 3)),
-            covered=none,
-        )
+        return no_obstacles(features_of([scene], "f32").face.size, int(np.prod(node_shape(scene.domain))))
     return obstacles_with(surface, scene.domain, farthest(scene), roughest(scene))
+
+
+def no_obstacles(face_size: int, cells: int = 0) -> Obstacles:
+    """No solids in a box of so many cells; no cells where no scene has contact."""
+    none = np.zeros(cells + 1, np.int32)
+    return Obstacles(
+        faces=np.zeros((0, face_size)),
+        cell_faces=none,
+        near_faces=none[:0],
+        cell_distance=np.zeros(len(none)),
+        node_holds=none,
+        holds=np.zeros((0, 3)),
+        covered=none,
+    )
 
 
 def farthest(scene: Scene) -> float:

@@ -13,8 +13,9 @@ from datasets.scene.material import Material
 from datasets.scene.particles import Particles, initial_particles
 from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
 from mpm.arrays.batch import Batch
-from mpm.arrays.layout import Worker, node_shape
-from mpm.kernel import SUMMED
+from mpm.arrays.layout import Offset, Worker
+from mpm.kernel import SUMMED, compute
+from mpm.runtime import start
 from tests.scenes import COLUMN, SAND, box, room
 
 TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
@@ -97,11 +98,36 @@ def test_what_is_no_number_wants_a_shorter_step(monkeypatch: pytest.MonkeyPatch)
         simulate(box())
 
 
-def test_sorting_opens_the_boxes_of_nodes_that_are_cleared() -> None:
-    """Workers of a shared scene have other particles then: the old boxes would leave momentum on the grid."""
-    scene = box(COLUMN)
-    batch = Batch([scene], precision="f32", workers=2)
-    batch.workers[:, Worker.LOW_X : Worker.HIGH_X + 3] = 5
-    batch.sort(0)
-    assert (batch.workers[:, Worker.LOW_X : Worker.LOW_X + 3] == 0).all()
-    assert (batch.workers[:, Worker.HIGH_X : Worker.HIGH_X + 2] == node_shape(scene.domain)).all()
+def wide(workers: int) -> list[Scene]:
+    """Scenes whose flows spread: two beside each other, or one for several threads."""
+    slide = Mass(lower=(0.0, 0.1), size=(0.2, 0.2), velocity=(3.0, 0.0))
+    return [box(slide, seed=1, cell=0.02 / workers)] + [box(slide, seed=2, duration=0.05)] * (workers == 1)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_grid_without_room_grows_and_the_run_goes_on(workers: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes, found = wide(workers), []
+    for fewest in (1, 2**20):
+        monkeypatch.setattr("mpm.arrays.layout.FEWEST_NODES", fewest)
+        monkeypatch.setattr("mpm.arrays.layout.NODES_PER_PARTICLE", 0)
+        batch = Batch(scenes, precision="f64", workers=workers)
+        first = batch.workers[:, Worker.ROOM].copy()
+        start("f64", 2)
+        for last in (3, 21):
+            compute(batch, last)
+        assert (batch.workers[:, Worker.USED] <= batch.workers[:, Worker.ROOM]).all()
+        assert (batch.workers[:, Worker.ROOM] > first).all() == (fewest == 1)
+        found.append([batch.recorded(0).copy(), batch.energies(0).copy(), batch.offsets[:, Offset.STEPS].copy()])
+    for grown, at_once in zip(*found, strict=True):
+        np.testing.assert_array_equal(grown, at_once)
+
+
+def test_time_and_memory_follow_the_material_not_the_box() -> None:
+    """A box 90 times as high has the same nodes in use, and the same flow."""
+    low, high = (Batch([box(size=(1.0, height))], precision="f64") for height in (1.0, 90.0))
+    start("f64")
+    for batch in (low, high):
+        compute(batch, 21)
+    assert low.workers[0, Worker.USED] == high.workers[0, Worker.USED] < 1000
+    assert high.grid.nbytes <= 2 * low.grid.nbytes
+    np.testing.assert_array_equal(low.positions, high.positions)

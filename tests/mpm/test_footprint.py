@@ -12,8 +12,7 @@ from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate
 from mpm.arrays.batch import Batch
-from mpm.arrays.features import NODE
-from mpm.arrays.layout import Precision
+from mpm.arrays.layout import Precision, node_room
 from mpm.footprint import FAST, PROCESS, SLOW, SPEED, START, expected, footprint, planned, spoken
 from mpm.run import command
 from tests.breaking import SCENE
@@ -36,7 +35,7 @@ def test_it_covers_the_arrays_of_a_run(name: str, record: Recording, precision: 
     batch = Batch([scene], precision=precision, record=record)
     assert plan.particles == len(batch.particles[0].positions)
     assert plan.nodes[: scene.dimension] == plan.nodes
-    assert np.prod(plan.nodes) * NODE == batch.grid.size
+    assert len(batch.grid) == node_room(scene.domain, len(batch.state) * batch.features.lanes)
     size = sum(array.nbytes for array in vars(batch).values() if isinstance(array, np.ndarray))
     size += sum(array.nbytes for array in batch.record[0].values()) * (not batch.in_kernel)
     assert size <= plan.bytes - PROCESS <= 4.0 * size

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,6 +45,26 @@ def test_segments_do_not_change_the_gradient(monkeypatch: pytest.MonkeyPatch) ->
         for name in ("positions", "velocities", "properties"):
             np.testing.assert_array_equal(getattr(found[0], name), getattr(other, name))
         np.testing.assert_allclose(found[0].settings, other.settings, rtol=1e-12)
+
+
+def test_grids_that_grow_backwards_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither in a replay nor between two reverse steps: a reverse step needs more nodes than the run did there."""
+    thrown = plane(volume_correction=False, duration=0.01)
+    expected = gradient(thrown, Weighted(thrown), threads=1)[1]
+    monkeypatch.setattr("mpm.arrays.layout.NODES_PER_PARTICLE", 0)
+    monkeypatch.setattr("mpm.arrays.layout.FEWEST_NODES", 1)
+    monkeypatch.setattr("mpm.arrays.batch.GROWTH", 1.0)
+    rooms, nodes = set(), Tape.nodes
+
+    def counted(tape: Tape) -> dict[str, Any]:
+        rooms.add(len(tape.batch.grid))
+        return nodes(tape)
+
+    monkeypatch.setattr(Tape, "nodes", counted)
+    found = gradient(thrown, Weighted(thrown), threads=1)[1]
+    assert len(rooms) > 1
+    for name in ("positions", "velocities", "properties"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 def test_memory_stays_within_the_budget_and_grows_with_the_root_of_the_steps() -> None:
