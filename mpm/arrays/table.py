@@ -35,10 +35,10 @@ STEP = named(
     BLOCKS="state scratch impulse",
     LANES="lanes scratch_lanes impulse_lanes",
     NODES="grid",
-    REAL="cell_distance",
-    REAL_TABLE="settings properties faces holds",
-    INTEGER="cell_faces near_faces node_holds covered arrivals",
-    INTEGER_TABLE="offsets workers barriers retained",
+    REAL="cell_distance terrain column_heights",
+    REAL_TABLE="settings properties faces holds kept_holds",
+    INTEGER="cell_faces near_faces node_holds covered terrain_cells arrivals",
+    INTEGER_TABLE="offsets workers barriers retained kept_nodes",
     DOUBLE_TABLE="settling",
 )
 """What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""

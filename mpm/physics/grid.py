@@ -188,7 +188,7 @@ def velocity_after(node, v, n, index: ti.template(), worker, scene, dt, arrays: 
     indices = ti.Vector([index[axis] for axis in ti.static(range(features.dimension))])
     v_star = apply_walls(v_star, indices, box_cells(scene, arrays), mass, worker, scene, arrays)
     if ti.static(features.contact):
-        v_star = apply_solids(v_star, mass, arrays.offsets[scene, Offset.GEOMETRY] + n, worker, True, arrays)
+        v_star = apply_solids(v_star, mass, indices, worker, scene, True, arrays)
     if ti.static(features.channel):
         v_star = after_side_walls(v_star, node, dt, features)
     if ti.static(features.barriers):
