@@ -53,7 +53,7 @@ ADJOINT = named(
     REAL="impulse_adjoints",
     REAL_TABLE="cuts step_times",
     INTEGER="step_counts",
-    DOUBLE_TABLE="face_adjoints hold_adjoints sums",
+    DOUBLE_TABLE="face_adjoints hold_adjoints terrain_adjoints sums",
 )
 """What the adjoint reads and writes besides `STEP`; `mpm.adjoint.tape` makes them."""
 VIEWS = {

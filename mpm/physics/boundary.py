@@ -63,9 +63,7 @@ def stopping_side(v, node, cells, axis: ti.template(), scene, arrays: ti.templat
         side = 2 * axis + 1
     # Taichi computes both sides of `and`.
     if side >= 0:
-        if is_wall(side, scene, arrays) == 0:
-            side = -1
-        elif is_covered(side, node, scene, arrays) == 1:
+        if is_wall(side, scene, arrays) == 0 or is_covered(side, node, scene, arrays) == 1:
             side = -1
     return side
 

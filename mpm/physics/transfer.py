@@ -273,7 +273,7 @@ def grid_to_block(grid, scene, block, scratch, per_dx, kappa, strides: ti.templa
         n, weight = lowest_node(arrays, scratch, lane, grid, strides), no_overflow(scratch * lanes + lane)
         sums = node_sums(n, weight, weight + 3 * features.dimension * lanes, strides, arrays)
         store_sums(sums[0], sums[1:], first, scratch, lane, loose, arrays)
-    if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
+    if ti.static(features.volume_correction):
         if loose:
             hold_affine(scene, block, scratch, kappa, arrays)
 
@@ -350,7 +350,7 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, loose, arrays: ti
     for i in ti.static(range(size)):
         arrays.scratch_lanes[at + i * lanes] = v[i]
         arrays.scratch_lanes[at + (size + i) * lanes] = v[features.node.change + i]
-    if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
+    if ti.static(features.volume_correction):
         if loose:
             arrays.scratch_lanes[own + features.scratch.density * lanes] = v[size]
             for j in ti.static(range(size)):

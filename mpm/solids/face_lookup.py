@@ -1,7 +1,7 @@
 """Of the faces near a particle the one that is nearest, and the first that its displacement crosses.
 
-Faces are those that are listed for its cell (`mpm.solids.obstacles`) and the triangles of a height field about its place
-in plan (`mpm.solids.terrain`). What is found here is what `datasets.geometry.nearest` finds for all faces.
+Faces are those that are listed for its cell (`mpm.solids.obstacles`) and the triangles of a height field about its
+place in plan (`mpm.solids.terrain`). What is found here is what `datasets.geometry.nearest` finds for all faces.
 """
 
 import taichi as ti
@@ -112,7 +112,10 @@ def entry_of(node, scene, arrays: ti.template()):
     """
     entry, inside = 0, True
     for k in ti.static(range(arrays.features.dimension)):
-        along, count = node[k] - arrays.offsets[scene, Offset.WINDOW_LOW_X + k], arrays.offsets[scene, Offset.WINDOW_X + k]
+        along, count = (
+            node[k] - arrays.offsets[scene, Offset.WINDOW_LOW_X + k],
+            arrays.offsets[scene, Offset.WINDOW_X + k],
+        )
         inside = inside and along >= 0 and along < count
         entry = entry * count + along
     entry += arrays.offsets[scene, Offset.GEOMETRY]
@@ -208,7 +211,7 @@ def first_crossed(start, end, entry, cell, scene, arrays: ti.template()):
 
 @ti.func
 def crossed_part(start, end, a, b, c, normal, cell, arrays: ti.template()):
-    """The part of the segment from `start` to `end` [m] before it enters a solid through a face; 2 where it does not."""
+    """The part of the segment from `start` to `end` [m] before it enters a solid through a face; 2: it does not."""
     found = 0.0 * cell + 2.0
     before, after = (start - a).dot(normal), (end - a).dot(normal)
     if after < 0.0 - SKIN * cell and before >= 0.0 - 2.0 * SKIN * cell and after < before:

@@ -157,30 +157,31 @@ def solids_with(scene: Scene) -> tuple[Any, ...]:
     return scene.domain, solids_of(scene), farthest(scene), roughest(scene)
 
 
-def faces_and_holds(scene: Scene, nodes: Integers, base: Floats) -> tuple[Floats, Floats]:
-    """Faces of the solids of a scene, and its holds in the order of `base` [K, 3], which those of `nodes` [K, D] are.
+def faces_and_holds(scene: Scene, nodes: Integers, base: Floats) -> tuple[Floats, Floats, Floats]:
+    """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which those of `nodes` [K, D] are, and
+    the friction of its height field, [P].
 
     A hold that the scene does not have has no share. What else the kernel needs of solids is not made.
     """
     surface, holds = contact_surface_of(scene), base.copy()
     holds[:, 2] = 0.0
     if surface is None:
-        return np.zeros((0, 0)), holds
+        return np.zeros((0, 0)), holds, np.zeros(0)
+    field = surface.field
+    terrain = np.zeros(0) if field is None else np.minimum(field.friction, roughest(scene)).ravel()
     lines = face_lines(limited(surface.faces, roughest(scene)))
     if not len(nodes):
-        return lines, holds
+        return lines, holds, terrain
     window, first, ours, _ = holds_at(scene, surface, np.unique(nodes, axis=0))
     owners, count = np.repeat(np.arange(len(first) - 1), np.diff(first)), int(max(base[:, 0].max(), *ours[:, 0], 0)) + 1
     rows = (window.numbers(nodes), base), (owners, ours)
     keys, our_keys = (node * count + each[:, 0].astype(np.int64) for node, each in rows)
     _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
     holds[at] = ours[our_at]
-    return lines, holds
+    return lines, holds, terrain
 
 
-def holds_at(
-    scene: Scene, solid: ContactSurface, nodes: Integers
-) -> tuple[Window, NDArray[np.int32], Floats, Floats]:
+def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Window, NDArray[np.int32], Floats, Floats]:
     """Of `nodes` by their indices, shape [N, D]: a window around them, where the holds of each of its nodes begin,
     these, shape [K, 3], and the normals of their faces, shape [K, D].
     """
@@ -225,7 +226,9 @@ def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: f
     if window.count:
         apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(window.shape)).ravel()
         beyond = np.maximum(apart - math.sqrt(domain.dimension), 0.0)
-        around, numbers = solid.around(window.positions(np.array([0, window.count - 1])), (cutoff + BLEND) * domain.cell)
+        around, numbers = solid.around(
+            window.positions(np.array([0, window.count - 1])), (cutoff + BLEND) * domain.cell
+        )
         node_holds, holds = holds_of(window, limited(around, most), listed, cutoff=cutoff)
         holds[:, 0] = numbers[holds[:, 0].astype(np.int64)]
         covered = covered_sides(window, domain, solid, cutoff=cutoff)

@@ -59,7 +59,7 @@ def cell_code(i, k, scene, arrays: ti.template()):
 
 @ti.func
 def height_above(x, scene, arrays: ti.template()):
-    """How far `x` [m] is above the height field [m], and 1 where its triangle there is a face that is listed, else 0."""
+    """How far `x` [m] is above the height field [m], and 1 where the triangle there is a listed face, else 0."""
     i, k = raster_cell(x, scene, arrays)
     _, across, first_x, first_z, heights, _ = posts(scene, arrays)
     code, at = cell_code(i, k, scene, arrays), heights + i * across + k
@@ -158,7 +158,7 @@ def corner_posts(code, half):
 def triangle_corners(i, k, half, code, scene, arrays: ti.template()):
     """The corners of a triangle of a cell with the code `code` [m], three vectors."""
     _, across, first_x, first_z, heights, _ = posts(scene, arrays)
-    along, aside = corner_posts(code, half)
+    along, _ = corner_posts(code, half)
     at_x, at_z, at = first_x + i, first_z + k, heights + i * across + k
     a = ti.Vector([arrays.terrain[at_x + along[0]], arrays.terrain[at + along[0] * across], arrays.terrain[at_z]])
     b = ti.Vector(

@@ -25,7 +25,6 @@ from mpm.solids.terrain import (
     triangle_number,
 )
 
-
 PROBED = 4
 """Places at which a node's holds are looked for among those that are kept; a power of two."""
 
@@ -55,7 +54,7 @@ def cells_over(x, scene, arrays: ti.template()):
 
 @ti.func
 def hold_weight(square, behind, depth, blend):
-    """w_k of a triangle at the root of `square` [m^2] from a node, `behind` its plane [m], whose nearest is at `depth`."""
+    """w_k of a triangle at the root of `square` [m^2] from a node that is `behind` its plane [m]; depth: min d [m]."""
     distance = ti.max(ti.sqrt(square), 1.0e-20)
     near = ti.max(1.0 - (distance - depth) / blend, 0.0)
     return ti.max(behind / distance, 0.0) * near * near
@@ -72,7 +71,7 @@ def hold_share(depth, total, scene, arrays: ti.template()):
 def removed_by_terrain(v, node, worker, scene, arrays: ti.template()):
     """What the height field takes of the velocity `v` [m/s] of a node, an index of shape [D]; shape [D]."""
     removed = 0.0 * v
-    depth, near = depth_of(node, scene, arrays)
+    near = may_be_held(node, scene, arrays)
     if ti.static(arrays.features.processor.gpu):
         slot = 0
         if near:
@@ -91,13 +90,13 @@ def removed_by_terrain(v, node, worker, scene, arrays: ti.template()):
 
 
 @ti.func
-def depth_of(node, scene, arrays: ti.template()):
-    """How far a node is below the height field [m], and whether it may be held: no farther than is searched."""
-    depth, near = 0.0 * arrays.settings[scene, Setting.CELL], False
+def may_be_held(node, scene, arrays: ti.template()):
+    """Whether a node lies below the height field, no deeper than is searched."""
+    near = False
     if arrays.offsets[scene, Offset.POSTS_X] > 0:
         depth = column_height(node[0], node[2], scene, arrays) - node_position(node, scene, arrays)[1]
         near = depth > 0.0 and depth * terrain_number(TerrainNumber.NEARNESS, scene, arrays) < reach_of(scene, arrays)
-    return depth, near
+    return near
 
 
 @ti.func
