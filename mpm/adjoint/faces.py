@@ -217,8 +217,9 @@ def add_face(face, column: ti.template(), value, scene, arrays: ti.template()):
             arrays.face_adjoints[face, column] += ti.cast(value, ti.f64)
     if ti.static(arrays.features.terrain and first <= column < first + size):
         if in_terrain(face, scene, arrays):
-            at = corner_frictions(face, scene, arrays)
-            arrays.terrain_adjoints[scene, at[column - first]] += ti.cast(value, ti.f64)
+            a, b, c = corner_frictions(face, scene, arrays)
+            at = ti.static([a, b, c])[ti.static(column - first)]
+            arrays.terrain_adjoints[scene, at] += ti.cast(value, ti.f64)
 
 
 @ti.func

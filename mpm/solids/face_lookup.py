@@ -86,8 +86,8 @@ def frictions_of(face, scene, arrays: ti.template()):
             value = listed_vector(face, arrays.features.face.friction, arrays)
     if ti.static(arrays.features.terrain):
         if in_terrain(face, scene, arrays):
-            at = corner_frictions(face, scene, arrays)
-            value = ti.Vector([arrays.terrain[at[k]] for k in ti.static(range(3))])
+            a, b, c = corner_frictions(face, scene, arrays)
+            value = ti.Vector([arrays.terrain[a], arrays.terrain[b], arrays.terrain[c]])
     return value
 
 

@@ -145,36 +145,34 @@ def squared_plan_distance(x, i, k, scene, arrays: ti.template()):
 
 @ti.func
 def corner_posts(code, half):
-    """How far the posts at the corners of a triangle are from the first of its cell, of three corners along x and z.
+    """How far the posts at the first two corners of a triangle are along x from the first of its cell: p, q.
 
-    In the order of `datasets.geometry.ground.grid_triangles`: a, c, b and a, d, c of the first diagonal; a, d, b and
-    b, d, c of the second one.
+    The corners are at (p, 0), (q, 1) and (1, half), in the order of `datasets.geometry.ground.grid_triangles`: a, c, b
+    and a, d, c of the first diagonal; a, d, b and b, d, c of the second one.
     """
-    kind = half + 2 * (code & 1)
-    return ti.Vector([ti.cast(kind == 3, ti.i32), ti.cast(kind == 0, ti.i32), 1]), ti.Vector([0, 1, half])
+    return half * (code & 1), (1 - half) * (1 - (code & 1))
 
 
 @ti.func
 def triangle_corners(i, k, half, code, scene, arrays: ti.template()):
     """The corners of a triangle of a cell with the code `code` [m], three vectors."""
     _, across, first_x, first_z, heights, _ = posts(scene, arrays)
-    along, _ = corner_posts(code, half)
+    p, q = corner_posts(code, half)
     at_x, at_z, at = first_x + i, first_z + k, heights + i * across + k
-    a = ti.Vector([arrays.terrain[at_x + along[0]], arrays.terrain[at + along[0] * across], arrays.terrain[at_z]])
-    b = ti.Vector(
-        [arrays.terrain[at_x + along[1]], arrays.terrain[at + along[1] * across + 1], arrays.terrain[at_z + 1]]
-    )
+    a = ti.Vector([arrays.terrain[at_x + p], arrays.terrain[at + p * across], arrays.terrain[at_z]])
+    b = ti.Vector([arrays.terrain[at_x + q], arrays.terrain[at + q * across + 1], arrays.terrain[at_z + 1]])
     c = ti.Vector([arrays.terrain[at_x + 1], arrays.terrain[at + across + half], arrays.terrain[at_z + half]])
     return a, b, c
 
 
 @ti.func
 def corner_frictions(face, scene, arrays: ti.template()):
-    """Where the Coulomb coefficients at the corners of a triangle stand in `terrain`, shape [3]."""
+    """Where the Coulomb coefficients at the corners of a triangle stand in `terrain`, three numbers."""
     _, across, _, _, _, friction = posts(scene, arrays)
-    at = ti.Vector([friction, friction, friction])
+    a, b, c = friction, friction, friction
     if arrays.offsets[scene, Offset.TERRAIN_FRICTION] == 1:
         i, k, half = cell_of_triangle(face, scene, arrays)
-        along, aside = corner_posts(cell_code(i, k, scene, arrays), half)
-        at += (i + along) * across + k + aside
-    return at
+        p, q = corner_posts(cell_code(i, k, scene, arrays), half)
+        at = friction + i * across + k
+        a, b, c = at + p * across, at + q * across + 1, at + across + half
+    return a, b, c
