@@ -23,6 +23,8 @@ class Body:
     """Coulomb coefficient at each vertex [-], shape [V]."""
     key: str
     """Where the solid stands in the scene, such as `solids[0]`."""
+    grows: bool = True
+    """Whether it grows by the gap that it closes to others: all but a raster, of which others touch a part alone."""
 
 
 def ring(count: int) -> Integers:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +63,11 @@ def highest(
     return height, friction, top
 
 
+@lru_cache(maxsize=4)
 def ground_grid(solid: Solid, key: str, domain: Domain) -> tuple[list[Floats], Floats, Floats]:
     """x, in 3D and z, elevations [m] and friction of a terrain, both [X(, Z)], to some cells beyond the box.
 
-    Raises InputError unless it covers the box but for a cell.
+    The same arrays for the same terrain. Raises InputError unless it covers the box but for a cell.
     """
     if domain.dimension == 2:
         x, heights = np.array(solid.points, np.float64).T
@@ -144,4 +146,4 @@ def interpolated(axes: Sequence[Floats], values: Floats, plan: Floats) -> Floats
     a, b, c, d = values[i, k], values[i + 1, k], values[i + 1, k + 1], values[i, k + 1]
     along = np.where(u >= v, a + u * (b - a) + v * (c - b), a + v * (d - a) + u * (c - d))
     across = np.where(u + v <= 1.0, a + u * (b - a) + v * (d - a), c + (1.0 - u) * (d - c) + (1.0 - v) * (b - c))
-    return np.asarray(np.where(first_diagonal(values)[i, k], along, across))
+    return np.asarray(np.where(np.abs(a - c) <= np.abs(b - d), along, across))

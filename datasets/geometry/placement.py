@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from datasets.errors import InputError
 from datasets.geometry.bodies import Plan, filling, lattice_of
+from datasets.geometry.closed import Body
+from datasets.geometry.contact_surface import contact_surface_of, height_field
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, plan_axes
 from datasets.geometry.nearest import inside
 from datasets.geometry.shells import share_volume
-from datasets.geometry.surface import Surface, closed_body, solids_of, surface_in, surface_of
+from datasets.geometry.surface import Surface, closed_body, raster_body, solids_of, surface_in
 from datasets.scene.parts import TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
 
 SAMPLES = 32
@@ -29,7 +31,7 @@ def check_overlaps(scene: SceneLayout) -> None:
         raise InputError(f"expected a box clear of {keys[first]}, got an overlap", key=keys[second])
     if not has_shapes(scene):
         return
-    surface_of(scene)  # says what is wrong with the shapes
+    contact_surface_of(scene)  # says what is wrong with the shapes
     for index, mass in enumerate(scene.masses):
         others: list[tuple[Mass | Solid, str]] = [*zip(*solids_of(scene), strict=True)]
         others += [(other, keys[number]) for number, other in enumerate(scene.masses[:index])]
@@ -91,10 +93,20 @@ def shape_of(body: Mass | Solid) -> Solid:
 def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> bool:
     """Whether two shapes share more than a margin of rounding."""
     margin = 10.0 * TOUCHING
-    a, b = closed_body(first, key, domain), closed_body(second, key, domain)
+    a = closed_body(first, key, domain)
+    b = closed_body(second, key, domain) if domain.dimension == 2 else body_near(second, key, domain, a.vertices)
     if domain.dimension == 2:
         return bool(shapely.Polygon(a.vertices).buffer(-margin).intersects(shapely.Polygon(b.vertices)))
     return share_volume(a, b, margin)
+
+
+def body_near(solid: Solid, key: str, domain: Domain, places: Floats) -> Body:
+    """The surface of a solid in 3D; of a terrain below `places` [m], shape [N, 3], and around them."""
+    if solid.kind != "terrain":
+        return closed_body(solid, key, domain)
+    field, plan = height_field(solid, key, 0, domain), places[:, ::2]
+    cells = field.grown(field.cells_over(plan.min(axis=0), plan.max(axis=0)))
+    return raster_body(*field.posts(cells), deep=float(min(places[:, 1].min(), field.heights.min())) - 1.0, key=key)
 
 
 def remembers_gaps(scene: SceneLayout) -> bool:
@@ -127,12 +139,14 @@ def heights_above_ground(scene: SceneLayout) -> Floats:
     beneath = over & over.T & (upper[None, :, 1] <= lower[:, None, 1] + TOLERANCE)
     height = lower[:count, 1] - np.where(beneath[:count], upper[:, 1], 0.0).max(axis=1)
     if shaped:
-        surface, slack = surface_of(scene), 10.0 * CLOSING * scene.domain.cell
+        solid, slack = contact_surface_of(scene), 10.0 * CLOSING * scene.domain.cell
         for index, mass in enumerate(scene.masses):
             above = 0.0
             if mass.kind != "layer":
                 places = underside(scene, mass)
-                tops = np.zeros(len(places)) if surface is None else tops_beneath(surface, places, slack)
+                tops = np.zeros(len(places))
+                if solid is not None:
+                    tops = tops_beneath(solid.around(places, scene.domain.cell)[0], places, slack)
                 above = max(0.0, float((places[:, 1] - tops).min()))
             height[index] = min(height[index], above)
     group = connected(lower[:count], upper[:count])

@@ -108,11 +108,11 @@ def lengthened_surface(body: Body, axis: int, limit: float, beyond: float) -> Bo
 def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Floats, NDArray[np.int32]]:
     """Vertices [V, 3] and triangles [F, 3] of the union, friction at their corners [F, 3] and the body of each [F].
 
-    Every body grows by `gap`, so that those that touch but for rounding share volume.
+    Every body but rasters grows by `gap`, so that those that touch but for rounding share volume.
     """
     parts, numbers = [], {}
     for number, body in enumerate(bodies):
-        part = manifold(grown(body, gap), body.faces, body.friction).as_original()
+        part = manifold(grown(body, gap) if body.grows else body.vertices, body.faces, body.friction).as_original()
         if part.status() != manifold3d.Error.NoError:
             raise InputError("expected a closed surface that does not cross itself", key=body.key)
         parts.append(part)

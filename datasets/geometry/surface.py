@@ -99,10 +99,15 @@ def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...])
     bodies = [body_of(*each, domain) for each in zip(solids, keys, strict=True)]
     found = boundary(bodies, CLOSING * domain.cell)
     stuck = np.array([solid.contact == "no-slip" for solid in solids])[found.solid]
-    margin, high = KEPT * domain.cell, np.array(domain.size)
-    near = ((found.corners.max(axis=1) >= -margin) & (found.corners.min(axis=1) <= high + margin)).all(axis=1)
     found.friction[stuck] = np.inf
-    return found.chosen(near)
+    return found.chosen(near_box(found, domain))
+
+
+def near_box(surface: Surface, domain: Domain) -> NDArray[np.bool_]:
+    """Which faces lie in the box or up to some cells beyond, shape [F]."""
+    margin, high = KEPT * domain.cell, np.array(domain.size)
+    low, top = surface.corners.min(axis=1), surface.corners.max(axis=1)
+    return np.asarray(((top >= -margin) & (low <= high + margin)).all(axis=1))
 
 
 def boundary(bodies: list[Body], gap: float) -> Surface:
@@ -178,7 +183,11 @@ def ground_body(solid: Solid, key: str, box: Domain) -> Body:
             friction=np.concatenate([friction[::-1], friction[[0, -1]]]),
             key=key,
         )
-    x, z = axes
+    return raster_body(*axes, heights, friction, deep=deep, key=key)
+
+
+def raster_body(x: Floats, z: Floats, heights: Floats, friction: Floats, *, deep: float, key: str) -> Body:
+    """All that lies between posts at x, z with `heights` and `friction`, both [X, Z], and the level `deep`; in m."""
     plan = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
     top = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)
     number = np.arange(len(top)).reshape(len(x), len(z))
@@ -195,6 +204,7 @@ def ground_body(solid: Solid, key: str, box: Domain) -> Body:
         faces=np.concatenate([grid_triangles(heights), skirt, floor]),
         friction=np.concatenate([friction.ravel(), friction.ravel()[rim], [float(friction.mean())]]),
         key=key,
+        grows=False,
     )
 
 

@@ -202,6 +202,12 @@ class Solid(Record):
     contact: Annotated[str, Bounds("'coulomb' or 'no-slip'", words=("coulomb", "no-slip"))] = "coulomb"
     """`coulomb` or `no-slip`."""
 
+    def __hash__(self) -> int:
+        """Of a raster from its first row: millions of heights take longer than what is looked up by them."""
+        rows = [each[:1] if isinstance(each, tuple) else each for each in (self.heights, self.friction, self.triangles)]
+        shape = self.kind, self.lower, self.size, self.turned_deg, self.vertices, self.points
+        return hash((*shape, self.origin, self.spacing, *rows))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Stage(Record):

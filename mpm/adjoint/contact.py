@@ -14,15 +14,16 @@ is that of all later frames together. It joins the bars of the force on the node
 import taichi as ti
 
 from mpm.adjoint.boundary import after_contact_reverse
-from mpm.adjoint.faces import add_face, depends, found_reverse
+from mpm.adjoint.faces import add_face, depends, found_reverse, terrain_reverse
 from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import vectors
-from mpm.arrays.layout import Contact, Property, Worker
+from mpm.arrays.layout import Contact, Offset, Property, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
     contact_at,
     contact_of,
+    holds_of_node,
     jump_at_contact,
     present,
     removed_by,
@@ -32,7 +33,7 @@ from mpm.physics.contact import (
 )
 from mpm.physics.grid import relaxation_factor
 from mpm.physics.transfer import property_of
-from mpm.solids.face_lookup import face_vector, solid_of
+from mpm.solids.face_lookup import entry_of, face_number, list_of, normal_of, solid_of
 
 
 @ti.func
@@ -48,31 +49,42 @@ def touched(block, after, scene, arrays: ti.template()):
 
 
 @ti.func
-def solids_reverse(bar, v, mass, n, worker, arrays: ti.template()):
+def solids_reverse(bar, v, mass, node, worker, scene, arrays: ti.template()):
     """Bars of a node's velocity `v` before `mpm.physics.contact.apply_solids`, shape [D], and of its mass.
 
-    bar: of the velocity after it; n: its entry in `node_holds`. Adds the bars of the holds and of their faces' normals.
+    bar: of the velocity after it; node: its index, [D]. Adds the bars of the holds and of their faces' normals.
     """
     features = arrays.features
-    v_bar, mass_bar = bar, 0.0 * mass
-    for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
-        face, removed = removed_by(hold, v, arrays)
-        normal = face_vector(face, features.face.normal, arrays)
+    v_bar, mass_bar, entry = bar, 0.0 * mass, entry_of(node, scene, arrays)
+    first, end = holds_of_node(entry, arrays)
+    for hold in range(first, end):
+        face, removed = removed_by(hold, v, scene, arrays)
+        normal = normal_of(face, scene, arrays)
         if v.dot(normal) < 0.0:
             friction, share = arrays.holds[hold, 1], arrays.holds[hold, 2]
             removed_bar = 0.0 - bar
             if ti.static(arrays.layout.impulses):
-                momentum_bar = impulse_bar(solid_of(face, arrays), worker, arrays)
+                momentum_bar = impulse_bar(solid_of(face, scene, arrays), worker, arrays)
                 mass_bar += momentum_bar.dot(removed)
                 removed_bar = removed_bar + mass * momentum_bar
             left_bar = (0.0 - share) * removed_bar
             through_bar, normal_bar, friction_bar = after_contact_reverse(left_bar, v, normal, friction)
             v_bar = v_bar + through_bar - left_bar
             for k in ti.static(range(features.dimension)):
-                add_face(face, features.face.normal + k, normal_bar[k], arrays)
+                add_face(face, features.face.normal + k, normal_bar[k], scene, arrays)
             arrays.hold_adjoints[hold, 1] += ti.cast(friction_bar, ti.f64)
             whole = removed_bar.dot(v - after_contact(v, normal, friction))
             arrays.hold_adjoints[hold, 2] += ti.cast(whole, ti.f64)
+    if ti.static(features.terrain):
+        _, listed = list_of(entry, arrays)
+        if listed == 0:
+            removed_bar, momentum_bar = 0.0 - bar, 0.0 * bar
+            if ti.static(arrays.layout.impulses):
+                momentum_bar = impulse_bar(arrays.offsets[scene, Offset.TERRAIN_SOLID], worker, arrays)
+                removed_bar = removed_bar + mass * momentum_bar
+            through_bar, removed = terrain_reverse(removed_bar, v, node, scene, arrays)
+            v_bar = v_bar + through_bar
+            mass_bar += momentum_bar.dot(removed)
     return v_bar, mass_bar
 
 
@@ -90,7 +102,8 @@ def push_reverse(
             # The bar of the impulse of the solid next to each particle.
             face = contact_at(block, Contact.FACE, arrays)
             for lane in range(lanes):
-                solid = solid_of(ti.cast(arrays.lanes[face * lanes + lane], ti.i32), arrays)
+                scene = arrays.workers[worker, Worker.SCENE]
+                solid = solid_of(face_number(arrays.lanes[face * lanes + lane]), scene, arrays)
                 momentum_bar = impulse_bar(solid, worker, arrays)
                 for k in ti.static(range(size)):
                     arrays.scratch_lanes[(scratch + layout.scratch.before + k) * lanes + lane] = momentum_bar[k]

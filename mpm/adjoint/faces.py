@@ -17,8 +17,23 @@ from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import lane_numbers, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting, Worker
 from mpm.arrays.properties import GAP_CUTOFF
+from mpm.physics.boundary import after_contact
 from mpm.physics.contact import contact_at
-from mpm.solids.face_lookup import TINY, foot_on_segment, foot_on_triangle, solid_of
+from mpm.solids.face_lookup import (
+    TINY,
+    corners_of,
+    face_number,
+    foot_on_face,
+    foot_on_segment,
+    foot_on_triangle,
+    frictions_of,
+    normal_of,
+    reach_of,
+    solid_of,
+)
+from mpm.solids.obstacles import BLEND
+from mpm.solids.terrain import cell_code, corner_frictions, in_terrain, triangle_corners, triangle_number
+from mpm.solids.terrain_holds import cells_over, hold_share, hold_weight, node_position
 
 PUT_BACK = 1.0e-6
 """Distance from a face [cells] within which a particle has been put back onto it."""
@@ -52,7 +67,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
             n = lane_numbers(arrays.history_lanes, contact + Contact.NORMAL * lanes, arrays)
             distance = arrays.history_lanes[contact + Contact.DISTANCE * lanes]
             friction = arrays.history_lanes[contact + Contact.FRICTION * lanes]
-            face = ti.cast(arrays.history_lanes[contact + Contact.FACE * lanes], ti.i32)
+            face = face_number(arrays.history_lanes[contact + Contact.FACE * lanes])
             n_bar = lane_numbers(arrays.adjoint_lanes, at + Contact.NORMAL * lanes, arrays)
             friction_bar = arrays.adjoint_lanes[at + Contact.FRICTION * lanes]
             share = ti.min(distance / width, 1.0)
@@ -73,7 +88,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
                         momentum_bar = 0.0 * v_bar
                         if ti.static(layout.impulses):
                             mass = arrays.lanes[contact_at(block, Contact.FREE, arrays) * lanes + lane]
-                            first = arrays.workers[worker, Worker.IMPULSE] + solid_of(face, arrays) * size
+                            first = arrays.workers[worker, Worker.IMPULSE] + solid_of(face, scene, arrays) * size
                             stopped = lane_numbers(arrays.history_lanes, then + features.state.velocity * lanes, arrays)
                             for k in ti.static(range(size)):
                                 momentum_bar[k] = mass * arrays.impulse_adjoints[first + k]
@@ -84,7 +99,7 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
                         friction_bar += slid
                     # What was lost of the displacement is the depth along n.
                     d_bar = 0.0 - x_bar.dot(n)
-            x_bar = x_bar + foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays)
+            x_bar = x_bar + foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, scene, arrays)
         elif ti.static(put_back):
             q_bar = 0.0 * q_bar
         put_lane_numbers(arrays.adjoint_lanes, own * lanes + lane, x_bar, arrays)
@@ -111,7 +126,7 @@ def depends(then, scene, arrays: ti.template()):
 
 
 @ti.func
-def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays: ti.template()):
+def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, scene, arrays: ti.template()):
     """Bar of the position `x` [m] from those of its distance, normal and friction at its face, shape [D].
 
     back: it has been put onto the face, whose inside it is then nearest to. Adds the bars of the face's numbers.
@@ -119,23 +134,25 @@ def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, arrays: ti.templa
     features = arrays.features
     size = ti.static(features.dimension)
     part = 0
+    a, b, c = corners_of(face, scene, arrays)
+    facing, mu = normal_of(face, scene, arrays), frictions_of(face, scene, arrays)
     if not back:
         if ti.static(size == 2):
-            _, part = foot_on_segment(x, face, arrays)
+            _, part = foot_on_segment(x, a, b)
         else:
-            _, part = foot_on_triangle(x, face, arrays)
-    corners = [arrays.faces[face, k] for k in ti.static(range(size * size))]
-    normal = [arrays.faces[face, features.face.normal + k] for k in ti.static(range(size))]
-    frictions = [arrays.faces[face, features.face.friction + k] for k in ti.static(range(size))]
+            _, part = foot_on_triangle(x, a, b, c)
+    corners = [point[k] for point in ti.static((a, b, c)[:size]) for k in ti.static(range(size))]
+    normal = [facing[k] for k in ti.static(range(size))]
+    frictions = [mu[k] for k in ti.static(range(size))]
     numbers = ti.static(([x[k] for k in range(size)], corners, normal, frictions))
     found = ti.static([Pullback(at_face, numbers, (part, [n[k] for k in range(size)], size))])[0]
     bars = [friction_bar, d_bar] + [n_bar[k] for k in ti.static(range(size))]
     x_bar, corners_bar, normal_bar, frictions_bar = ti.static(found(bars))
     for k in ti.static(range(size * size)):
-        add_face(face, k, corners_bar[k], arrays)
+        add_face(face, k, corners_bar[k], scene, arrays)
     for k in ti.static(range(size)):
-        add_face(face, features.face.normal + k, normal_bar[k], arrays)
-        add_face(face, features.face.friction + k, frictions_bar[k], arrays)
+        add_face(face, features.face.normal + k, normal_bar[k], scene, arrays)
+        add_face(face, features.face.friction + k, frictions_bar[k], scene, arrays)
     return ti.Vector([x_bar[k] for k in ti.static(range(size))])
 
 
@@ -192,6 +209,57 @@ def between(a, b):
 
 
 @ti.func
-def add_face(face, column, value, arrays: ti.template()):
-    """Add to the bar of a number of a face."""
-    arrays.face_adjoints[face, column] += ti.cast(value, ti.f64)
+def add_face(face, column: ti.template(), value, scene, arrays: ti.template()):
+    """Add to the bar of a number of a face; of a height field to that of its friction alone, its heights are given."""
+    first, size = ti.static(arrays.features.face.friction, arrays.features.dimension)
+    if ti.static(arrays.features.listed):
+        if not in_terrain(face, scene, arrays):
+            arrays.face_adjoints[face, column] += ti.cast(value, ti.f64)
+    if ti.static(arrays.features.terrain and first <= column < first + size):
+        if in_terrain(face, scene, arrays):
+            a, b, c = corner_frictions(face, scene, arrays)
+            at = ti.static([a, b, c])[ti.static(column - first)]
+            arrays.terrain_adjoints[scene, at] += ti.cast(value, ti.f64)
+
+
+@ti.func
+def terrain_reverse(bar, v, node, scene, arrays: ti.template()):
+    """Bar of a node's velocity `v` [m/s] from that of what the height field takes of it, and this; shape [D] each.
+
+    Adds the bars of friction. The reverse of `mpm.solids.terrain_holds.removed_at_once`.
+    """
+    x, removed, v_bar, total = node_position(node, scene, arrays), 0.0 * v, 0.0 * v, 0.0 * v[0]
+    i0, k0, i1, k1 = cells_over(x, scene, arrays)
+    blend, limit = BLEND * arrays.settings[scene, Setting.CELL], reach_of(scene, arrays) ** 2
+    depth, nearest, share = 0.0 * blend, limit, 0.0 * blend
+    # The nearest, the sum of the weights, and what each of the triangles takes.
+    for search in range(3):
+        if search == 1:
+            depth = ti.sqrt(nearest)
+            limit = (depth + blend) ** 2
+        elif search == 2:
+            share = hold_share(depth, total, scene, arrays)
+        for i in range(i0, i1):
+            for k in range(k0, k1):
+                code = cell_code(i, k, scene, arrays)
+                for half in range(2 - (code & 2)):
+                    a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+                    normal = (b - a).cross(c - b).normalized()
+                    w, _, from_foot = foot_on_face(x, a, b, c, arrays)
+                    square, behind = from_foot.dot(from_foot), 0.0 - from_foot.dot(normal)
+                    if search == 0:
+                        nearest = ti.min(nearest, square)
+                    elif behind > 0.0 and square < limit:
+                        weight = hold_weight(square, behind, depth, blend)
+                        if search == 1:
+                            total += weight
+                        elif v.dot(normal) < 0.0:
+                            face = triangle_number(i, k, half, scene, arrays)
+                            friction, part = w.dot(frictions_of(face, scene, arrays)), share * weight
+                            removed += part * (v - after_contact(v, normal, friction))
+                            through, _, friction_bar = after_contact_reverse((0.0 - part) * bar, v, normal, friction)
+                            v_bar += part * bar + through
+                            for corner in ti.static(range(3)):
+                                column = ti.static(arrays.features.face.friction + corner)
+                                add_face(face, column, w[corner] * friction_bar, scene, arrays)
+    return v_bar, removed

@@ -66,6 +66,8 @@ class Gradient:
     """Share of the bars of all particles and steps that were cut (`mpm.adjoint.tape.CUT`); 0 where it is exact."""
     holds: Floats
     """To the holds of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
+    terrain: Floats
+    """To the friction at the posts of a height field, or to the one that all have, shape [P]; no posts without one."""
 
     def of_mass(self, values: Floats) -> Floats:
         """What particles have, summed over those of each mass, shape [masses, ...]."""
@@ -136,7 +138,7 @@ class Gradient:
     def bars(self) -> Floats:
         """Of `Start.numbers`."""
         motion = self.positions, self.velocities, self.velocity_gradients
-        return in_a_row(*motion, self.stress, self.properties, self.settings, self.faces, self.holds)
+        return in_a_row(*motion, self.stress, self.properties, self.settings, self.faces, self.holds, self.terrain)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,12 +153,18 @@ class Start:
     faces: Floats
     holds: Floats
     held: NDArray[np.int64]
-    """The node of each of the `holds`."""
+    """The node of each of the `holds`, by its indices, shape [K, D]."""
+    terrain: Floats
+
+    @property
+    def others(self) -> tuple[Floats, ...]:
+        """Its numbers after those of particles."""
+        return self.settings, self.faces, self.holds, self.terrain
 
     def numbers(self, columns: int) -> Floats:
         """All of it in a row, with so many columns of the properties."""
         motion = self.particles.positions, self.particles.velocities, self.particles.velocity_gradients
-        return in_a_row(*motion, self.stress, self.properties[:, :columns], self.settings, self.faces, self.holds)
+        return in_a_row(*motion, self.stress, self.properties[:, :columns], *self.others)
 
 
 def in_a_row(*parts: Floats) -> Floats:
@@ -179,17 +187,18 @@ def started(scene: Scene, base: Start | None = None) -> Start:
             settings=np.array(settings_row(scene, particles)),
             faces=solids.faces,
             holds=solids.holds,
-            held=np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds)),
+            held=solids.windows[0].nodes(np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds))),
+            terrain=solids.frictions[0].ravel(),
         )
     particles, properties = particles_with(scene, base)
-    stress, faces, holds = base.stress, base.faces, base.holds
+    stress, faces, holds, terrain = base.stress, base.faces, base.holds, base.terrain
     if stress.any() or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
         stress = initial_tractions(scene, particles)[0]
-    if len(faces) and solids_with(scene) != solids_with(base.scene):
-        faces, holds = faces_and_holds(scene, base.held, holds)
+    if len(faces) + len(terrain) and solids_with(scene) != solids_with(base.scene):
+        faces, holds, terrain = faces_and_holds(scene, base.held, holds)
     if len(particles.positions) != len(base.particles.positions):
         raise InputError("expected scenes with as many particles, a change of their number has no derivative")
-    if faces.shape != base.faces.shape:
+    if faces.shape != base.faces.shape or terrain.shape != base.terrain.shape:
         raise InputError("expected solids with as many faces, a change of their number has no derivative")
     return dataclasses.replace(
         base,
@@ -200,6 +209,7 @@ def started(scene: Scene, base: Start | None = None) -> Start:
         settings=np.array(settings_row(scene, particles)),
         faces=faces,
         holds=holds,
+        terrain=terrain,
     )
 
 
@@ -283,6 +293,7 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
                     faces=ours["face_adjoints"][faces],
                     cut=float(ours["cut"][index]),
                     holds=ours["hold_adjoints"][nodes],
+                    terrain=ours["terrain_adjoints"][index, tape.posts(index)],
                 )
             )
         found.append(own)

@@ -25,7 +25,7 @@ import taichi as ti
 
 from mpm.adjoint.boundary import before_wall, wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
-from mpm.arrays.access import box_cells, columns_deep, node_number, zero_node
+from mpm.arrays.access import box_cells, columns_deep, zero_node
 from mpm.arrays.layout import Setting, Span, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.contact import apply_solids
@@ -77,18 +77,17 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
         new_bar = apply_barriers(new_bar, indices, scene, dt, arrays)
     mass_bar, side_bar = zero, zero
     if ti.static(features.contact or features.channel):
-        n = node_number(indices, scene, arrays)
         stopped = before_wall(v_star, indices, box_cells(scene, arrays), dimension, scene, arrays)
         if ti.static(features.channel):
             braked = stopped
             if ti.static(features.contact):
-                braked = apply_solids(stopped, node[dimension], n, worker, False, arrays)
+                braked = apply_solids(stopped, node[dimension], indices, worker, scene, False, arrays)
             grip = node[features.node.side_friction] * per_mass
             new_bar, limit_bar = with_friction_reverse(new_bar, braked, dt * grip)
             side_bar = dt * per_mass * limit_bar
             mass_bar = 0.0 - grip * side_bar
         if ti.static(features.contact):
-            new_bar, solid_bar = solids_reverse(new_bar, stopped, node[dimension], n, worker, arrays)
+            new_bar, solid_bar = solids_reverse(new_bar, stopped, node[dimension], indices, worker, scene, arrays)
             mass_bar = mass_bar + solid_bar
     star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, indices, box_cells(scene, arrays), scene, arrays)
     v_bar = v_bar + star_bar

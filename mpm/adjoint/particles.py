@@ -129,7 +129,7 @@ def block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays: ti.t
     size = ti.static(features.dimension)
     first, own = no_overflow(block * features.state.size), block * layout.width
     prepare_contributions(scene, block, scratch, arrays)
-    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+    if ti.static(features.contact):
         if not touches(block, arrays):
             for k in ti.static(range(2 * size)):
                 arrays.scratch[scratch + features.scratch.push + k] = 0.0 * arrays.state[first]

@@ -23,7 +23,7 @@ from mpm.adjoint.kernel import kernel as adjoint_kernel
 from mpm.adjoint.layout import Layout
 from mpm.arrays.batch import Batch, aligned, particles_of, put_vectors
 from mpm.arrays.features import Features, features_of
-from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
+from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, TerrainNumber, Worker
 from mpm.arrays.table import ADJOINT, STEP, arguments
 from mpm.kernel import compute
 from mpm.output.outcome import failure
@@ -231,6 +231,14 @@ class Tape:
         (face, hold), (last_face, last_hold) = firsts[index : index + 2]
         return slice(face, last_face), slice(hold, last_hold)
 
+    def posts(self, index: int) -> slice:
+        """Where the friction of the height field of scene `index` lies in `terrain`."""
+        offset = self.batch.offsets[index]
+        along, across = int(offset[Offset.POSTS_X]), int(offset[Offset.POSTS_Z])
+        first = int(offset[Offset.TERRAIN]) + len(TerrainNumber) + along + across + along * across
+        count = along * across if offset[Offset.TERRAIN_FRICTION] else min(along, 1)
+        return slice(first, first + count)
+
     def positions(self, index: int = 0) -> NDArray[np.float64]:
         """Of the particles of a scene at the observed frames [m], shape [T, N, D]."""
         return np.stack([self.observed[frame][0][self.particles(index)] for frame in self.frames]).astype(np.float64)
@@ -247,8 +255,9 @@ class Tape:
         """Bars of what the run began with for each of any number of objectives; segments are replayed once for all.
 
         flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
-        settings of each scene (`settings`), faces (`face_adjoints`) and holds of nodes (`hold_adjoints`), and the share
-        of the bars of each scene that were cut (`cut`). Raises WorkFailed where a gradient grows without bound.
+        settings of each scene (`settings`), faces (`face_adjoints`), holds of nodes (`hold_adjoints`) and the friction
+        in `terrain` of each scene (`terrain_adjoints`), and the share of the bars of each scene that were cut (`cut`).
+        Raises WorkFailed where a gradient grows without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
@@ -267,6 +276,7 @@ class Tape:
                 "sums": np.zeros((len(batch.workers), len(Setting))),
                 "face_adjoints": np.zeros(batch.faces.shape),
                 "hold_adjoints": np.zeros(batch.holds.shape),
+                "terrain_adjoints": np.zeros((len(batch.scenes), len(batch.terrain))),
                 "impulse_adjoints": np.zeros(len(batch.impulse), real),
                 "cuts": self.cuts(per_scene).astype(real),
             }

@@ -130,27 +130,3 @@ def columns_deep(scene, arrays: ti.template()):
     if ti.static(arrays.features.dimension == 3):
         deep = arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1
     return deep
-
-
-@ti.func
-def node_strides(scene, arrays: ti.template()):
-    """From the number of a node of the box to its neighbour's along each axis, shape [3]; z is the innermost in 3D.
-
-    So are the cells and nodes of solids numbered (`mpm.solids.obstacles`), not those of the grid.
-    """
-    features = arrays.features
-    across = arrays.offsets[scene, Offset.CELLS_Y] + 2 * PADDING + 1
-    if ti.static(features.dimension == 2):
-        return ti.Vector([across, 1, 0])
-    else:
-        deep = arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1
-        return ti.Vector([across * deep, deep, 1])
-
-
-@ti.func
-def node_number(index, scene, arrays: ti.template()):
-    """The number of a node of the box, or of the cell above it, among those of all solids; index: [D]."""
-    strides, n = node_strides(scene, arrays), arrays.offsets[scene, Offset.GEOMETRY]
-    for k in ti.static(range(arrays.features.dimension)):
-        n += index[k] * strides[k]
-    return n

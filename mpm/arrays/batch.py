@@ -14,8 +14,11 @@ from datasets.scene.particles import Particles, initial_particles
 from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import (
     ALIGNMENT,
+    FIRST_FACE,
     GROWTH,
     INDEX_LIMIT,
+    KEPT,
+    KEPT_NUMBERS,
     PADDING,
     Barrier,
     Contact,
@@ -45,7 +48,8 @@ from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
 from mpm.initial.barriers import barrier_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.output.request import ALL, Recording, window_frames
-from mpm.solids.obstacles import initial_contacts, no_obstacles, obstacles_of
+from mpm.solids.obstacles import initial_contacts, numbered, obstacles_of
+from mpm.solids.terrain_arrays import terrain_arrays
 
 Array = NDArray[Any]
 PORTION = 2**18
@@ -140,6 +144,7 @@ class Batch:
         counts = [len(particles.positions) for particles in self.particles]
         self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
+        self.add_slots(real)
         self.scratch = aligned((scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
         self.positions = np.zeros(max(recorded * features.dimension, 1), np.float32)
@@ -178,21 +183,46 @@ class Batch:
             self.bases[first : first + count] = worker[Worker.NODE] + high * np.arange(count)
 
     def add_contacts(self, real: np.dtype[Any]) -> None:
-        """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold."""
-        obstacles = no_obstacles(self.features.face.size)
-        if self.features.contact:
-            obstacles, self.first_obstacles = obstacles_of(self.scenes)
-            self.offsets[:, Offset.GEOMETRY] = self.first_obstacles[:-1, 0]
+        """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold; the
+        height fields. Raises InputError for more faces than can be told apart.
+        """
+        scenes = self.scenes if self.features.contact else self.scenes[:1]
+        obstacles, self.first_obstacles = obstacles_of(scenes)
+        self.first_triangles = obstacles.triangles
+        self.offsets[: len(scenes), Offset.GEOMETRY] = self.first_obstacles[:-1, 0]
+        for offset, window in zip(self.offsets, obstacles.windows, strict=False):
+            offset[Offset.WINDOW_LOW_X : Offset.WINDOW_LOW_X + len(window.low)] = window.low
+            offset[Offset.WINDOW_X : Offset.WINDOW_X + len(window.low)] = window.shape
+        self.terrain, self.terrain_cells = terrain_arrays(obstacles, self.offsets, real)
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""
             return values.astype(kind) if len(values) else np.zeros((1, *values.shape[1:]), kind)
 
-        self.faces, self.holds = table(obstacles.faces, real), table(obstacles.holds, real)
+        self.faces, self.holds = table(obstacles.faces, real), table(obstacles.holds - [FIRST_FACE, 0.0, 0.0], real)
         self.cell_distance = table(obstacles.cell_distance, real)
         self.cell_faces, self.near_faces = table(obstacles.cell_faces, np.int32), table(obstacles.near_faces, np.int32)
         self.node_holds = table(obstacles.node_holds, np.int32)
         self.covered = table(obstacles.covered, np.int32)
+
+    def add_slots(self, real: np.dtype[Any]) -> None:
+        """Room for what is kept of height fields once it has been needed: their elevation at columns of nodes, and by
+        each worker the holds of nodes, of one for every other particle.
+        """
+        columns = 1
+        for scene, offset in zip(self.scenes, self.offsets, strict=True):
+            if offset[Offset.POSTS_X] > 0:
+                offset[Offset.COLUMNS] = columns
+                columns += math.prod(node_shape(scene.domain)[::2])
+        # Memory that nothing is written to is none.
+        self.column_heights = np.zeros(columns, real)
+        features, slots = self.features, 1
+        for worker in self.workers if features.terrain and not features.processor.gpu else self.workers[:0]:
+            count = int(worker[Worker.LAST] - worker[Worker.FIRST]) * features.lanes // 2
+            worker[Worker.SLOT], worker[Worker.SLOTS] = slots, 1 << max(count, 256).bit_length()
+            slots += int(worker[Worker.SLOTS])
+        self.kept_nodes = np.full((slots, 2), -1, np.int32)
+        self.kept_holds = np.zeros((slots, 1 + KEPT * KEPT_NUMBERS), real)
 
     def add_barriers(self) -> None:
         """The lines of `barriers`, `retained` and `settling` of all scenes."""
@@ -223,7 +253,9 @@ class Batch:
         put(features.state.velocity, particles.velocities)
         for first in range(0, len(source) if features.contact else 0, PORTION):
             contacts = initial_contacts(scene, particles.positions[source[first : first + PORTION]])
-            contacts[:, Contact.FACE] += self.first_obstacles[index, 1]
+            listed, (first_face, end) = contacts[:, Contact.FACE], self.first_obstacles[index : index + 2, 1]
+            faces = numbered(listed, end - first_face, first_face, self.first_triangles[index])
+            contacts[:, Contact.FACE] = faces - FIRST_FACE
             portion = state[first // features.lanes :][: PORTION // features.lanes]
             put_vectors(portion, features.state.contacts, contacts)
         if particles.velocity_gradients.any():

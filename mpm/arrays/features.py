@@ -7,6 +7,7 @@ from itertools import accumulate
 from typing import Any, ClassVar
 
 from datasets.errors import require
+from datasets.geometry.contact_surface import has_faces, has_field
 from datasets.geometry.placement import remembers_gaps
 from datasets.scene import Scene
 from datasets.scene.grid_field import FRICTION
@@ -89,6 +90,10 @@ class Features:
     volume_correction: bool = False
     """A particle carries the gap to its neighbours."""
     damped: bool = False
+    listed: bool = False
+    """Solids have faces that are listed."""
+    terrain: bool = False
+    """A terrain is a height field."""
     contact: bool = False
     """Solids stand in the box: baffles, ground, obstacles."""
     channel: bool = False
@@ -225,6 +230,8 @@ def features_of(
         volume_correction=law.OPENS and any(remembers_gaps(scene) for scene in scenes),
         heterogeneous=any(varies(scene) for scene in scenes),
         contact=any(scene.baffles or scene.solids for scene in scenes),
+        listed=any(has_faces(scene) for scene in scenes),
+        terrain=any(has_field(scene) for scene in scenes),
         channel=any(scene.channel is not None for scene in scenes),
         outflow=any(scene.open_sides for scene in scenes),
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),

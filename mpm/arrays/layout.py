@@ -85,7 +85,17 @@ class Offset(Column):
     RECORD = auto()  # the first of its particles in `positions`, -1 where the kernel records none
     WINDOW = auto()  # frames over which a deposit must have been at rest
     ENERGY = auto()  # its first line in `energy`
-    GEOMETRY = auto()  # its first entry in `cell_faces` and `node_holds`
+    GEOMETRY = auto()  # the first entry of its window in `cell_faces`, `node_holds`, ...
+    WINDOW_LOW_X, WINDOW_LOW_Y, WINDOW_LOW_Z = auto(), auto(), auto()  # the lowest node of this window
+    WINDOW_X, WINDOW_Y, WINDOW_Z = auto(), auto(), auto()  # and how many it has along each axis
+    TERRAIN = auto()  # its height field's first number in `terrain`
+    TERRAIN_CELLS = auto()  # the first of its cells in `terrain_cells`
+    TERRAIN_FACE = auto()  # the number of its first triangle; beyond all faces without a height field
+    TERRAIN_SOLID = auto()  # the number of its solid
+    TERRAIN_FRICTION = auto()  # 1 where its posts have a friction each, 0 where they have one
+    POSTS_X, POSTS_Z = auto(), auto()  # how many; 0 without a height field
+    EVEN_X, EVEN_Z = auto(), auto()  # the first of the evenly spaced ones
+    COLUMNS = auto()  # its first column of nodes in `column_heights`
     OBSTACLES = auto()  # how many solids stand in the box: the baffles, then the others
     OPEN = auto()  # bit k: side k of the box, x-, x+, y-, ..., is open
     SOLIDS = auto()  # whose impulses are recorded: those and, where asked for, the box's 2 D sides and the barriers
@@ -109,9 +119,28 @@ class Contact(Column):
     DELTA = auto()  # delta_h of the distance [1/m]
     DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
-    FACE = auto()  # the line of that face in `faces`
+    FACE = auto()  # the number of that face, less FIRST_FACE
     FREE = auto()  # how far a particle may still move before another face, or an edge, may be the nearest [m]
     NORMAL = auto()  # D vectors: n, out of the solid [-]; behind them D of the shear traction [Pa]
+
+
+FIRST_FACE = 2**24
+"""What is taken from the numbers of faces where they stand among reals: single precision holds whole numbers up to it
+on either side of zero."""
+
+
+class TerrainNumber(Column):
+    """The first numbers of a height field in `terrain`; x and z of its posts follow, their heights, their friction."""
+
+    X, PER_X = auto(), auto()  # of the first evenly spaced post [m], posts per length [1/m]
+    Z, PER_Z = auto(), auto()
+    NEARNESS = auto()  # the least part of the height above it that is the distance from it [-]
+
+
+KEPT = 6
+"""Holds of a node deep in a height field that are told apart."""
+KEPT_NUMBERS = 5
+"""Of each its share, its friction and its normal."""
 
 
 class Worker(Column):
@@ -127,6 +156,8 @@ class Worker(Column):
     ACTIVE = auto()  # how many columns are in use
     SCRATCH = auto()  # its first vector of `scratch`
     IMPULSE = auto()  # its first vector of `impulse`
+    SLOT = auto()  # its first line of `kept_nodes` and `kept_holds`
+    SLOTS = auto()  # how many it has, a power of two
 
 
 class Span(Column):

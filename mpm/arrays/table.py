@@ -35,10 +35,10 @@ STEP = named(
     BLOCKS="state scratch impulse",
     LANES="lanes scratch_lanes impulse_lanes",
     NODES="grid",
-    REAL="cell_distance",
-    REAL_TABLE="settings properties faces holds",
-    INTEGER="cell_faces near_faces node_holds covered arrivals bases",
-    INTEGER_TABLE="offsets workers spans barriers retained",
+    REAL="cell_distance terrain column_heights",
+    REAL_TABLE="settings properties faces holds kept_holds",
+    INTEGER="cell_faces near_faces node_holds covered terrain_cells arrivals bases",
+    INTEGER_TABLE="offsets workers spans barriers retained kept_nodes",
     DOUBLE_TABLE="settling",
 )
 """What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""
@@ -53,7 +53,7 @@ ADJOINT = named(
     REAL="impulse_adjoints",
     REAL_TABLE="cuts step_times",
     INTEGER="step_counts",
-    DOUBLE_TABLE="face_adjoints hold_adjoints sums",
+    DOUBLE_TABLE="face_adjoints hold_adjoints terrain_adjoints sums",
 )
 """What the adjoint reads and writes besides `STEP`; `mpm.adjoint.tape` makes them."""
 VIEWS = {

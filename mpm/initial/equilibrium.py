@@ -12,12 +12,12 @@ from scipy.sparse.linalg import splu
 from datasets.geometry.bodies import scene_height
 from datasets.scene import DOMAIN_SIDES, Scene, coefficient
 from datasets.scene.particles import Particles
-from mpm.arrays.layout import PADDING, Property, node_shape
+from mpm.arrays.layout import PADDING, Property
 from mpm.arrays.properties import properties_of
 from mpm.initial.barriers import barriers
 from mpm.initial.grid_operators import ContactOperator, clings, gradient_matrices
 from mpm.laws import law_of
-from mpm.solids.obstacles import obstacles_in
+from mpm.solids.obstacles import covered_at
 
 Floats = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ class Equilibrium:
         """
         self.walls = walls = np.zeros(self.nodes.shape, np.int8)
         self.behind_barriers = np.zeros(self.nodes.shape, bool)
-        covered = obstacles_in(scene).covered[np.ravel_multi_index(tuple(self.nodes.T), node_shape(scene.domain))]
+        covered = covered_at(scene, self.nodes)
         for axis, length in enumerate(scene.domain.size):
             last = PADDING + round(length / scene.domain.cell)
             for side, beyond in enumerate((self.nodes[:, axis] <= PADDING, self.nodes[:, axis] >= last)):

@@ -12,12 +12,12 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from datasets.geometry.surface import surface_of
+from datasets.geometry.contact_surface import contact_surface_of
 from datasets.scene import Mass, Scene
 from datasets.scene.particles import Particles
 from mpm.arrays.layout import Contact, node_shape
 from mpm.output.smoothing import support
-from mpm.solids.obstacles import initial_contacts, obstacles_in
+from mpm.solids.obstacles import holds_at, initial_contacts
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -112,19 +112,18 @@ class ContactOperator:
         """Which components of `nodes`, indices of shape [n, D], solids hold by half, shape [n, D]: across faces along
         an axis that component; else all, for such a node lies deep and is in the support of the first row alone.
         """
-        solids, surface = obstacles_in(scene), surface_of(scene)
-        if surface is None:
+        solid = contact_surface_of(scene)
+        if solid is None:
             return np.zeros(nodes.shape, bool)
-        directions = surface.normals[solids.holds[:, 0].astype(np.int64)]
-        normal = np.abs(directions)
-        held = np.where((normal.max(axis=1) > 1.0 - 1.0e-9)[:, None], normal > 0.5, True) * solids.holds[:, [2]]
-        node = np.ravel_multi_index(tuple(nodes.T), node_shape(scene.domain))
+        window, first, holds, directions = holds_at(scene, solid, nodes)
+        normal, node = np.abs(directions), window.numbers(nodes)
+        held = np.where((normal.max(axis=1, initial=0.0) > 1.0 - 1.0e-9)[:, None], normal > 0.5, True) * holds[:, [2]]
 
         def of_nodes(values: Floats) -> Floats:
             total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-            return np.asarray(total[solids.node_holds[node + 1]] - total[solids.node_holds[node]])
+            return np.asarray(total[first[node + 1]] - total[first[node]])
 
-        sums = of_nodes(solids.holds[:, [2]] * np.column_stack([directions, solids.holds[:, 1]]))
+        sums = of_nodes(holds[:, [2]] * np.column_stack([directions, holds[:, 1]]))
         length = np.linalg.norm(sums[:, :-1], axis=1)
         self.normals = np.divide(sums[:, :-1], length[:, None], out=self.normals, where=length[:, None] > 0.0)
         self.frictions = sums[:, -1]

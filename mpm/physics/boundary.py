@@ -8,8 +8,10 @@ under a terrain or behind a lining, there is no wall: its nodes are the solid's 
 
 import taichi as ti
 
-from mpm.arrays.access import add, node_number
+from mpm.arrays.access import add
 from mpm.arrays.layout import PADDING, Offset, Setting, Worker
+from mpm.solids.face_lookup import SKIN, entry_of
+from mpm.solids.terrain import column_height
 
 
 @ti.func
@@ -59,8 +61,10 @@ def stopping_side(v, node, cells, axis: ti.template(), scene, arrays: ti.templat
         side = 2 * axis
     elif node[axis] >= PADDING + cells[axis] and v[axis] > 0.0:
         side = 2 * axis + 1
-    if side >= 0 and (is_wall(side, scene, arrays) == 0 or is_covered(side, node, scene, arrays)):
-        side = -1
+    # Taichi computes both sides of `and`.
+    if side >= 0:
+        if is_wall(side, scene, arrays) == 0 or is_covered(side, node, scene, arrays) == 1:
+            side = -1
     return side
 
 
@@ -87,7 +91,36 @@ def is_covered(side, node, scene, arrays: ti.template()):
     """1 where a solid lies between a node beyond a side of the box and the material, else 0; node: [D]."""
     result = 0
     if ti.static(arrays.features.contact):
-        result = (arrays.covered[node_number(node, scene, arrays)] >> side) & 1
+        entry = entry_of(node, scene, arrays)
+        if ti.static(arrays.features.listed):
+            if entry >= 0:
+                result = (arrays.covered[entry] >> side) & 1
+        if ti.static(arrays.features.terrain):
+            if entry < 0:
+                result = in_terrain_beyond(side, node, scene, arrays)
+    return result
+
+
+@ti.func
+def in_terrain_beyond(side, node, scene, arrays: ti.template()):
+    """1 where a side of the box lies in the height field, at a node beyond it and a cell around that, else 0.
+
+    Of an upright side the highest of the places around the node decides.
+    """
+    result, axis, cell = 1, side // 2, arrays.settings[scene, Setting.CELL]
+    wall = PADDING + arrays.offsets[scene, Offset.CELLS_X + axis] * (side % 2)
+    i, k, y = node[0], node[2], (node[1] + 1 - PADDING + 0.5 * SKIN) * cell
+    if axis == 0:
+        i = wall
+    elif axis == 1:
+        y = (wall - PADDING + SKIN * ((side % 2) - 0.5)) * cell
+    else:
+        k = wall
+    for along in range(-1, 2):
+        for aside in range(-1, 2):
+            if (axis != 0 or along == 0) and (axis != 2 or aside == 0) and result == 1:
+                if column_height(i + along, k + aside, scene, arrays) <= y:
+                    result = 0
     return result
 
 

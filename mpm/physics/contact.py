@@ -36,10 +36,26 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 import taichi as ti
 
 from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
-from mpm.arrays.layout import Contact, Setting, Worker, component
+from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import after_contact
-from mpm.solids.face_lookup import TINY, cell_of, face_vector, first_crossed, free_path, nearest_face, solid_of
+from mpm.solids.face_lookup import (
+    TINY,
+    cell_of,
+    entry_of,
+    face_number,
+    first_crossed,
+    free_path,
+    frictions_of,
+    list_of,
+    nearest_face,
+    normal_of,
+    solid_of,
+    unlisted_distance,
+)
+from mpm.solids.terrain_holds import removed_by_terrain
 
+NO_FACE = -2.0 * FIRST_FACE
+"""Less than the number of any face among reals."""
 MAX_CROSSINGS = 3
 """Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
 
@@ -179,15 +195,19 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
     pushed = scratch + features.scratch.push
     for k in ti.static(range(features.dimension)):
         arrays.scratch[pushed + k] = (0.0 - dt) * volume * present(block, arrays) * arrays.scratch[pushed + k]
-    first = contact_at(block, 0, arrays)
-    faces = ti.select(arrays.state[first + Contact.DELTA] > 0.0, arrays.state[first + Contact.FACE], -1.0)
+    first, scene = contact_at(block, 0, arrays), arrays.workers[worker, Worker.SCENE]
+    faces = ti.select(arrays.state[first + Contact.DELTA] > 0.0, arrays.state[first + Contact.FACE], NO_FACE)
+    if ti.static(features.terrain):
+        # All triangles of a terrain are of one solid.
+        triangle = 1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE
+        faces = ti.select(faces >= triangle, triangle, faces)
     face = over_lanes(maximum, faces, arrays)
-    while face >= 0.0:
-        solid = solid_of(ti.cast(face, ti.i32), arrays)
+    while face > NO_FACE:
+        solid = solid_of(face_number(face), scene, arrays)
         at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
         for k in ti.static(range(features.dimension)):
             add(arrays.impulse, at + k, ti.select(faces == face, arrays.scratch[pushed + k], 0.0), arrays)
-        faces = ti.select(faces == face, -1.0, faces)
+        faces = ti.select(faces == face, NO_FACE, faces)
         face = over_lanes(maximum, faces, arrays)
 
 
@@ -206,25 +226,43 @@ def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.templat
 
 
 @ti.func
-def apply_solids(v, mass, n, worker, recorded: ti.template(), arrays: ti.template()):
-    """Velocity `v` [m/s] after the holds of the node with the `mass` [kg] and the entry `n` in `node_holds`, [D].
+def apply_solids(v, mass, node, worker, scene, recorded: ti.template(), arrays: ti.template()):
+    """Velocity `v` [m/s] after the holds of the node `node`, an index of shape [D], with the `mass` [kg]; shape [D].
 
     recorded: whether what they take is added to the impulses of their solids.
     """
-    after = v
-    for hold in range(arrays.node_holds[n], arrays.node_holds[n + 1]):
-        face, removed = removed_by(hold, v, arrays)
+    after, entry = v, entry_of(node, scene, arrays)
+    first, end = holds_of_node(entry, arrays)
+    for hold in range(first, end):
+        face, removed = removed_by(hold, v, scene, arrays)
         after = after - removed
         for k in ti.static(range(arrays.features.dimension if recorded else 0)):
-            add_impulse(solid_of(face, arrays), k, mass * removed[k], 0, worker, arrays)
+            add_impulse(solid_of(face, scene, arrays), k, mass * removed[k], 0, worker, arrays)
+    if ti.static(arrays.features.terrain):
+        _, listed = list_of(entry, arrays)
+        if listed == 0:
+            removed = removed_by_terrain(v, node, worker, scene, arrays)
+            after = after - removed
+            for k in ti.static(range(arrays.features.dimension if recorded else 0)):
+                add_impulse(arrays.offsets[scene, Offset.TERRAIN_SOLID], k, mass * removed[k], 0, worker, arrays)
     return after
 
 
 @ti.func
-def removed_by(hold, v, arrays: ti.template()):
+def holds_of_node(entry, arrays: ti.template()):
+    """From which of `holds` to before which those of a node are, by its entry."""
+    first, end = 0, 0
+    if ti.static(arrays.features.listed):
+        if entry >= 0:
+            first, end = arrays.node_holds[entry], arrays.node_holds[entry + 1]
+    return first, end
+
+
+@ti.func
+def removed_by(hold, v, scene, arrays: ti.template()):
     """The face of a hold and what it takes of a velocity `v` [m/s], share_k (v - A_k v)."""
-    face, removed = ti.cast(arrays.holds[hold, 0], ti.i32), 0.0 * v
-    normal = face_vector(face, arrays.features.face.normal, arrays)
+    face, removed = face_number(arrays.holds[hold, 0]), 0.0 * v
+    normal = normal_of(face, scene, arrays)
     if v.dot(normal) < 0.0:
         removed = arrays.holds[hold, 2] * (v - after_contact(v, normal, arrays.holds[hold, 1]))
     return face, removed
@@ -311,39 +349,37 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     cell = arrays.settings[scene, Setting.CELL]
     if bound <= 0.0:
         start = lane_numbers(arrays.scratch_lanes, (scratch + features.scratch.origin) * lanes + lane, arrays)
-        start_cell = cell_of(start, scene, arrays)
+        start_entry = cell_of(start, scene, arrays)
         for rotation in range(MAX_CROSSINGS):
-            face = first_crossed(start, x, start_cell, cell, arrays)
+            face, corner, normal = first_crossed(start, x, start_entry, cell, scene, arrays)
             if face < 0:
                 break
-            normal = face_vector(face, features.face.normal, arrays)
-            x = x - (x - face_vector(face, 0, arrays)).dot(normal) * normal
+            x = x - (x - corner).dot(normal) * normal
             if rotation == MAX_CROSSINGS - 1:
                 x = start
             moved = True
             if v.dot(normal) < 0.0:
-                v = after_contact(v, normal, arrays.faces[face, features.face.friction])
-                solid = solid_of(face, arrays)
-    cell_index = cell_of(x, scene, arrays)
-    delta, distance, free = 0.0 * cell, arrays.cell_distance[cell_index], 0.0 * cell
-    if arrays.cell_faces[cell_index] < arrays.cell_faces[cell_index + 1]:
-        last = ti.cast(arrays.lanes[contact + Contact.FACE * lanes], ti.i32)
-        face, feature, weights, normal, d = nearest_face(x, last, cell_index, arrays)
+                v = after_contact(v, normal, frictions_of(face, scene, arrays)[0])
+                solid = solid_of(face, scene, arrays)
+    entry = cell_of(x, scene, arrays)
+    delta, distance, free = 0.0 * cell, unlisted_distance(x, entry, scene, arrays), 0.0 * cell
+    _, listed = list_of(entry, arrays)
+    if ti.static(features.terrain) or listed > 0:
+        last = face_number(arrays.lanes[contact + Contact.FACE * lanes])
+        face, feature, weights, normal, d, bound = nearest_face(x, last, entry, scene, arrays)
         if feature == 0 and d > 0.0 and d < arrays.settings[scene, Setting.SEARCH_DISTANCE]:
-            free = free_path(x, face, weights, normal, d, cell_index, cell, arrays)
-        friction = 0.0 * d
-        for k in ti.static(range(dimension)):
-            friction += weights[k] * arrays.faces[face, features.face.friction + k]
+            free = free_path(x, face, weights, normal, d, entry, cell, scene, arrays)
+        friction = weights.dot(frictions_of(face, scene, arrays))
         if d < 0.0:
             x = x - d * normal
             d, moved = 0.0 * d, True
             if v.dot(normal) < 0.0:
                 v = after_contact(v, normal, friction)
-                solid = solid_of(face, arrays)
-        distance = ti.min(d, distance)
+                solid = solid_of(face, scene, arrays)
+        distance = ti.min(d, bound)
         delta = contact_delta(d, arrays.settings[scene, Setting.CONTACT_WIDTH])
         arrays.lanes[contact + Contact.FRICTION * lanes] = friction
-        arrays.lanes[contact + Contact.FACE * lanes] = face
+        arrays.lanes[contact + Contact.FACE * lanes] = face - FIRST_FACE
         # The shear traction turns with the surface, and ends where the particle leaves it.
         shear = lane_numbers(arrays.lanes, contact + (Contact.NORMAL + dimension) * lanes, arrays)
         shear = shear - shear.dot(normal) * normal

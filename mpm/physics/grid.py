@@ -13,7 +13,7 @@ Only the nodes of columns near the material are cleared and updated (`mpm.physic
 
 import taichi as ti
 
-from mpm.arrays.access import box_cells, columns_deep, node_number, zero_node
+from mpm.arrays.access import box_cells, columns_deep, zero_node
 from mpm.arrays.layout import PADDING, Offset, Setting, Span, StepControl, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import add_wall_impulse, apply_walls
@@ -173,7 +173,7 @@ def velocity_after(node, v, index: ti.template(), worker, scene, dt, arrays: ti.
     indices = ti.Vector([index[axis] for axis in ti.static(range(features.dimension))])
     v_star = apply_walls(v_star, indices, box_cells(scene, arrays), mass, worker, scene, arrays)
     if ti.static(features.contact):
-        v_star = apply_solids(v_star, mass, node_number(indices, scene, arrays), worker, True, arrays)
+        v_star = apply_solids(v_star, mass, indices, worker, scene, True, arrays)
     if ti.static(features.channel):
         v_star = after_side_walls(v_star, node, dt, features)
     if ti.static(features.barriers):

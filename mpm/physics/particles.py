@@ -131,13 +131,13 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
     opened = 0.0 * stress[0]
-    if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
+    if ti.static(features.volume_correction):
         if is_loose(block, arrays):
             opened = opened_of(scene, block, scratch, strengths[3], lame + shear * (2.0 / 3.0), dt, arrays)
     new = stress_step(stress, increment, opened, strengths, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.state.stress + k] = new[k]
-    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+    if ti.static(features.contact):
         if near:
             shear_traction_step(block, scratch, dt, shear, arrays)
     if ti.static(features.volume_correction):
@@ -170,7 +170,7 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     first = no_overflow(block * features.state.size)
     gradient = [dt * arrays.state[first + features.state.affine + k] for k in ti.static(range(features.dimension**2))]
     increment = midpoint_increment(gradient, features.dimension)
-    if ti.static(features.contact):  # noqa: SIM102 (the compiler would need the arrays of contact)
+    if ti.static(features.contact):
         if near:
             motion, stress = motion_and_stress(block, scratch, arrays)
             contact = contact_of(block, arrays)

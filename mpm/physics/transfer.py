@@ -285,7 +285,7 @@ def grid_to_block(table, scene, block, scratch, per_dx, kappa, arrays: ti.templa
         weight = no_overflow(scratch * lanes + lane)
         sums = node_sums(column, j, deep, weight, weight + 3 * features.dimension * lanes, arrays)
         store_sums(sums[0], sums[1:], first, scratch, lane, loose, arrays)
-    if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
+    if ti.static(features.volume_correction):
         if loose:
             hold_affine(scene, block, scratch, kappa, arrays)
 
@@ -363,7 +363,7 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, loose, arrays: ti
     for i in ti.static(range(size)):
         arrays.scratch_lanes[at + i * lanes] = v[i]
         arrays.scratch_lanes[at + (size + i) * lanes] = v[features.node.change + i]
-    if ti.static(features.volume_correction):  # noqa: SIM102 (the compiler would need its arrays)
+    if ti.static(features.volume_correction):
         if loose:
             arrays.scratch_lanes[own + features.scratch.density * lanes] = v[size]
             for j in ti.static(range(size)):

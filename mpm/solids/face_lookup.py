@@ -1,12 +1,24 @@
-"""Of the faces listed for a cell, the one nearest to a particle, and the first that its displacement crosses.
+"""Of the faces near a particle the one that is nearest, and the first that its displacement crosses.
 
-Lists and lines: `mpm.solids.obstacles`. What it finds is what `datasets.geometry.nearest` finds for all faces.
+Faces are those that are listed for its cell (`mpm.solids.obstacles`) and the triangles of a height field about its
+place in plan (`mpm.solids.terrain`). What is found here is what `datasets.geometry.nearest` finds for all faces.
 """
 
 import taichi as ti
 
-from mpm.arrays.access import node_strides
-from mpm.arrays.layout import PADDING, Offset, Setting
+from mpm.arrays.layout import FIRST_FACE, PADDING, Offset, Setting
+from mpm.solids.terrain import (
+    cell_code,
+    cell_of_triangle,
+    cells_within,
+    corner_frictions,
+    in_terrain,
+    raster_cell,
+    squared_plan_distance,
+    terrain_radius,
+    triangle_corners,
+    triangle_number,
+)
 
 SKIN = 1.0e-3
 """Cells by which rounding may have put a particle behind the face it rests on."""
@@ -15,52 +27,207 @@ TINY = 1.0e-20
 
 
 @ti.func
-def face_vector(face, column, arrays: ti.template()):
-    """D numbers of a face from `column` on."""
+def face_number(value):
+    """The number of a face from that which stands among reals."""
+    return ti.cast(value, ti.i32) + FIRST_FACE
+
+
+@ti.func
+def listed_vector(face, column, arrays: ti.template()):
+    """D numbers of a listed face from `column` on."""
     return ti.Vector([arrays.faces[face, column + k] for k in ti.static(range(arrays.features.dimension))])
 
 
 @ti.func
-def cell_of(x, scene, arrays: ti.template()):
-    """Index in `cell_faces` of the cell that the position `x` [m] lies in."""
-    features = arrays.features
-    strides = node_strides(scene, arrays)
-    index = arrays.offsets[scene, Offset.GEOMETRY]
-    for k in ti.static(range(features.dimension)):
-        along = ti.floor(x[k] / arrays.settings[scene, Setting.CELL]) + PADDING
-        last = arrays.offsets[scene, Offset.CELLS_X + k] + 2 * PADDING
-        index += ti.max(0, ti.min(ti.cast(along, ti.i32), last)) * strides[k]
-    return index
+def corners_of(face, scene, arrays: ti.template()):
+    """The corners of a face [m], three vectors of shape [D]; the last of a segment twice."""
+    size = ti.static(arrays.features.dimension)
+    zero = ti.Vector([0.0 * arrays.settings[scene, Setting.CELL] for _ in ti.static(range(size))])
+    a, b, c = zero, zero, zero
+    if ti.static(arrays.features.listed):
+        if not in_terrain(face, scene, arrays):
+            a, b, c = listed_corners(face, arrays)
+    if ti.static(arrays.features.terrain):
+        if in_terrain(face, scene, arrays):
+            i, k, half = cell_of_triangle(face, scene, arrays)
+            a, b, c = triangle_corners(i, k, half, cell_code(i, k, scene, arrays), scene, arrays)
+    return a, b, c
 
 
 @ti.func
-def first_crossed(start, end, cell_index, cell, arrays: ti.template()):
-    """The first face through which the segment from `start` to `end` [m] enters a solid; -1 where it enters none."""
-    features = arrays.features
-    nearest, found = 0.0 * cell + 2.0, -1
-    for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):
-        face = arrays.near_faces[at]
-        corner, normal = face_vector(face, 0, arrays), face_vector(face, features.face.normal, arrays)
-        before, after = (start - corner).dot(normal), (end - corner).dot(normal)
-        if after < 0.0 - SKIN * cell and before >= 0.0 - 2.0 * SKIN * cell and after < before:
-            part = ti.max(before, 0.0) / (before - after)
-            if part < nearest and covers_point(face, start + part * (end - start), arrays):
-                nearest, found = part, face
+def listed_corners(face, arrays: ti.template()):
+    """The corners of a listed face [m], as `corners_of`."""
+    size = ti.static(arrays.features.dimension)
+    last = ti.static(size * (size - 1))
+    return listed_vector(face, 0, arrays), listed_vector(face, size, arrays), listed_vector(face, last, arrays)
+
+
+@ti.func
+def normal_of(face, scene, arrays: ti.template()):
+    """The outward unit normal of a face, shape [D]."""
+    a, b, c = corners_of(face, scene, arrays)
+    normal = 0.0 * a
+    if ti.static(arrays.features.listed):
+        if not in_terrain(face, scene, arrays):
+            normal = listed_vector(face, arrays.features.face.normal, arrays)
+    if ti.static(arrays.features.terrain):
+        if in_terrain(face, scene, arrays):
+            normal = (b - a).cross(c - b).normalized()
+    return normal
+
+
+@ti.func
+def frictions_of(face, scene, arrays: ti.template()):
+    """The Coulomb coefficients at the corners of a face [-], shape [D]."""
+    size = ti.static(arrays.features.dimension)
+    value = ti.Vector([0.0 * arrays.settings[scene, Setting.CELL] for _ in ti.static(range(size))])
+    if ti.static(arrays.features.listed):
+        if not in_terrain(face, scene, arrays):
+            value = listed_vector(face, arrays.features.face.friction, arrays)
+    if ti.static(arrays.features.terrain):
+        if in_terrain(face, scene, arrays):
+            a, b, c = corner_frictions(face, scene, arrays)
+            value = ti.Vector([arrays.terrain[a], arrays.terrain[b], arrays.terrain[c]])
+    return value
+
+
+@ti.func
+def solid_of(face, scene, arrays: ti.template()):
+    """The number of a face's solid."""
+    solid = 0
+    if ti.static(arrays.features.listed):
+        if not in_terrain(face, scene, arrays):
+            solid = ti.cast(arrays.faces[face, arrays.features.face.solid], ti.i32)
+    if ti.static(arrays.features.terrain):
+        if in_terrain(face, scene, arrays):
+            solid = arrays.offsets[scene, Offset.TERRAIN_SOLID]
+    return solid
+
+
+@ti.func
+def entry_of(node, scene, arrays: ti.template()):
+    """The entry of a cell, by its lowest node, or of a node in `cell_faces`, `node_holds` and `covered`; node: [D].
+
+    -1 outside of the scene's window, where nothing is listed.
+    """
+    entry, inside = 0, True
+    for k in ti.static(range(arrays.features.dimension)):
+        along, count = (
+            node[k] - arrays.offsets[scene, Offset.WINDOW_LOW_X + k],
+            arrays.offsets[scene, Offset.WINDOW_X + k],
+        )
+        inside = inside and along >= 0 and along < count
+        entry = entry * count + along
+    entry += arrays.offsets[scene, Offset.GEOMETRY]
+    if not inside:
+        entry = -1
+    return entry
+
+
+@ti.func
+def cell_of(x, scene, arrays: ti.template()):
+    """The entry of the cell that the position `x` [m] lies in."""
+    cell = arrays.settings[scene, Setting.CELL]
+    place = [ti.cast(ti.floor(x[k] / cell), ti.i32) + PADDING for k in ti.static(range(arrays.features.dimension))]
+    return entry_of(place, scene, arrays)
+
+
+@ti.func
+def list_of(entry, arrays: ti.template()):
+    """Where the faces listed for a cell begin in `near_faces`, and how many they are."""
+    first, count = 0, 0
+    if ti.static(arrays.features.listed):
+        if entry >= 0:
+            first = arrays.cell_faces[entry]
+            count = arrays.cell_faces[entry + 1] - first
+    return first, count
+
+
+@ti.func
+def unlisted_distance(x, entry, scene, arrays: ti.template()):
+    """A lower bound of the distance of `x` [m] from the faces that are not listed for its cell [m]."""
+    cell = arrays.settings[scene, Setting.CELL]
+    bound = 0.0 * cell + 1.0e30
+    if ti.static(arrays.features.listed):
+        if entry >= 0:
+            bound = arrays.cell_distance[entry]
+        elif arrays.offsets[scene, Offset.WINDOW_X] > 0:
+            square = 0.0 * cell
+            for k in ti.static(range(arrays.features.dimension)):
+                low = arrays.offsets[scene, Offset.WINDOW_LOW_X + k] - PADDING
+                low_x, high_x = low * cell, (low + arrays.offsets[scene, Offset.WINDOW_X + k]) * cell
+                apart = ti.max(low_x - x[k], x[k] - high_x, 0.0 * cell)
+                square += apart * apart
+            bound = reach_of(scene, arrays) + ti.sqrt(square)
+    return bound
+
+
+@ti.func
+def reach_of(scene, arrays: ti.template()):
+    """The distance from solids up to which the nearest face is found [m] (`mpm.solids.obstacles.farthest`)."""
+    return arrays.settings[scene, Setting.SEARCH_DISTANCE] + arrays.settings[scene, Setting.CELL]
+
+
+@ti.func
+def cells_about(x, radius, scene, arrays: ti.template()):
+    """The cells of a raster that `radius` [m] in plan about `x` [m] reaches, as `cells_within`; none where negative."""
+    i0, k0, i1, k1 = 0, 0, 0, 0
+    if radius >= 0.0 and arrays.offsets[scene, Offset.POSTS_X] > 0:
+        i0, k0, i1, k1 = cells_within(x - radius, x + radius, scene, arrays)
+    return i0, k0, i1, k1
+
+
+@ti.func
+def first_crossed(start, end, entry, cell, scene, arrays: ti.template()):
+    """The first face through which the segment from `start` to `end` [m] enters a solid, -1 where it enters none, its
+    first corner and its normal. entry: of the cell of its start.
+    """
+    nearest, found, corner, facing = 0.0 * cell + 2.0, -1, 0.0 * start, 0.0 * start
+    if ti.static(arrays.features.listed):
+        first, listed = list_of(entry, arrays)
+        for number in range(listed):
+            face = arrays.near_faces[first + number]
+            a, b, c = listed_corners(face, arrays)
+            normal = listed_vector(face, arrays.features.face.normal, arrays)
+            part = crossed_part(start, end, a, b, c, normal, cell, arrays)
+            if part < nearest:
+                nearest, found, corner, facing = part, face, a, normal
+    if ti.static(arrays.features.terrain):
+        if arrays.offsets[scene, Offset.POSTS_X] > 0:
+            low, high = ti.min(start, end) - SKIN * cell, ti.max(start, end) + SKIN * cell
+            i0, k0, i1, k1 = cells_within(low, high, scene, arrays)
+            for i in range(i0, i1):
+                for k in range(k0, k1):
+                    code = cell_code(i, k, scene, arrays)
+                    for half in range(2 - (code & 2)):
+                        a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+                        normal = (b - a).cross(c - b).normalized()
+                        part = crossed_part(start, end, a, b, c, normal, cell, arrays)
+                        if part < nearest:
+                            nearest, found = part, triangle_number(i, k, half, scene, arrays)
+                            corner, facing = a, normal
+    return found, corner, facing
+
+
+@ti.func
+def crossed_part(start, end, a, b, c, normal, cell, arrays: ti.template()):
+    """The part of the segment from `start` to `end` [m] before it enters a solid through a face; 2: it does not."""
+    found = 0.0 * cell + 2.0
+    before, after = (start - a).dot(normal), (end - a).dot(normal)
+    if after < 0.0 - SKIN * cell and before >= 0.0 - 2.0 * SKIN * cell and after < before:
+        part = ti.max(before, 0.0) / (before - after)
+        if covers_point(a, b, c, normal, start + part * (end - start), arrays):
+            found = part
     return found
 
 
 @ti.func
-def covers_point(face, point, arrays: ti.template()):
+def covers_point(a, b, c, normal, point, arrays: ti.template()):
     """Whether a point [m] in the plane of a face lies in it, or by rounding beside it."""
-    features = arrays.features
-    a = face_vector(face, 0, arrays)
-    b = face_vector(face, features.dimension, arrays)
-    if ti.static(features.dimension == 2):
+    if ti.static(arrays.features.dimension == 2):
         t = (point - a).dot(b - a) / (b - a).dot(b - a)
         return t > 0.0 - SKIN and t < 1.0 + SKIN
     else:
-        c = face_vector(face, 2 * features.dimension, arrays)
-        normal = face_vector(face, features.face.normal, arrays)
         area = (b - a).cross(c - a).dot(normal)
         one = (c - b).cross(point - b).dot(normal)
         two = (a - c).cross(point - c).dot(normal)
@@ -68,103 +235,160 @@ def covers_point(face, point, arrays: ti.template()):
 
 
 @ti.func
-def solid_of(face, arrays: ti.template()):
-    """The number of a face's solid."""
-    return ti.cast(arrays.faces[face, arrays.features.face.solid], ti.i32)
-
-
-@ti.func
-def foot_on_face(x, face, arrays: ti.template()):
+def foot_on_face(x, a, b, c, arrays: ti.template()):
     """Of the foot of `x` [m] on a face: the weights of its corners, the part it lies on, and x less the foot [m]."""
-    dimension = ti.static(arrays.features.dimension)
     w, part, from_foot = 0.0 * x, 0, x
-    if ti.static(dimension == 2):
-        w, part = foot_on_segment(x, face, arrays)
+    if ti.static(arrays.features.dimension == 2):
+        w, part = foot_on_segment(x, a, b)
+        from_foot = x - w[0] * a - w[1] * b
     else:
-        w, part = foot_on_triangle(x, face, arrays)
-    for k in ti.static(range(dimension)):
-        from_foot = from_foot - w[k] * face_vector(face, k * dimension, arrays)
+        w, part = foot_on_triangle(x, a, b, c)
+        from_foot = x - w[0] * a - w[1] * b - w[2] * c
     return w, part, from_foot
 
 
 @ti.func
-def nearest_face(x, last, cell_index, arrays: ti.template()):
-    """Of the faces listed for a cell that nearest to `x` [m]: its number, its part that is nearest, the weights of its
-    corners at the foot, the normal n [-] and the signed distance d [m], negative inside, with x = foot + d n. last:
-    where to look first.
+def nearest_face(x, last, entry, scene, arrays: ti.template()):
+    """Of the faces listed for a cell, and of a height field's, that nearest to `x` [m]: its number, its part that is
+    nearest, the weights of its corners at the foot, the normal n [-] and the signed distance d [m], negative inside,
+    with x = foot + d n; and a lower bound of the distance from all that was not looked at [m]. last: where to look
+    first. Far away, part -1, where nothing is near.
     """
-    features = arrays.features
-    dimension = ti.static(features.dimension)
-    smallest = 0.0 * x[0] + 1.0e30
-    face, feature = last, 0
-    weights, offset = 0.0 * x, 0.0 * x
-    first = arrays.cell_faces[cell_index]
-    for number in range(arrays.cell_faces[cell_index + 1] - first + 1):
-        candidate, known = last, False
-        if number > 0:
-            candidate = arrays.near_faces[first + number - 1]
-            known = candidate == last
-        # No point of a face is nearer than its plane.
-        height = (x - face_vector(candidate, 0, arrays)).dot(face_vector(candidate, features.face.normal, arrays))
-        if height * height < smallest and not known:
-            w, part, from_foot = foot_on_face(x, candidate, arrays)
-            square = from_foot.dot(from_foot)
-            if square < smallest:
-                smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
+    smallest, bound = 0.0 * x[0] + 1.0e30, unlisted_distance(x, entry, scene, arrays)
+    face, feature = last, -1
+    weights, offset, normal = 0.0 * x, 0.0 * x, 0.0 * x
+    if ti.static(arrays.features.listed):
+        first, listed = list_of(entry, arrays)
+        for number in range(listed + 1):
+            candidate, counts = last, not in_terrain(last, scene, arrays)
+            if number > 0:
+                candidate = arrays.near_faces[first + number - 1]
+                counts = candidate != last
+            if counts:
+                a, b, c = listed_corners(candidate, arrays)
+                facing = listed_vector(candidate, arrays.features.face.normal, arrays)
+                # No point of a face is nearer than its plane.
+                if (x - a).dot(facing) ** 2 < smallest:
+                    w, part, from_foot = foot_on_face(x, a, b, c, arrays)
+                    square = from_foot.dot(from_foot)
+                    if square < smallest:
+                        smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
+                        normal = facing
+    if ti.static(arrays.features.terrain):
+        if arrays.offsets[scene, Offset.POSTS_X] > 0:
+            i, k, i0, k0, i1, k1, reach = 0, 0, 0, 0, 0, 0, reach_of(scene, arrays)
+            if in_terrain(last, scene, arrays):
+                i, k, _ = cell_of_triangle(last, scene, arrays)
+            else:
+                i, k = raster_cell(x, scene, arrays)
+            own_i, own_k, number, count = i, k, 0, 1
+            while number < count:
+                code = cell_code(i, k, scene, arrays)
+                counts = number == 0 or i != own_i or k != own_k
+                if code < 2 and counts and squared_plan_distance(x, i, k, scene, arrays) < smallest:
+                    for half in range(2):
+                        a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+                        across = (b - a).cross(c - b)
+                        if (x - a).dot(across) ** 2 < smallest * across.dot(across):
+                            w, part, from_foot = foot_on_face(x, a, b, c, arrays)
+                            square = from_foot.dot(from_foot)
+                            if square < smallest:
+                                smallest, feature, weights, offset, normal = square, part, w, from_foot, across
+                                face = triangle_number(i, k, half, scene, arrays)
+                if number == 0:
+                    # What the first cell has bounds how far to look for others.
+                    radius, beyond = ti.sqrt(smallest), reach
+                    if radius > reach:
+                        radius, beyond = terrain_radius(x, reach, scene, arrays)
+                    bound = ti.min(bound, beyond)
+                    i0, k0, i1, k1 = cells_about(x, radius, scene, arrays)
+                    i, k, count = i0, k0, 1 + (i1 - i0) * (k1 - k0)
+                else:
+                    k += 1
+                    if k == k1:
+                        i, k = i + 1, k0
+                number += 1
     # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
-    column = features.face.normal + feature * dimension
-    normal = face_vector(face, column, arrays)
+    side = offset[1]
+    if ti.static(arrays.features.terrain):
+        normal = normal.normalized()
+    if ti.static(arrays.features.listed):
+        if not in_terrain(face, scene, arrays):
+            column = arrays.features.face.normal + ti.max(feature, 0) * arrays.features.dimension
+            normal = listed_vector(face, column, arrays)
+            side = offset.dot(normal)
     d = offset.dot(normal)
     if feature > 0:
         sign = 1.0
-        if d < 0.0:
+        if side < 0.0:
             sign = -1.0
-        length = ti.sqrt(smallest)
+        length = offset.norm()
         d = sign * length
         if length > TINY:
             normal = offset * (sign / length)
-    return face, feature, weights, normal, d
+    if feature < 0:
+        d = 0.0 * d + 1.0e30
+    return face, feature, weights, normal, d, bound
 
 
 @ti.func
-def free_path(x, face, weights, normal, d, cell_index, cell, arrays: ti.template()):
+def free_path(x, face, weights, normal, d, entry, cell, scene, arrays: ti.template()):
     """How far a particle at `x` [m] outside of the solids may move and be nearest to the inside of `face` still [m].
 
-    Its foot has to stay there, it in its cell, which lists no faces but those that its points need, and no face that
-    lies in part in front of this one may come nearer: both distances change by no more than its path. 0 where the
-    friction varies along the face.
+    Its foot has to stay there, it in its cell where that lists faces, those that its points need, and no face that lies
+    in part in front of this one may come nearer: both distances change by no more than its path. 0 where the friction
+    varies along the face.
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
     free = cell
-    for k in ti.static(range(dimension)):
-        above = x[k] - ti.floor(x[k] / cell) * cell
-        free = ti.min(free, above, cell - above)
-        a = face_vector(face, k * dimension, arrays)
-        b = face_vector(face, ti.static((k + 1) % dimension * dimension), arrays)
-        if ti.static(dimension == 2):
-            free = ti.min(free, weights[k] * (b - a).norm())
-        else:
-            c = face_vector(face, ti.static((k + 2) % dimension * dimension), arrays)
-            free = ti.min(free, weights[k] * (b - a).cross(c - a).norm() / (c - b).norm())
-        if arrays.faces[face, features.face.friction + k] != arrays.faces[face, features.face.friction]:
+    a, b, c = corners_of(face, scene, arrays)
+    if ti.static(dimension == 2):
+        free = ti.min(free, weights[0] * (b - a).norm(), weights[1] * (b - a).norm())
+    else:
+        area = (b - a).cross(c - a).norm()
+        free = ti.min(free, weights[0] * area / (c - b).norm(), weights[1] * area / (a - c).norm())
+        free = ti.min(free, weights[2] * area / (b - a).norm())
+    friction = frictions_of(face, scene, arrays)
+    for k in ti.static(range(1, dimension)):
+        if friction[k] != friction[0]:
             free = 0.0 * free
-    corner = face_vector(face, 0, arrays)
-    for at in range(arrays.cell_faces[cell_index], arrays.cell_faces[cell_index + 1]):
-        other = arrays.near_faces[at]
-        highest = 0.0 * d
-        for k in ti.static(range(dimension)):
-            highest = ti.max(highest, (face_vector(other, k * dimension, arrays) - corner).dot(normal))
-        if highest > SKIN * cell:
-            _, _, from_foot = foot_on_face(x, other, arrays)
-            free = ti.min(free, 0.5 * (from_foot.norm() - d))
+    if ti.static(features.listed):
+        first, listed = list_of(entry, arrays)
+        if listed > 0:
+            for k in ti.static(range(dimension)):
+                above = x[k] - ti.floor(x[k] / cell) * cell
+                free = ti.min(free, above, cell - above)
+        else:
+            free = ti.min(free, 0.5 * (unlisted_distance(x, entry, scene, arrays) - d))
+        for number in range(listed):
+            p, q, r = listed_corners(arrays.near_faces[first + number], arrays)
+            if is_before(p, q, r, a, normal, cell):
+                _, _, from_foot = foot_on_face(x, p, q, r, arrays)
+                free = ti.min(free, 0.5 * (from_foot.norm() - d))
+    if ti.static(features.terrain):
+        i0, k0, i1, k1 = cells_about(x, d + 2.0 * free, scene, arrays)
+        for i in range(i0, i1):
+            for k in range(k0, k1):
+                code = cell_code(i, k, scene, arrays)
+                if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < (d + 2.0 * free) ** 2:
+                    for half in range(2):
+                        p, q, r = triangle_corners(i, k, half, code, scene, arrays)
+                        if is_before(p, q, r, a, normal, cell):
+                            _, _, from_foot = foot_on_face(x, p, q, r, arrays)
+                            free = ti.min(free, 0.5 * (from_foot.norm() - d))
     return free
 
 
 @ti.func
-def foot_on_segment(x, face, arrays: ti.template()):
+def is_before(p, q, r, corner, normal, cell):
+    """Whether a face with the corners `p`, `q` and `r` lies in part in front of the plane through `corner`."""
+    return ti.max((p - corner).dot(normal), (q - corner).dot(normal), (r - corner).dot(normal)) > SKIN * cell
+
+
+@ti.func
+def foot_on_segment(x, a, b):
     """Weights of the corners at the point of a segment nearest to `x` [m]; 0: inside it, 1, 2: that corner."""
-    a, b = face_vector(face, 0, arrays), face_vector(face, 2, arrays)
     t = (x - a).dot(b - a) / (b - a).dot(b - a)
     part = 0
     if t <= 0.0:
@@ -175,12 +399,11 @@ def foot_on_segment(x, face, arrays: ti.template()):
 
 
 @ti.func
-def foot_on_triangle(x, face, arrays: ti.template()):
+def foot_on_triangle(x, a, b, c):
     """Weights of the corners at the point of a triangle nearest to `x` [m] (Ericson 2005, section 5.1.5).
 
     0: inside it; 1, 2, 3: that corner; 4, 5, 6: the edge from corner 1 to 2, 2 to 3, 3 to 1.
     """
-    a, b, c = face_vector(face, 0, arrays), face_vector(face, 3, arrays), face_vector(face, 6, arrays)
     ab, ac = b - a, c - a
     d1, d2 = ab.dot(x - a), ac.dot(x - a)
     d3, d4 = ab.dot(x - b), ac.dot(x - b)

@@ -1,6 +1,10 @@
 """The solids in the box for the kernel: faces near cells, holds of nodes deep inside, contact at the start.
 
-Cells and nodes are numbered alike, as `mpm.arrays.access.node_strides` numbers nodes: a cell by its lowest node.
+**Window.** What is listed of cells and of nodes is so in a box around the faces alone; outside of it nothing is near
+one. Cells and nodes are numbered alike in it, the last axis fastest: a cell by its lowest node.
+
+**Height field.** The triangles of a terrain in 3D stand in no list. The kernel finds them by their place in plan, and
+holds and covers nodes by them (`mpm.solids.terrain`), but for those nodes that are near listed faces.
 
 **Lists.** A point p of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face
 F. So F can be the nearest one of a point at a distance of at most `cutoff` only where d(c, F) <= min(smallest + 2 h,
@@ -20,6 +24,7 @@ beside a solid that stands on the floor the floor remains.
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -29,13 +34,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, minimum_filter
 
+from datasets.geometry.contact_surface import ContactSurface, HeightField, contact_surface_of
+from datasets.geometry.ground import interpolated
 from datasets.geometry.nearest import Search, feet, nearest
-from datasets.geometry.surface import Surface, solids_of, surface_of
+from datasets.geometry.surface import Surface, solids_of
 from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import CONTACT_WIDTH, roughest, search_distance
 from mpm.solids.face_lookup import SKIN
+from mpm.solids.window import Window, boxes_around, window_around, window_of
 
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
@@ -50,13 +58,13 @@ BLEND = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Obstacles:
-    """Solids for the kernel: F faces, C cells, K holds of nodes."""
+    """Solids of scenes for the kernel: F listed faces, C cells in the windows of all scenes, K holds of nodes."""
 
     faces: Array
     """A line per face: corners [m], normals of face, corners and edges, friction at the corners [-], number
     of its solid; see `mpm.arrays.features.Features.face`; shape [F, columns]."""
     cell_faces: Array
-    """Where the list of each cell begins in `near_faces`, shape [C + 1]."""
+    """Where the list of each cell begins in `near_faces`, shape [C + 1] of each scene."""
     near_faces: Array
     """The faces near the cells."""
     cell_distance: Array
@@ -67,27 +75,52 @@ class Obstacles:
     """Of each hold its face, the friction there [-] and its share [-], shape [K, 3]."""
     covered: Array
     """Of each node the sides of the box that a solid covers, bit k for side k of x-, x+, y-, ..., shape [C + 1]."""
+    windows: tuple[Window, ...]
+    """Of each scene."""
+    fields: tuple[HeightField | None, ...]
+    """Of each scene."""
+    frictions: tuple[Floats, ...]
+    """Of their posts [-], shape [X, Z], or [1, 1] where it is one; empty without a height field."""
+    triangles: tuple[int, ...]
+    """The number of the first triangle of each height field; those of faces come before."""
+
+
+TABLES = ("faces", "cell_faces", "near_faces", "cell_distance", "node_holds", "holds", "covered")
 
 
 def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
     """The solids of several scenes in one, and where each scene's begin in `cell_faces`, `faces` and `holds`, and where
     the last one's end, shape [scenes + 1, 3].
 
-    Raises InputError as `datasets.geometry.surface.surface_of`.
+    Raises InputError as `datasets.geometry.contact_surface.contact_surface_of`.
     """
     parts = [obstacles_in(scene) for scene in scenes]
     counts = [(len(part.cell_faces), len(part.faces), len(part.holds), len(part.near_faces)) for part in parts]
     firsts = np.cumsum([(0, 0, 0, 0), *counts], axis=0)
-    lists: dict[str, list[Array]] = {field.name: [] for field in dataclasses.fields(Obstacles)}
-    for part, (_, face, hold, near) in zip(parts, firsts[:-1].tolist(), strict=True):
+    end, triangles, known = int(firsts[-1, 1]), [], dict[int, int]()
+    for part in parts:
+        (field,) = part.fields
+        triangles.append(known.setdefault(id(field), end))
+        end = max(end, triangles[-1] + (0 if field is None else 2 * field.cut.size))
+    lists: dict[str, list[Array]] = {name: [] for name in TABLES}
+    for part, first_triangle, (_, face, hold, near) in zip(parts, triangles, firsts[:-1].tolist(), strict=True):
+        held = numbered(part.holds[:, 0], len(part.faces), face, first_triangle)
         lists["faces"].append(part.faces)
         lists["cell_faces"].append(part.cell_faces + near)
         lists["near_faces"].append(part.near_faces + face)
         lists["cell_distance"].append(part.cell_distance)
         lists["node_holds"].append(part.node_holds + hold)
-        lists["holds"].append(part.holds + np.array([face, 0.0, 0.0]))
+        lists["holds"].append(np.column_stack([held, part.holds[:, 1:]]))
         lists["covered"].append(part.covered)
-    return Obstacles(**{name: np.concatenate(each) for name, each in lists.items()}), firsts[:, :3]
+    together: dict[str, Any] = {name: np.concatenate(each) for name, each in lists.items()}
+    for name in ("windows", "fields", "frictions"):
+        together[name] = tuple(value for part in parts for value in getattr(part, name))
+    return Obstacles(**together, triangles=tuple(triangles)), firsts[:, :3]
+
+
+def numbered(faces: Array, listed: int, first_face: int, first_triangle: int) -> Array:
+    """Numbers of faces among those of all scenes, from those in a scene of `listed` faces; shape [N]."""
+    return np.where(faces < listed, faces + first_face, faces - listed + first_triangle)
 
 
 def obstacles_in(scene: Scene) -> Obstacles:
@@ -95,24 +128,24 @@ def obstacles_in(scene: Scene) -> Obstacles:
 
     A particle from farther away needs more than a step to come within that distance.
     """
-    surface = surface_of(scene)
-    if surface is None:
-        return no_obstacles(features_of([scene], "f32").face.size, int(np.prod(node_shape(scene.domain))))
-    return obstacles_with(surface, scene.domain, farthest(scene), roughest(scene))
-
-
-def no_obstacles(face_size: int, cells: int = 0) -> Obstacles:
-    """No solids in a box of so many cells; no cells where no scene has contact."""
-    none = np.zeros(cells + 1, np.int32)
+    surface = contact_surface_of(scene)
+    if surface is not None:
+        return obstacles_with(surface, scene.domain, farthest(scene), roughest(scene))
+    none = np.zeros(1, np.int32)
     return Obstacles(
-        faces=np.zeros((0, face_size)),
+        faces=np.zeros((0, features_of([scene], "f32").face.size)),
         cell_faces=none,
         near_faces=none[:0],
-        cell_distance=np.zeros(len(none)),
+        cell_distance=np.zeros(1),
         node_holds=none,
         holds=np.zeros((0, 3)),
         covered=none,
+        windows=(Window(low=(0,) * scene.dimension, shape=(0,) * scene.dimension, cell=scene.domain.cell),),
+        fields=(None,),
+        frictions=(np.zeros((0, 0)),),
+        triangles=(0,),
     )
+
 
 
 def farthest(scene: Scene) -> float:
@@ -125,22 +158,42 @@ def solids_with(scene: Scene) -> tuple[Any, ...]:
     return scene.domain, solids_of(scene), farthest(scene), roughest(scene)
 
 
-def faces_and_holds(scene: Scene, nodes: Integers, base: Floats) -> tuple[Floats, Floats]:
-    """Faces of the solids of a scene, and its holds in the order of `base` [K, 3], which those of `nodes` [K] are.
+def faces_and_holds(scene: Scene, nodes: Integers, base: Floats) -> tuple[Floats, Floats, Floats]:
+    """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which those of `nodes` [K, D] are, and
+    the friction of its height field, [P].
 
     A hold that the scene does not have has no share. What else the kernel needs of solids is not made.
     """
-    surface, holds = surface_of(scene), base.copy()
+    surface, holds = contact_surface_of(scene), base.copy()
     holds[:, 2] = 0.0
     if surface is None:
-        return np.zeros((0, 0)), holds
-    surface = limited(surface, roughest(scene))
-    first, ours = holds_of(scene.domain, surface, np.unique(nodes), cutoff=farthest(scene))
-    owners, count = np.repeat(np.arange(len(first) - 1), np.diff(first)), len(surface.corners) + 1
-    keys, our_keys = (node * count + rows[:, 0].astype(np.int64) for node, rows in ((nodes, base), (owners, ours)))
+        return np.zeros((0, 0)), holds, np.zeros(0)
+    field = surface.field
+    terrain = np.zeros(0) if field is None else np.minimum(field.friction, roughest(scene)).ravel()
+    lines = face_lines(limited(surface.faces, roughest(scene)))
+    if not len(nodes):
+        return lines, holds, terrain
+    window, first, ours, _ = holds_at(scene, surface, np.unique(nodes, axis=0))
+    owners, count = np.repeat(np.arange(len(first) - 1), np.diff(first)), int(max(base[:, 0].max(), *ours[:, 0], 0)) + 1
+    rows = (window.numbers(nodes), base), (owners, ours)
+    keys, our_keys = (node * count + each[:, 0].astype(np.int64) for node, each in rows)
     _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
     holds[at] = ours[our_at]
-    return face_lines(surface), holds
+    return lines, holds, terrain
+
+
+def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Window, NDArray[np.int32], Floats, Floats]:
+    """Of `nodes` by their indices, shape [N, D]: a window around them, where the holds of each of its nodes begin,
+    these, shape [K, 3], and the normals of their faces, shape [K, D].
+    """
+    window = window_of(scene.domain, nodes)
+    reach = (farthest(scene) + BLEND) * scene.domain.cell
+    surface, numbers = solid.around((nodes - PADDING) * scene.domain.cell, reach)
+    surface = limited(surface, roughest(scene))
+    first, holds = holds_of(window, surface, np.sort(window.numbers(nodes)), cutoff=farthest(scene))
+    face = holds[:, 0].astype(np.int64)
+    holds[:, 0] = numbers[face]
+    return window, first, holds, surface.normals[face]
 
 
 def limited(surface: Surface, most: float) -> Surface:
@@ -150,61 +203,92 @@ def limited(surface: Surface, most: float) -> Surface:
 
 def face_lines(surface: Surface) -> Floats:
     """`Obstacles.faces` of a surface."""
+    size = surface.dimension
     normals = surface.normals, surface.corner_normals, surface.edge_normals
     described = surface.corners, *normals, surface.friction, surface.solid
-    return np.concatenate([each.reshape(len(surface.corners), -1) for each in described], axis=1)
+    columns = size * size, size, size * size, 9 * int(size == 3), size, 1
+    pairs = zip(described, columns, strict=True)
+    return np.concatenate([each.reshape(len(surface.corners), count) for each, count in pairs], axis=1)
 
 
 @lru_cache(maxsize=4)
-def obstacles_with(surface: Surface, domain: Domain, cutoff: float, most: float = NO_SLIP) -> Obstacles:
-    """The solids with `surface` in a box, listed up to `cutoff` cells from it; runs of one geometry share them.
+def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: float = NO_SLIP) -> Obstacles:
+    """The solids with the surface `solid` in a box, listed up to `cutoff` cells from faces; runs of one geometry share
+    them.
 
     most: largest Coulomb coefficient of their faces [-].
     """
-    surface = limited(surface, most)
-    cell_faces, near_faces = faces_near(domain, surface, cutoff=cutoff)
-    node_holds, holds = holds_of(domain, surface, np.flatnonzero(np.diff(cell_faces)), cutoff=cutoff)
+    faces, window = limited(solid.faces, most), window_around(domain, solid.faces, cutoff)
+    cell_faces, near_faces = faces_near(window, faces, cutoff=cutoff)
+    listed = np.flatnonzero(np.diff(cell_faces))
     # From another cell the way to a face leads into a listed one, and from there it is still `cutoff` cells long.
-    apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(node_shape(domain))).ravel()
-    beyond = np.maximum(apart - np.sqrt(len(domain.size)), 0.0)
+    node_holds, holds, beyond = np.zeros(1, np.int32), np.zeros((0, 3)), np.zeros(0)
+    covered = np.zeros(0, np.int32)
+    if window.count:
+        apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(window.shape)).ravel()
+        beyond = np.maximum(apart - math.sqrt(domain.dimension), 0.0)
+        around, numbers = solid.around(
+            window.positions(np.array([0, window.count - 1])), (cutoff + BLEND) * domain.cell
+        )
+        node_holds, holds = holds_of(window, limited(around, most), listed, cutoff=cutoff)
+        holds[:, 0] = numbers[holds[:, 0].astype(np.int64)]
+        covered = covered_sides(window, domain, solid, cutoff=cutoff)
+    field = solid.field
     return Obstacles(
-        faces=face_lines(surface),
+        faces=face_lines(faces),
         cell_faces=cell_faces,
         near_faces=near_faces,
         cell_distance=np.append((cutoff + beyond) * domain.cell, 0.0),
         node_holds=node_holds,
         holds=holds,
-        covered=np.append(covered_sides(domain, surface, np.diff(cell_faces) > 0, cutoff=cutoff), np.int32(0)),
+        covered=np.append(covered, np.int32(0)),
+        windows=(window,),
+        fields=(field,),
+        frictions=(np.zeros((0, 0)) if field is None else np.minimum(field.friction, most),),
+        triangles=(len(faces.corners),),
     )
 
 
-def covered_sides(domain: Domain, surface: Surface, near: NDArray[np.bool_], *, cutoff: float) -> NDArray[np.int32]:
-    """Of each node the sides of the box that a solid covers, as bits; near: nodes up to `cutoff` cells from one."""
-    shape, cell = node_shape(domain), domain.cell
-    near = near.reshape(shape)
-    covered = np.zeros(shape, np.int32)
+def covered_sides(window: Window, domain: Domain, solid: ContactSurface, *, cutoff: float) -> NDArray[np.int32]:
+    """Of each node of a window the sides of the box that a solid covers, as bits, shape [C]."""
+    shape, cell, field = node_shape(domain), domain.cell, solid.field
+    covered = np.zeros(window.shape, np.int32)
     for axis, side in itertools.product(range(len(shape)), (0, 1)):
-        row = shape[axis] - 1 - PADDING if side else PADDING
-        numbers = np.moveaxis(np.arange(near.size).reshape(shape), axis, 0)[row]
-        listed = np.moveaxis(near, axis, 0)[row]
-        places = node_positions(domain, numbers[listed])
+        row = (shape[axis] - 1 - PADDING if side else PADDING) - window.low[axis]
+        if not 0 <= row < window.shape[axis]:
+            continue
+        numbers = np.moveaxis(np.arange(window.count).reshape(window.shape), axis, 0)[row]
+        places = window.positions(numbers.ravel())
         places[:, axis] += (2 * side - 1) * SKIN * cell
-        inside = np.zeros(numbers.shape, bool)
-        inside[listed] = nearest(surface, places, cutoff * cell).distance < -0.5 * SKIN * cell
-        # What is not listed is far from a surface, beside a place inside deep in the solid.
-        whole = inside & minimum_filter(inside | ~listed, 3, mode="nearest")
+        surface, _ = solid.around(places, cutoff * cell)
+        distance = nearest(surface, places, cutoff * cell).distance
+        inside = (distance < -0.5 * SKIN * cell).reshape(numbers.shape)
+        # What is far from a surface is, beside a place inside, deep in the solid.
+        deep = np.isinf(distance)
+        if field is not None:
+            deep &= places[:, 1] < interpolated((field.x, field.z), field.heights, places[:, ::2])
+        whole = inside & minimum_filter(inside | deep.reshape(numbers.shape), 3, mode="nearest")
         beyond = np.moveaxis(covered, axis, 0)[row:] if side else np.moveaxis(covered, axis, 0)[: row + 1]
         beyond |= whole.astype(np.int32) << (2 * axis + side)
     return covered.ravel()
 
 
-def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float) -> tuple[NDArray[np.int32], Floats]:
+def covered_at(scene: Scene, nodes: Integers) -> NDArray[np.int32]:
+    """The sides of the box that a solid covers, as bits, shape [N], of nodes by their indices, shape [N, D]."""
+    solid = contact_surface_of(scene)
+    if solid is None:
+        return np.zeros(len(nodes), np.int32)
+    window = window_of(scene.domain, np.concatenate([nodes - 1, nodes + 1]))
+    return covered_sides(window, scene.domain, solid, cutoff=farthest(scene))[window.numbers(nodes)]
+
+
+def holds_of(window: Window, surface: Surface, nodes: Integers, *, cutoff: float) -> tuple[NDArray[np.int32], Floats]:
     """Where the holds of each node begin, and these, of those `nodes` that are up to `cutoff` cells deep."""
-    cell = domain.cell
-    depth = -nearest(surface, node_positions(domain, nodes), cutoff * cell).distance
+    cell = window.cell
+    depth = -nearest(surface, window.positions(nodes), cutoff * cell).distance
     deep = (depth > 0.0) & (depth <= cutoff * cell)
     nodes, depth = nodes[deep], depth[deep]
-    places = node_positions(domain, nodes)
+    places = window.positions(nodes)
     found = [(np.zeros(0, np.int64), np.zeros(0, np.int64)), *Search(surface).pairs(places, depth + BLEND * cell)]
     node, face = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.lexsort((face, node))
@@ -219,41 +303,40 @@ def holds_of(domain: Domain, surface: Surface, nodes: Integers, *, cutoff: float
     corners = np.minimum(surface.friction, NO_SLIP)[face]
     friction = np.where((corners == NO_SLIP).any(axis=1), NO_SLIP, (corner_weights * corners).sum(axis=1))
     kept = share > 0.0
-    counts = np.bincount(nodes[node[kept]] + 1, minlength=int(np.prod(node_shape(domain))) + 1)
+    counts = np.bincount(nodes[node[kept]] + 1, minlength=window.count + 1)
     return np.cumsum(counts).astype(np.int32), np.stack([face, friction, share], axis=1)[kept]
 
 
-def faces_near(domain: Domain, surface: Surface, *, cutoff: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Where the list of each cell begins among the faces of `surface` that are near cells, and these.
 
     cutoff: largest distance from the surface that is listed [cells]; a displacement of a step is at most a cell.
     """
-    cell = domain.cell
-    half = 0.5 * cell * np.sqrt(len(domain.size))
-    cells, faces, distance = near_pairs(domain, surface, max(cutoff, 1.0) * cell + half)
+    cell = window.cell
+    half = 0.5 * cell * math.sqrt(len(window.shape))
+    cells, faces, distance = near_pairs(window, surface, max(cutoff, 1.0) * cell + half)
     groups = np.flatnonzero(np.diff(cells, prepend=-1))
     smallest = np.minimum.reduceat(distance, groups) if len(groups) else distance
     smallest = np.repeat(smallest, np.diff(groups, append=len(cells)))
     slack = 1.0e-9 * cell
     nearest_one = distance <= np.minimum(smallest + 2.0 * half, cutoff * cell + half) + slack
     kept = nearest_one | (distance <= half + cell + slack)
-    listed = np.bincount(cells[kept] + 1, minlength=int(np.prod(node_shape(domain))) + 1)
+    listed = np.bincount(cells[kept] + 1, minlength=window.count + 1)
     return np.cumsum(listed).astype(np.int32), faces[kept].astype(np.int32)
 
 
-def near_pairs(domain: Domain, surface: Surface, limit: float) -> tuple[Integers, Integers, Floats]:
+def near_pairs(window: Window, surface: Surface, limit: float) -> tuple[Integers, Integers, Floats]:
     """Cells and faces whose centre lies within `limit` [m] of the face, and the distance of the centre [m], all [P];
     in the order of the cells, then of the faces.
     """
-    shape = np.array(node_shape(domain))
-    # Cells in the boxes around faces; the last node of an axis has no cell.
-    low = np.floor((surface.corners.min(axis=1) - limit) / domain.cell - 0.5).astype(np.int64) + PADDING
-    high = np.ceil((surface.corners.max(axis=1) + limit) / domain.cell - 0.5).astype(np.int64) + PADDING + 1
-    around = np.zeros(shape, bool)
-    for first, last in zip(np.maximum(low, 0), np.maximum(np.minimum(high, shape - 1), 0), strict=True):
+    if not len(surface.corners):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+    low, high = (each - np.array(window.low) for each in boxes_around(window, surface.corners, limit))
+    around = np.zeros(window.shape, bool)
+    for first, last in zip(np.maximum(low, 0), np.clip(high, 0, window.shape), strict=True):
         around[tuple(map(slice, first, last))] = True
     numbers = np.flatnonzero(around)
-    centres = node_positions(domain, numbers) + 0.5 * domain.cell
+    centres = window.positions(numbers) + 0.5 * window.cell
     found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
     for point, face in Search(surface).pairs(centres, np.full(len(centres), limit)):
         _, distance, _ = feet(surface.corners[face], centres[point])
@@ -264,22 +347,17 @@ def near_pairs(domain: Domain, surface: Surface, limit: float) -> tuple[Integers
     return cells[order], faces[order], distance[order]
 
 
-def node_positions(domain: Domain, nodes: Integers) -> Floats:
-    """Positions of nodes by their numbers [m], shape [N, D]."""
-    index = np.stack(np.unravel_index(nodes, node_shape(domain)), axis=-1)
-    return np.asarray((index - PADDING) * domain.cell)
-
-
 def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Contact of particles at `positions` [m], shape [N, D], as the kernel finds it: what `Contact` lists, [N, ...]."""
     count, dimension = positions.shape
     found = np.zeros((count, len(Contact) - 1 + 2 * dimension))
     found[:, Contact.DISTANCE] = np.inf
-    surface = surface_of(scene)
-    if surface is None:
+    solid = contact_surface_of(scene)
+    if solid is None:
         return found
     width = CONTACT_WIDTH * scene.domain.cell
     cutoff = search_distance(scene) + scene.domain.cell
+    surface, numbers = solid.around(positions, cutoff)
     nearest_points = nearest(surface, positions, cutoff)
     q = np.clip(nearest_points.distance / width, 0.0, 1.0)
     _, _, weights = feet(surface.corners[nearest_points.face], positions)
@@ -287,6 +365,6 @@ def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np
     found[:, Contact.DISTANCE] = np.clip(nearest_points.distance, 0.0, cutoff)
     friction = np.minimum(surface.friction, roughest(scene))[nearest_points.face]
     found[:, Contact.FRICTION] = (weights * friction).sum(axis=1)
-    found[:, Contact.FACE] = nearest_points.face
+    found[:, Contact.FACE] = numbers[nearest_points.face]
     found[:, Contact.NORMAL : Contact.NORMAL + dimension] = nearest_points.normal
     return found

@@ -18,7 +18,7 @@ from mpm.arrays.batch import Batch
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import DRY_GRIP, roughest
 from mpm.kernel import Phase, kernel
-from mpm.solids.obstacles import obstacles_in
+from mpm.solids.obstacles import covered_at
 from tests.datasets.geometry.solids import surface
 from tests.scenes import scene_of
 from validation.bench.stability.exact_solutions import (
@@ -104,7 +104,8 @@ def test_only_a_covered_wall_takes_no_part() -> None:
     box = Solid(lower=(0.2, 0.0), size=(0.2, 0.02))
     lining = Solid(lower=(0.98, 0.0), size=(0.02, 0.3))
     scene = sand(Mass(lower=(0.5, 0.0), size=(0.1, 0.1)), size=(1.0, 0.3), solids=(box, lining))
-    sides = obstacles_in(scene).covered[:-1].reshape(node_shape(scene.domain))[PADDING:-PADDING, PADDING:-PADDING]
+    nodes = np.moveaxis(np.indices(node_shape(scene.domain)), 0, -1)[PADDING:-PADDING, PADDING:-PADDING]
+    sides = covered_at(scene, nodes.reshape(-1, 2)).reshape(nodes.shape[:2])
     floor = np.flatnonzero(sides[:, 0] & 4)
     assert floor.tolist() == [*range(12, 19)]
     assert (sides[-1] & 2 == 2).all()

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from datasets.geometry.nearest import feet, nearest
 from datasets.scene import Baffle, Mass, Scene, Solid
-from mpm.arrays.layout import PADDING
-from mpm.solids.obstacles import BLEND, FADE, faces_near, holds_of, node_positions, node_shape
+from mpm.arrays.layout import PADDING, node_shape
+from mpm.solids.obstacles import BLEND, FADE, faces_near, holds_of
+from mpm.solids.window import whole as whole_box
 from tests import scenes
 from tests.datasets.geometry.solids import surface
 
@@ -53,7 +54,7 @@ def box_cells(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:
 def test_a_cell_lists_what_its_points_need(dimension: int, cutoff: float) -> None:
     scene = scene_of(dimension)
     whole = surface(scene)
-    first, near_faces = faces_near(scene.domain, whole, cutoff=cutoff)
+    first, near_faces = faces_near(whole_box(scene.domain), whole, cutoff=cutoff)
     rng = np.random.default_rng(3)
     points = rng.uniform(-2.9 * CELL, 1.0 + 2.9 * CELL, (150, dimension))
     cells = box_cells(scene, points)
@@ -87,7 +88,7 @@ def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int
 
     def removed(shift: float) -> NDArray[np.float64]:
         moved = dataclasses.replace(whole, corners=whole.corners + shift)
-        first, holds = holds_of(scene.domain, moved, nodes, cutoff=2.0)
+        first, holds = holds_of(whole_box(scene.domain), moved, nodes, cutoff=2.0)
         normal = moved.normals[holds[:, 0].astype(int)]
         found = np.zeros((len(nodes), dimension, dimension))
         node = np.repeat(nodes, np.diff(first))
@@ -95,7 +96,7 @@ def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int
         return found
 
     here = removed(0.0)
-    depth = -nearest(whole, node_positions(scene.domain, nodes)).distance / CELL
+    depth = -nearest(whole, whole_box(scene.domain).positions(nodes)).distance / CELL
     share = np.trace(here, axis1=1, axis2=2)
     assert np.abs(share[depth <= 0.0]).max() == 0.0
     held = (depth > FADE) & (depth < 2.0)

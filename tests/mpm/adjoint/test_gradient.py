@@ -248,12 +248,12 @@ def test_what_a_run_begins_with_is_made_anew_where_a_path_changes_it(change: dic
     scenes = plane(**BAFFLED), plane(**BAFFLED | change)
     for base, scene in (scenes, scenes[::-1]):
         found, whole = started(scene, started(base)), started(scene)
-        for name in ("stress", "properties", "settings", "faces"):
+        for name in ("stress", "properties", "settings", "faces", "terrain"):
             np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
         for name in ("positions", "velocities", "velocity_gradients", "friction", "volume"):
             np.testing.assert_array_equal(getattr(found.particles, name), getattr(whole.particles, name), err_msg=name)
         ours, theirs = (
-            {(node, face): share for node, (face, _, share) in zip(each.held, each.holds, strict=True) if share > 0.0}
+            {(*node, face): share for node, (face, _, share) in zip(each.held, each.holds, strict=True) if share > 0.0}
             for each in (found, whole)
         )
         assert ours.items() <= theirs.items()

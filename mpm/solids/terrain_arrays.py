@@ -1,0 +1,47 @@
+"""The height fields of the scenes of a batch, as `mpm.solids.terrain` reads them."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datasets.errors import require
+from mpm.arrays.layout import FIRST_FACE, Offset, TerrainNumber
+from mpm.solids.obstacles import Obstacles
+
+Array = NDArray[Any]
+
+
+def terrain_arrays(obstacles: Obstacles, offsets: NDArray[np.int32], real: np.dtype[Any]) -> tuple[Array, Array]:
+    """The numbers of all height fields, and of each of their cells bit 0: its triangles meet along the second diagonal,
+    bit 1: they are listed as faces. Their places go to `offsets`. Raises InputError for too many triangles.
+
+    Scenes of one terrain share its numbers.
+    """
+    numbers, cells, known = [np.zeros(1, real)], [np.zeros(1, np.int32)], dict[tuple[int, int], tuple[int, int]]()
+    offsets[:, Offset.TERRAIN_FACE] = 2 * FIRST_FACE
+    place, place_cells, end = 1, 1, len(obstacles.faces)
+    for offset, field, friction, triangle in zip(
+        offsets, obstacles.fields, obstacles.frictions, obstacles.triangles, strict=False
+    ):
+        if field is None:
+            continue
+        if (id(field), id(friction)) not in known:
+            known[id(field), id(friction)] = place, place_cells
+            header = np.zeros(len(TerrainNumber), real)
+            header[TerrainNumber.X], header[TerrainNumber.Z] = field.x[field.even[0]], field.z[field.even[1]]
+            header[TerrainNumber.PER_X], header[TerrainNumber.PER_Z] = 1.0 / np.array(field.spacing)
+            header[TerrainNumber.NEARNESS] = 1.0 / math.hypot(1.0, field.steepest)
+            parts = header, field.x, field.z, field.heights.ravel(), friction.ravel()
+            numbers += [part.astype(real) for part in parts]
+            cells.append((field.second + 2 * field.cut.astype(np.int32)).ravel().astype(np.int32))
+            place, place_cells = place + sum(map(len, numbers[-5:])), place_cells + field.cut.size
+        offset[Offset.TERRAIN], offset[Offset.TERRAIN_CELLS] = known[id(field), id(friction)]
+        offset[Offset.TERRAIN_FACE], offset[Offset.TERRAIN_SOLID] = triangle, field.solid
+        offset[Offset.TERRAIN_FRICTION] = friction.size > 1
+        offset[Offset.POSTS_X], offset[Offset.POSTS_Z] = field.heights.shape
+        offset[Offset.EVEN_X], offset[Offset.EVEN_Z] = field.even
+        end = max(end, triangle + 2 * field.cut.size)
+    require(end <= 2 * FIRST_FACE, "solids", f"at most {2 * FIRST_FACE} faces and triangles of terrain", str(end))
+    return np.concatenate(numbers), np.concatenate(cells)

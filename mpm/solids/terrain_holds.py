@@ -1,0 +1,233 @@
+"""What a height field takes of the velocity of a node deep in it: the holds of `mpm.solids.obstacles`, as they are met.
+
+Of the triangles k of the raster, with the distance d_k of the node, the normal N_k and the direction n_k to the foot,
+
+    removed = s(min d) sum_k w_k (v - A_k v) / sum_k w_k,    w_k = (n_k . N_k)_+ (1 - (d_k - min d) / b)_+^2
+
+The weights are those of the place of the node alone. Each thread of a CPU keeps those of as many nodes as its particles
+can reach, in a table of hashes: memory follows the material, not the box.
+"""
+
+import taichi as ti
+
+from mpm.arrays.layout import KEPT, KEPT_NUMBERS, PADDING, Offset, Setting, TerrainNumber, Worker
+from mpm.physics.boundary import after_contact
+from mpm.solids.face_lookup import foot_on_face, frictions_of, reach_of
+from mpm.solids.obstacles import BLEND, FADE
+from mpm.solids.terrain import (
+    cell_code,
+    cells_within,
+    column_height,
+    height_above,
+    squared_plan_distance,
+    terrain_number,
+    triangle_corners,
+    triangle_number,
+)
+
+PROBED = 4
+"""Places at which a node's holds are looked for among those that are kept; a power of two."""
+
+
+@ti.func
+def node_position(node, scene, arrays: ti.template()):
+    """Of a node by its index [m], shape [D]."""
+    cell = arrays.settings[scene, Setting.CELL]
+    return ti.Vector([(node[k] - PADDING) * cell for k in ti.static(range(arrays.features.dimension))])
+
+
+@ti.func
+def cells_over(x, scene, arrays: ti.template()):
+    """The cells of the raster whose triangles may hold a node at `x` [m], as `cells_within`; none where none does."""
+    i0, k0, i1, k1 = 0, 0, 0, 0
+    if arrays.offsets[scene, Offset.POSTS_X] > 0:
+        above, listed = height_above(x, scene, arrays)
+        depth, reach = 0.0 - above, reach_of(scene, arrays)
+        if depth > 0.0 and depth * terrain_number(TerrainNumber.NEARNESS, scene, arrays) < reach:
+            radius = ti.min(depth, reach)
+            if listed == 1:
+                radius = reach
+            radius += BLEND * arrays.settings[scene, Setting.CELL]
+            i0, k0, i1, k1 = cells_within(x - radius, x + radius, scene, arrays)
+    return i0, k0, i1, k1
+
+
+@ti.func
+def hold_weight(square, behind, depth, blend):
+    """w_k of a triangle at the root of `square` [m^2] from a node that is `behind` its plane [m]; depth: min d [m]."""
+    distance = ti.max(ti.sqrt(square), 1.0e-20)
+    near = ti.max(1.0 - (distance - depth) / blend, 0.0)
+    return ti.max(behind / distance, 0.0) * near * near
+
+
+@ti.func
+def hold_share(depth, total, scene, arrays: ti.template()):
+    """s(depth) over the sum of all weights."""
+    part = ti.min(depth / (FADE * arrays.settings[scene, Setting.CELL]), 1.0)
+    return part * part * (3.0 - 2.0 * part) / ti.max(total, 1.0e-30)
+
+
+@ti.func
+def removed_by_terrain(v, node, worker, scene, arrays: ti.template()):
+    """What the height field takes of the velocity `v` [m/s] of a node, an index of shape [D]; shape [D]."""
+    removed = 0.0 * v
+    near = may_be_held(node, scene, arrays)
+    if ti.static(arrays.features.processor.gpu):
+        slot = 0
+        if near:
+            removed = removed_at_once(v, node, scene, arrays)
+    elif near:
+        slot, known = slot_of(node, worker, scene, arrays)
+        if not known:
+            keep_holds(slot, node, scene, arrays)
+        for hold in range(ti.cast(arrays.kept_holds[slot, 0], ti.i32)):
+            at = 1 + hold * KEPT_NUMBERS
+            normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))])
+            if v.dot(normal) < 0.0:
+                share, friction = arrays.kept_holds[slot, at], arrays.kept_holds[slot, at + 1]
+                removed += share * (v - after_contact(v, normal, friction))
+    return removed
+
+
+@ti.func
+def may_be_held(node, scene, arrays: ti.template()):
+    """Whether a node lies below the height field, no deeper than is searched."""
+    near = False
+    if arrays.offsets[scene, Offset.POSTS_X] > 0:
+        depth = column_height(node[0], node[2], scene, arrays) - node_position(node, scene, arrays)[1]
+        near = depth > 0.0 and depth * terrain_number(TerrainNumber.NEARNESS, scene, arrays) < reach_of(scene, arrays)
+    return near
+
+
+@ti.func
+def slot_of(node, worker, scene, arrays: ti.template()):
+    """Where a worker keeps the holds of a node, and whether it does: in one of PROBED slots, or in place of others."""
+    column = node[0] * (arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1) + node[2]
+    count, first = arrays.workers[worker, Worker.SLOTS], arrays.workers[worker, Worker.SLOT]
+    place = column * 40503 + node[1] * 10007
+    slot, known, empty = first + ((place + (node[1] & (PROBED - 1))) & (count - 1)), False, False
+    for number in range(PROBED):
+        at = first + ((place + number) & (count - 1))
+        if not known:
+            if arrays.kept_nodes[at, 0] == column and arrays.kept_nodes[at, 1] == node[1]:
+                slot, known = at, True
+            elif arrays.kept_nodes[at, 0] < 0 and not empty:
+                slot, empty = at, True
+    if not known:
+        arrays.kept_nodes[slot, 0], arrays.kept_nodes[slot, 1] = column, node[1]
+    return slot, known
+
+
+@ti.func
+def keep_holds(slot, node, scene, arrays: ti.template()):
+    """Keep the holds of a node: how many, and of each its share [-], friction [-] and normal [-].
+
+    Those with one normal and one friction are one; where there are more than KEPT others, so are those whose normals
+    differ least.
+    """
+    x, total, count = node_position(node, scene, arrays), 0.0 * arrays.settings[scene, Setting.CELL], 0
+    i0, k0, i1, k1 = cells_over(x, scene, arrays)
+    blend, limit = BLEND * arrays.settings[scene, Setting.CELL], reach_of(scene, arrays) ** 2
+    depth, nearest = 0.0 * blend, limit
+    # First the nearest, then all that are nearly as near.
+    for search in range(2):
+        if search == 1:
+            depth = ti.sqrt(nearest)
+            limit = (depth + blend) ** 2
+        for i in range(i0, i1):
+            for k in range(k0, k1):
+                code = cell_code(i, k, scene, arrays)
+                if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < limit:
+                    for half in range(2):
+                        a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+                        across = (b - a).cross(c - b)
+                        height, size = (x - a).dot(across), across.dot(across)
+                        if height < 0.0 and height * height < limit * size:
+                            w, _, from_foot = foot_on_face(x, a, b, c, arrays)
+                            square = from_foot.dot(from_foot)
+                            if search == 0:
+                                nearest = ti.min(nearest, square)
+                                limit = nearest
+                            elif square < limit:
+                                normal = across / ti.sqrt(size)
+                                weight = hold_weight(square, 0.0 - from_foot.dot(normal), depth, blend)
+                                face = triangle_number(i, k, half, scene, arrays)
+                                friction = w.dot(frictions_of(face, scene, arrays))
+                                total += weight
+                                count = add_hold(slot, count, weight, friction, normal, arrays)
+    share = hold_share(depth, total, scene, arrays)
+    arrays.kept_holds[slot, 0] = count
+    for hold in range(count):
+        at = 1 + hold * KEPT_NUMBERS
+        normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))]).normalized()
+        arrays.kept_holds[slot, at] = share * arrays.kept_holds[slot, at]
+        for k in ti.static(range(3)):
+            arrays.kept_holds[slot, at + 2 + k] = normal[k]
+
+
+@ti.func
+def add_hold(slot, count, weight, friction, normal, arrays: ti.template()):
+    """Add a hold to the `count` that are kept in a slot; how many there are then."""
+    closest, alike = -1, 0.0 * weight - 2.0
+    for hold in range(count):
+        at = 1 + hold * KEPT_NUMBERS
+        cosine = 0.0 * weight
+        for k in ti.static(range(3)):
+            cosine += arrays.kept_holds[slot, at + 2 + k] * normal[k]
+        if arrays.kept_holds[slot, at + 1] != friction:
+            cosine -= 1.0e-3
+        if cosine > alike:
+            closest, alike = hold, cosine
+    result = count
+    if weight > 0.0 and (alike > 1.0 - 1.0e-14 or count == KEPT):
+        at = 1 + closest * KEPT_NUMBERS
+        before = arrays.kept_holds[slot, at]
+        part = weight / (before + weight)
+        arrays.kept_holds[slot, at] = before + weight
+        arrays.kept_holds[slot, at + 1] += part * (friction - arrays.kept_holds[slot, at + 1])
+        for k in ti.static(range(3)):
+            arrays.kept_holds[slot, at + 2 + k] += part * (normal[k] - arrays.kept_holds[slot, at + 2 + k])
+    elif weight > 0.0:
+        at = 1 + count * KEPT_NUMBERS
+        arrays.kept_holds[slot, at], arrays.kept_holds[slot, at + 1] = weight, friction
+        for k in ti.static(range(3)):
+            arrays.kept_holds[slot, at + 2 + k] = normal[k]
+        result = count + 1
+    return result
+
+
+@ti.func
+def removed_at_once(v, node, scene, arrays: ti.template()):
+    """`removed_by_terrain` where nothing is kept."""
+    x, removed, total = node_position(node, scene, arrays), 0.0 * v, 0.0 * v[0]
+    i0, k0, i1, k1 = cells_over(x, scene, arrays)
+    blend, limit = BLEND * arrays.settings[scene, Setting.CELL], reach_of(scene, arrays) ** 2
+    depth, nearest = 0.0 * blend, limit
+    # First the nearest, then all that are nearly as near.
+    for search in range(2):
+        if search == 1:
+            depth = ti.sqrt(nearest)
+            limit = (depth + blend) ** 2
+        for i in range(i0, i1):
+            for k in range(k0, k1):
+                code = cell_code(i, k, scene, arrays)
+                if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < limit:
+                    for half in range(2):
+                        a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+                        across = (b - a).cross(c - b)
+                        height, size = (x - a).dot(across), across.dot(across)
+                        if height < 0.0 and height * height < limit * size:
+                            w, _, from_foot = foot_on_face(x, a, b, c, arrays)
+                            square = from_foot.dot(from_foot)
+                            if search == 0:
+                                nearest = ti.min(nearest, square)
+                                limit = nearest
+                            elif square < limit:
+                                normal = across / ti.sqrt(size)
+                                weight = hold_weight(square, 0.0 - from_foot.dot(normal), depth, blend)
+                                total += weight
+                                if v.dot(normal) < 0.0:
+                                    face = triangle_number(i, k, half, scene, arrays)
+                                    friction = w.dot(frictions_of(face, scene, arrays))
+                                    removed += weight * (v - after_contact(v, normal, friction))
+    return hold_share(depth, total, scene, arrays) * removed
