@@ -100,6 +100,7 @@ def advance_worker(worker, last, arrays: ti.template()):
     It stops before a step for which a grid of the scene has no room, and goes on from there in the next call.
     """
     scene = arrays.workers[worker, Worker.SCENE]
+    moved = 0.0 * arrays.settings[scene, Setting.CELL] + OUTDATED
     for frame in range(arrays.offsets[scene, Offset.NEXT], ti.min(last, arrays.offsets[scene, Offset.FRAMES])):
         if arrays.offsets[scene, Offset.REST] > 0:
             break
@@ -112,7 +113,6 @@ def advance_worker(worker, last, arrays: ti.template()):
             break
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
-        moved = 0.0 * dt + OUTDATED
         while done < substeps:
             moved = step(worker, scene, dt, kappa, moved, arrays)
             if moved < 0.0:

@@ -71,13 +71,12 @@ def replay(worker, first, last, arrays: ti.template()):
     It stops where a grid has no room for what is to come.
     """
     scene = arrays.workers[worker, Worker.SCENE]
-    step, moved = 0, 0.0 * arrays.settings[scene, Setting.CELL]
+    step, moved = 0, 0.0 * arrays.settings[scene, Setting.CELL] + OUTDATED
     for _frame in range(first, last):
         substeps = steps_of_frame(scene, arrays)
         synchronise(arrays)
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
-        moved = 0.0 * dt + OUTDATED
         for _step in range(substeps):
             keep_state(worker, step, arrays)
             arrays.step_times[scene, step] = dt

@@ -7,7 +7,7 @@ the material, whatever the size of the box.
 
 A particle in cell c gives to nodes c - 1 to c + 2 along each axis as long as it moves by less than half a cell. Columns
 hold these nodes; they are made anew once the largest displacements of the steps since then add up to MARGIN, and at the
-start of each frame, so that a run that was interrupted goes on with the same columns.
+start of each call of the kernel, before which particles may have been sorted.
 """
 
 import taichi as ti
