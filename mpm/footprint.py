@@ -107,7 +107,7 @@ def footprint(
     sizes = (
         PROCESS,
         count * BESIDE * (particle + real * features.state.size),
-        math.prod(nodes) * workers * (real * NODE + (16 if features.contact else 0)),
+        math.prod(nodes) * workers * (real * NODE + (16 if features.listed else 0)),
         STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
     )
     kept = len(record.kept(scene.frames))

@@ -85,7 +85,7 @@ def test_under_ground_there_is_no_floor(changes: dict[str, Any]) -> None:
 
 
 def test_a_front_is_one_at_any_height_of_its_terrain() -> None:
-    """33.3, 26.6, 24.5, 22.9 m while a smooth floor took part; half a cell of offset moves it by 2.3 %, a seed by 0.6."""
+    """33.3, 26.6, 24.5, 22.9 m while a smooth floor took part; half a cell of offset moves it by 2.3 %, a seed 0.6."""
 
     def raised(height: float, seed: int) -> Scene:
         points = ((0.0, 10.0 + height), (20.0, height), (80.0, height))
