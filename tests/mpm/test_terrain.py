@@ -1,5 +1,7 @@
 """Contact with a height field is that with its triangles."""
 
+from time import process_time
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,21 @@ def test_the_distance_is_that_from_the_nearest_of_all_faces() -> None:
         assert (found <= apart + 1.0e-9 * CELL).all()
         assert np.abs(found - apart)[apart < CELL].max() < 1.0e-9 * CELL
     assert (apart < CELL).sum() > 100
+
+
+def test_a_raster_of_300_000_posts_is_set_up_at_once() -> None:
+    """In 0.5 s of CPU, where a list of its triangles near every cell took more than 40; a baffle stands in it."""
+    x = 5.0 * np.arange(550)
+    heights = 800.0 * np.exp(-x / 1000.0)[:, None] + 3.0 * np.sin(x / 40.0)[:, None] * np.sin(x / 55.0) + 20.0
+    rows = tuple(map(tuple, heights.tolist()))
+    started = process_time()
+    ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(5.0, 5.0), heights=rows, friction=0.4)
+    layer = Mass(kind="layer", thickness=5.0, outline=((270.0, 1300.0), (370.0, 1300.0), (370.0, 1400.0)))
+    baffle = Baffle(lower=(600.0, 0.0, 1350.0), size=(20.0, 600.0, 40.0))
+    settings = {"size": (2740.0, 900.0, 2740.0), "cell": 10.0, "baffles": (baffle,)}
+    solids = obstacles_in(scene_of(layer, solids=(ground,), **settings))
+    assert process_time() - started < 5.0
+    assert len(solids.faces) < 1000
 
 
 def test_nothing_of_a_height_field_is_listed() -> None:
