@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 from datasets import memory
 from datasets.errors import InputError
+from datasets.geometry.contact_surface import contact_surface_of
 from datasets.scene import Scene
 from datasets.scene.particles import mass_counts
 from mpm.arrays.features import NODE, features_of
@@ -28,6 +29,8 @@ from mpm.arrays.properties import substeps_per_frame
 from mpm.output.request import ALL, Recording
 from mpm.resolution import particle_steps
 from mpm.runtime import Arch
+from mpm.solids.obstacles import farthest
+from mpm.solids.window import window_around
 
 PROCESS = 240 * 2**20
 """Bytes of a process with Taichi and a kernel."""
@@ -110,7 +113,7 @@ def footprint(
         PROCESS,
         count * BESIDE * (particle + real * features.state.size),
         workers * room * real * NODE + workers * column_count(scene.domain) * 4 * (1 + len(Span)),
-        math.prod(nodes) * (16 if features.contact else 0),
+        16 * listed_cells(scene) if features.listed else 0,
         STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
     )
     kept = len(record.kept(scene.frames))
@@ -120,6 +123,12 @@ def footprint(
     recorded = 4 * count * kept * numbers + 8 * scene.frames * (len(Energy) + 2 * solids * dimension)
     size = int(sum(sizes)) + (0 if in_file else recorded)
     return Footprint(particles=count, nodes=nodes, frames=scene.frames, steps=steps, bytes=size)
+
+
+def listed_cells(scene: Scene) -> int:
+    """Cells around the faces of a scene's solids, which have lists of them."""
+    surface = contact_surface_of(scene)
+    return 0 if surface is None else window_around(scene.domain, surface.faces, farthest(scene)).count
 
 
 def require_memory(footprints: list[Footprint]) -> None:

@@ -53,11 +53,11 @@ class HeightField:
 
     def cells_over(self, low: Floats, high: Floats) -> Rectangle:
         """The cells that a rectangle in plan from `low` to `high` [m], shape [2], meets."""
-        first, last, before, end = (
-            int(np.clip(np.searchsorted(axis, at, side=side) - 1, 0, len(axis) - 2))
-            for axis, k in ((self.x, 0), (self.z, 1))
-            for at, side in ((low[k] - TOUCHING, "left"), (high[k] + TOUCHING, "right"))
-        )
+        ends = []
+        for axis, near, far in ((self.x, low[0], high[0]), (self.z, low[1], high[1])):
+            at = np.searchsorted(axis, [near - TOUCHING, far + TOUCHING]) - 1
+            ends.append(np.clip(at, 0, len(axis) - 2).tolist())
+        (first, last), (before, end) = ends
         return first, last + 1, before, end + 1
 
     def grown(self, cells: Rectangle) -> Rectangle:

@@ -183,7 +183,8 @@ def ground_body(solid: Solid, key: str, box: Domain) -> Body:
             friction=np.concatenate([friction[::-1], friction[[0, -1]]]),
             key=key,
         )
-    return raster_body(axes[0], axes[1], heights, friction, deep=deep, key=key)
+    x, z = axes
+    return raster_body(x, z, heights, friction, deep=deep, key=key)
 
 
 def raster_body(x: Floats, z: Floats, heights: Floats, friction: Floats, *, deep: float, key: str) -> Body:

@@ -207,7 +207,7 @@ class Batch:
 
     def add_slots(self, real: np.dtype[Any]) -> None:
         """Room for what is kept of height fields once it has been needed: their elevation at columns of nodes, and by
-        each worker the holds of nodes, of one for every other particle.
+        each worker the holds of nodes, of one for every four particles.
         """
         columns = 1
         for scene, offset in zip(self.scenes, self.offsets, strict=True):
@@ -218,7 +218,7 @@ class Batch:
         self.column_heights = np.zeros(columns, real)
         features, slots = self.features, 1
         for worker in self.workers if features.terrain and not features.processor.gpu else self.workers[:0]:
-            count = int(worker[Worker.LAST] - worker[Worker.FIRST]) * features.lanes // 2
+            count = int(worker[Worker.LAST] - worker[Worker.FIRST]) * features.lanes // 4
             worker[Worker.SLOT], worker[Worker.SLOTS] = slots, 1 << max(count, 256).bit_length()
             slots += int(worker[Worker.SLOTS])
         self.kept_nodes = np.full((slots, 2), -1, np.int32)

@@ -137,7 +137,7 @@ class TerrainNumber(Column):
     NEARNESS = auto()  # the least part of the height above it that is the distance from it [-]
 
 
-KEPT = 6
+KEPT = 16
 """Holds of a node deep in a height field that are told apart."""
 KEPT_NUMBERS = 5
 """Of each its share, its friction and its normal."""

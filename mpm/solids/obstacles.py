@@ -147,7 +147,6 @@ def obstacles_in(scene: Scene) -> Obstacles:
     )
 
 
-
 def farthest(scene: Scene) -> float:
     """Distance from solids up to which faces are listed [cells]."""
     return 1.0 + search_distance(scene) / scene.domain.cell
@@ -188,7 +187,7 @@ def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Wind
     """
     window = window_of(scene.domain, nodes)
     reach = (farthest(scene) + BLEND) * scene.domain.cell
-    surface, numbers = solid.around((nodes - PADDING) * scene.domain.cell, reach)
+    surface, numbers = solid.around(np.asarray((nodes - PADDING) * scene.domain.cell), reach)
     surface = limited(surface, roughest(scene))
     first, holds = holds_of(window, surface, np.sort(window.numbers(nodes)), cutoff=farthest(scene))
     face = holds[:, 0].astype(np.int64)
@@ -205,7 +204,7 @@ def face_lines(surface: Surface) -> Floats:
     """`Obstacles.faces` of a surface."""
     size = surface.dimension
     normals = surface.normals, surface.corner_normals, surface.edge_normals
-    described = surface.corners, *normals, surface.friction, surface.solid
+    described: tuple[Array, ...] = (surface.corners, *normals, surface.friction, surface.solid)
     columns = size * size, size, size * size, 9 * int(size == 3), size, 1
     pairs = zip(described, columns, strict=True)
     return np.concatenate([each.reshape(len(surface.corners), count) for each, count in pairs], axis=1)

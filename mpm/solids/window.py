@@ -43,7 +43,7 @@ class Window:
 
     def nodes(self, numbers: Integers) -> Integers:
         """The indices in the grid, shape [N, D], of the nodes with these numbers, shape [N]."""
-        return np.stack(np.unravel_index(numbers, self.shape), axis=-1) + np.array(self.low)
+        return np.asarray(np.stack(np.unravel_index(numbers, self.shape), axis=-1) + np.array(self.low))
 
 
 def whole(domain: Domain) -> Window:
