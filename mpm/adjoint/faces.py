@@ -24,13 +24,12 @@ from mpm.solids.face_lookup import (
     corners_of,
     face_number,
     foot_on_face,
-    foot_on_segment,
-    foot_on_triangle,
     frictions_of,
     normal_of,
     reach_of,
     solid_of,
 )
+from mpm.solids.feet import foot_on_segment, foot_on_triangle
 from mpm.solids.obstacles import BLEND
 from mpm.solids.terrain import cell_code, corner_frictions, in_terrain, triangle_corners, triangle_number
 from mpm.solids.terrain_holds import cells_over, hold_share, hold_weight, node_position
@@ -159,7 +158,7 @@ def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, scene, arrays: ti
 def at_face(x, corners, normal, frictions, part, side, dimension):
     """Friction, distance [m] and normal at the point of a face nearest to `x` [m]; traced.
 
-    part: as `mpm.solids.face_lookup.foot_on_triangle` has it; side: roughly the normal.
+    part: as `mpm.solids.feet.foot_on_triangle` has it; side: roughly the normal.
     """
     points = [corners[k * dimension : (k + 1) * dimension] for k in range(dimension)]
     weights = foot_weights(x, points, part, dimension)

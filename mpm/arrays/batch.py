@@ -17,8 +17,6 @@ from mpm.arrays.layout import (
     FIRST_FACE,
     GROWTH,
     INDEX_LIMIT,
-    KEPT,
-    KEPT_NUMBERS,
     PADDING,
     Barrier,
     Contact,
@@ -49,7 +47,7 @@ from mpm.initial.barriers import barrier_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.output.request import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, numbered, obstacles_of
-from mpm.solids.terrain_arrays import terrain_arrays
+from mpm.solids.terrain_arrays import terrain_arrays, terrain_slots
 
 Array = NDArray[Any]
 PORTION = 2**18
@@ -144,7 +142,8 @@ class Batch:
         counts = [len(particles.positions) for particles in self.particles]
         self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
-        self.add_slots(real)
+        slots = terrain_slots(scenes, self.offsets, self.workers, features, real)
+        self.column_heights, self.kept_nodes, self.kept_holds = slots
         self.scratch = aligned((scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
         self.positions = np.zeros(max(recorded * features.dimension, 1), np.float32)
@@ -204,25 +203,6 @@ class Batch:
         self.cell_faces, self.near_faces = table(obstacles.cell_faces, np.int32), table(obstacles.near_faces, np.int32)
         self.node_holds = table(obstacles.node_holds, np.int32)
         self.covered = table(obstacles.covered, np.int32)
-
-    def add_slots(self, real: np.dtype[Any]) -> None:
-        """Room for what is kept of height fields once it has been needed: their elevation at columns of nodes, and by
-        each worker the holds of nodes, of one for every four particles.
-        """
-        columns = 1
-        for scene, offset in zip(self.scenes, self.offsets, strict=True):
-            if offset[Offset.POSTS_X] > 0:
-                offset[Offset.COLUMNS] = columns
-                columns += math.prod(node_shape(scene.domain)[::2])
-        # Memory that nothing is written to is none.
-        self.column_heights = np.zeros(columns, real)
-        features, slots = self.features, 1
-        for worker in self.workers if features.terrain and not features.processor.gpu else self.workers[:0]:
-            count = int(worker[Worker.LAST] - worker[Worker.FIRST]) * features.lanes // 4
-            worker[Worker.SLOT], worker[Worker.SLOTS] = slots, 1 << max(count, 256).bit_length()
-            slots += int(worker[Worker.SLOTS])
-        self.kept_nodes = np.full((slots, 2), -1, np.int32)
-        self.kept_holds = np.zeros((slots, 1 + KEPT * KEPT_NUMBERS), real)
 
     def add_barriers(self) -> None:
         """The lines of `barriers`, `retained` and `settling` of all scenes."""

@@ -1,13 +1,16 @@
 """The height fields of the scenes of a batch, as `mpm.solids.terrain` reads them."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import require
-from mpm.arrays.layout import FIRST_FACE, Offset, TerrainNumber
+from datasets.scene import Scene
+from mpm.arrays.features import Features
+from mpm.arrays.layout import FIRST_FACE, KEPT, KEPT_NUMBERS, Offset, TerrainNumber, Worker, node_shape
 from mpm.solids.obstacles import Obstacles
 
 Array = NDArray[Any]
@@ -45,3 +48,24 @@ def terrain_arrays(obstacles: Obstacles, offsets: NDArray[np.int32], real: np.dt
         end = max(end, triangle + 2 * field.cut.size)
     require(end <= 2 * FIRST_FACE, "solids", f"at most {2 * FIRST_FACE} faces and triangles of terrain", str(end))
     return np.concatenate(numbers), np.concatenate(cells)
+
+
+def terrain_slots(
+    scenes: Sequence[Scene], offsets: NDArray[np.int32], workers: Array, features: Features, real: np.dtype[Any]
+) -> tuple[Array, Array, Array]:
+    """Room for what is kept of height fields once it has been needed: their elevation at columns of nodes, and by each
+    worker the holds of nodes, of one for every four particles: which nodes, and these. Places go to the tables.
+    """
+    columns = 1
+    for scene, offset in zip(scenes, offsets, strict=True):
+        if offset[Offset.POSTS_X] > 0:
+            offset[Offset.COLUMNS] = columns
+            columns += math.prod(node_shape(scene.domain)[::2])
+    slots = 1
+    for worker in workers if features.terrain and not features.processor.gpu else workers[:0]:
+        count = int(worker[Worker.LAST] - worker[Worker.FIRST]) * features.lanes // 4
+        worker[Worker.SLOT], worker[Worker.SLOTS] = slots, 1 << max(count, 256).bit_length()
+        slots += int(worker[Worker.SLOTS])
+    # Memory that nothing is written to is none.
+    kept = np.zeros((slots, 1 + KEPT * KEPT_NUMBERS), real)
+    return np.zeros(columns, real), np.full((slots, 2), -1, np.int32), kept
