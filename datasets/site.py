@@ -37,8 +37,8 @@ REACH = 0.75
 """Slope of the energy line that bounds the box over the coefficient of friction: fronts run beyond a block's place."""
 THICKNESS = ("thickness", "d0")
 """Attributes of a polygon that may say how thick it is [m]."""
-CELLS = 5.0e7
-"""Of the box, at most, where no cell is given."""
+PARTICLES, COLUMNS = 3.0e5, 1.0e7
+"""Of the release, and of nodes in the box, at most about, where no cell is given: minutes on two processors."""
 ACROSS = 2.0
 """Cells over the thickness of the release, where the box allows it."""
 AROUND, AIR = 4, 10
@@ -72,7 +72,10 @@ def site(
         masses.append(mass)
         top = max(top, float(raster.values[inside].max()) + 2.0 * own)
     lower, upper = reached(raster, covered, top, REACH * friction)
-    edge = cell or round_up(max(max(thick) / ACROSS, (float(np.prod(upper - lower)) / CELLS) ** (1.0 / 3.0)))
+    volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
+    plan = float(np.prod((upper - lower)[::2]))
+    few = max(2.0 * (volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(plan / COLUMNS))
+    edge = cell or round_up(max(max(thick) / ACROSS, few))
     lower[1], upper[1] = lower[1] - AROUND * edge, upper[1] + AIR * edge + max(thick)
     # Within the raster, whose posts stand half a spacing inside its edge.
     ends = [(axis[0], axis[-1]) for axis in (raster.x, raster.z)]

@@ -12,7 +12,7 @@ from datasets.scene.material import ANGLES, MOHR_COULOMB
 from datasets.scene.parts import DOMAIN_SIDES, TOLERANCE, Mass, SceneLayout, keyed
 from datasets.schema import FARTHEST
 
-MOST_CELLS = 2**31 - 1
+MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28
 """Of the box: what 32 bits count."""
 MOST_PARTICLES = 2**30
 MOST_FRAMES = 10_000_000
@@ -56,8 +56,9 @@ def check_sizes(scene: SceneLayout) -> None:
     fits = all(0.0 < length <= FARTHEST for length in domain.size) and all(map(whole, cells))
     expected = f"a positive whole number of cells of {domain.cell:g} m, up to {FARTHEST:g} m"
     require(fits, "domain.size", expected, list(domain.size))
-    few = math.prod(cells) <= MOST_CELLS
-    require(few, "domain.cell", f"a box of at most {MOST_CELLS} cells, so larger ones", f"{math.prod(cells):.3g}")
+    plan = math.prod(cells[::2])
+    expected = f"a box of at most {MOST_COLUMNS} cells seen from above, so larger ones"
+    require(plan <= MOST_COLUMNS, "domain.cell", expected, f"{plan:.3g}")
     frames = scene.duration / scene.frame_dt
     few = frames <= MOST_FRAMES
     require(few, "frame_dt", f"at most {MOST_FRAMES} frames, so more time between them", f"{frames:.3g}")

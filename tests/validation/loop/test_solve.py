@@ -154,7 +154,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     assert result["truth"] == {"friction_deg": 24.0}
     error = 100.0 * abs(result["unknowns"]["friction_deg"] - 24.0) / 24.0
     assert result["error_pct"]["friction_deg"] == pytest.approx(error)
-    assert result["seconds"].keys() == {"mpm", "total"}
+    assert result["seconds"].keys() == {"mpm", "processors", "total"}
     assert [each["mpm_runs"] for each in result["iterations"]] == sorted(each["mpm_runs"] for each in found.iterations)
     numbers = [result["observation"][name] for name in ("target", "mpm")]
     assert all(isinstance(number, float if kind == "front" else list) for number in numbers)
