@@ -141,7 +141,7 @@ def peaks(speed: Raster, thickness: float) -> dict[str, Any]:
     }
 
 
-def bench(*, data: Path, out: Out, keep: Keep = None, cells: tuple[float, ...] = (4.0, 2.0)) -> str:
+def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] = (4.0, 2.0)) -> str:
     """Measure a slide of three kilometres on a raster of 300,000 posts: how far, how fast, at what price.
 
     Parameters
