@@ -9,15 +9,17 @@ Integrated strain alone drifts: particles move with the grid's velocities, not w
 and a lone particle keeps its C for ever. Where a particle that carries no tension is open, its gap therefore follows
 that of the grid's density, backward in time over T_g = sqrt(dx / g) / 4:
 
-    e <- (e + dt / T_g min(e_s, 15 e)) / (1 + dt / T_g)
+    e <- (e + dt / T_g min(e_s, max(15 e, e_s - 0.04))) / (1 + dt / T_g)
     e_s = max(0, 2 (1 - r) / (1 + r)) = -ln r + O((1 - r)^3)
     r = rho_p / (rho_0 f (1 - 2 |o|)),           rho_p = sum_i w_ip m_i / dx^D
     o = sum_i w_ip m_i x_ip / (dx sum_i w_ip m_i)
 
 rho_p is exact in the mean inside a body, but single particles scatter by 3 % at the default jitter, ten times the
-elastic strain of a bed. So the grid counts at most as 15 times the particle's own gap: sand that stops bearing for a
-few milliseconds, as a bed does whenever it rebounds, opens by its own strain and not by the scatter (by which a bed
-pressed on a baffle with 1.25 times its static thrust), and sand in free fall follows the grid after 2 T_g.
+elastic strain of a bed. So what the grid shows within the scatter, up to 0.04, counts at most as 15 times the
+particle's own gap: sand that stops bearing for a few milliseconds, as a bed does whenever it rebounds, opens by its own
+strain (by the scatter a bed pressed on a baffle with 1.25 times its static thrust), and sand in free fall follows the
+grid all the way after 2 T_g. What is beyond the scatter counts at once: sand that flies apart must not bear meanwhile,
+by the strain of its affine motion, or energy comes from nowhere.
 
 Beside a free surface rho_p falls short, to 0.62 rho_0 at the outer one of two particles in a cell. There the centre of
 mass o lies inwards, by 0.2 cells, and 1 - 2 |o| is the share that such a surface leaves. A wall of the box and a solid
@@ -40,8 +42,9 @@ DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
 
 
-FASTEST = 15.0
-"""Most that the grid's density counts as, over the particle's own gap [-]: so a gap grows by e^14 in T_g at most."""
+SCATTER, FASTEST = 0.04, 15.0
+"""Volume strain [-] that the scatter of particles can feign, and the most that it counts as over the particle's own
+gap [-]: so a gap grows by e^14 in T_g at most."""
 
 LEAST = 1.0e-8
 """Volume strain [-] that counts as none: rounding is as large."""
@@ -106,7 +109,8 @@ def updated_gap(opened, limit, bulk, rate, gap):
 
     rate: dt / T_g [-].
     """
-    followed = (opened + rate * minimum(bulk * gap, FASTEST * opened)) / (1.0 + rate)
+    shown = minimum(bulk * gap, maximum(FASTEST * opened, bulk * (gap - SCATTER)))
+    followed = (opened + rate * shown) / (1.0 + rate)
     return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)
 
 

@@ -68,7 +68,12 @@ def test_sand_runs_as_far_down_a_polyline_as_down_the_floor_of_a_tilted_box() ->
 
 
 @pytest.mark.slow
-def test_a_bed_presses_on_a_smooth_baffle_alike_wherever_its_face_cuts_the_cells() -> None:
+@pytest.mark.parametrize(("corrected", "spread"), [(False, 0.015), (None, 0.035)])
+def test_a_bed_presses_on_a_smooth_baffle_alike_wherever_its_face_cuts_the_cells(
+    corrected: bool | None, spread: float
+) -> None:
+    """356 to 358 N/m by contact alone, 359 to 368 with the gaps that are remembered by default."""
+
     def bed(offset: float) -> Scene:
         length = 0.4 + offset * CELL
         return scene_of(
@@ -79,11 +84,12 @@ def test_a_bed_presses_on_a_smooth_baffle_alike_wherever_its_face_cuts_the_cells
             damping=0.05,
             step_fraction=0.9,
             frame_dt=0.01,
+            volume_correction=corrected,
         )
 
     impulses = [flow.solid_impulse for flow in simulate_many([bed(0.1 * tenth) for tenth in range(10)])]
     found = [float(each[-1, 0, 0] - each[-31, 0, 0]) / 0.3 for each in impulses if each is not None]
-    assert max(found) == pytest.approx(min(found), rel=0.015)
+    assert max(found) == pytest.approx(min(found), rel=spread)
     # At least as much as the confined elastic bed, nu / (1 - nu) of its weight; yielding adds to it.
     nu = 0.3
     elastic = 0.5 * nu / (1.0 - nu) * 1800.0 * 9.81 * 0.3**2
