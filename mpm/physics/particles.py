@@ -110,8 +110,10 @@ def remove_outflow(block, scene, arrays: ti.template()):
     here = arrays.state[x + features.state.present]
     for k in ti.static(range(features.dimension)):
         length = arrays.offsets[scene, Offset.CELLS_X + k] * arrays.settings[scene, Setting.CELL]
-        inside = (arrays.state[x + k] >= 0.0) & (arrays.state[x + k] <= length)
-        here = ti.select(inside, here, 0.0)
+        # Where a solid covers a wall, a particle may be beyond it until contact puts it back.
+        left = (arrays.state[x + k] < 0.0) & (is_wall(2 * k, scene, arrays) == 0)
+        right = (arrays.state[x + k] > length) & (is_wall(2 * k + 1, scene, arrays) == 0)
+        here = ti.select(left | right, 0.0, here)
     arrays.state[x + features.state.present] = here
     for k in ti.static(range(features.state.velocity, features.state.stress + features.stresses)):
         arrays.state[x + k] = here * arrays.state[x + k]

@@ -249,6 +249,19 @@ def test_open_sides_let_sand_out_and_count_it() -> None:
     assert beyond > 0.05
 
 
+@pytest.mark.parametrize("raised", [0.0, 0.3 * CELL])
+def test_sand_that_strikes_ground_at_the_foot_of_an_open_box_stays_in_it(raised: float) -> None:
+    """Before contact puts it back, a step carries it below y = 0."""
+    body = Mass(lower=(0.5, 0.1 + raised), size=(0.2, 0.1), velocity=(0.0, -8.0))
+    ground = Solid(kind="terrain", points=((-1.0, raised), (3.0, raised)), friction=0.4)
+    scene = sand(body, size=(1.2, 0.4), open_sides=("x-", "x+"), solids=(ground,), duration=0.05)
+    flow = simulate(scene)
+    assert flow.summary["outflow"] == {"x-": 0.0, "x+": 0.0}
+    assert flow.positions[-1, :, 1].min() >= raised - 1.0e-6
+    # Lost sand would lie where it was lost.
+    assert flow.positions[-1, :, 1].mean() > raised + 0.03
+
+
 @pytest.mark.double
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_face_that_is_followed_is_the_nearest(dimension: int) -> None:
