@@ -17,8 +17,8 @@ from datasets.flow.trajectory import Trajectory
 from datasets.scene import Baffle, Mass
 from tests.flows import flow_of
 from tests.scenes import scene_of
-from validation.report import rendering
-from validation.report.rendering import Picture
+from validation import rendering
+from validation.rendering import Picture
 from validation.vtk import command
 
 

@@ -30,11 +30,10 @@ from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
 from mpm import simulate_many
 from mpm.cluster import connected, pool
-from validation.bench.keep import Keep, Out, kept
+from validation.bench.page import GNS, MPM, Keep, Out, Page, Row, emphasised, kept
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
-from validation.report.page import GNS, MPM, Page, Row, emphasised
-from validation.report.plots import GREY, figure
+from validation.plots import GREY, figure
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}

@@ -31,8 +31,7 @@ from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import simulate, simulate_many
-from validation.bench.keep import Out
-from validation.report.page import GNS, MPM, Page, Row
+from validation.bench.page import GNS, MPM, Out, Page, Row
 
 SCENE = "layers-10"
 CUTS = ((1, 1), (1, 10), (10, 10))

@@ -11,7 +11,7 @@ import numpy as np
 
 from datasets.flow.trajectory import Trajectory
 from mpm import AT_REST
-from validation.bench.keep import Keep, Out, kept
+from validation.bench.page import Keep, Out, Page, emphasised, kept, percent, signed
 from validation.experiments.experiment import (
     FOLDER,
     Angle,
@@ -23,8 +23,7 @@ from validation.experiments.experiment import (
     quantity,
     read_experiments,
 )
-from validation.report.page import Page, emphasised, percent, signed
-from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure
+from validation.plots import BLUE, INK, LIGHT_BLUE, figure
 from validation.runs import Run, RunStore
 
 CLOSE = 2.0

@@ -16,9 +16,8 @@ from datasets.scene import Scene
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import MOUNDS, SEED, Measured, coarse, creep, deposit_of, held_out, mean, mound, worst
-from validation.bench.keep import Keep, Out, kept
-from validation.report.page import GNS, MPM, Page, Row, rms, signed, tables
-from validation.report.plots import BLUE, INK, ORANGE, figure
+from validation.bench.page import GNS, MPM, Keep, Out, Page, Row, kept, rms, signed, tables
+from validation.plots import BLUE, INK, ORANGE, figure
 from validation.runs import Run, RunStore
 
 SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d": 4}}

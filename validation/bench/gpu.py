@@ -4,11 +4,10 @@ from functools import partial
 
 from datasets.errors import InputError
 from datasets.processes import processors
-from validation.bench.keep import Out
+from validation.bench.measuring import Spread, turns
 from validation.bench.network import PER_NODE, network_rows
+from validation.bench.page import GNS, MPM, Out, Page, between
 from validation.bench.speed import Case, Mode, rate, rate_rows
-from validation.report.measuring import Spread, turns
-from validation.report.page import GNS, MPM, Page, between
 
 CASES = (
     Case(dimension=2, cells=100, scenes=1, frames=200),

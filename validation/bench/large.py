@@ -15,8 +15,8 @@ from datasets.scene.library import read_scene
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
 from mpm.arrays.layout import node_shape
-from validation.report.measuring import once
-from validation.report.page import Row
+from validation.bench.measuring import once
+from validation.bench.page import Row
 from validation.runs import Run
 
 CELL = 0.375

@@ -20,9 +20,8 @@ from datasets.scene.grid_field import Floats
 from datasets.scene.library import scene_from
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
-from validation.bench.keep import Keep, Out, kept
-from validation.report.measuring import once
-from validation.report.page import Page, Row, between
+from validation.bench.measuring import once
+from validation.bench.page import Keep, Out, Page, Row, between, kept
 from validation.runs import Run
 
 CASE = "CoulombOnly"

@@ -22,9 +22,8 @@ from gns import library
 from inverse.answer import Verdict
 from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate
-from validation.bench.keep import Keep, Out, kept
-from validation.report.page import GNS, MPM, Page, Row, between, emphasised, tables
-from validation.report.plots import BLUE, GREY, INK, ORANGE, RED, figure
+from validation.bench.page import GNS, MPM, Keep, Out, Page, Row, between, emphasised, kept, tables
+from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
 
 RESULT, KEY = "result.json", "made-of.txt"
 """Of a problem: what the loop wrote, and a digest of what it was made of."""

@@ -24,11 +24,10 @@ from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
 from validation.bench import large
-from validation.bench.keep import Keep, Out, kept
+from validation.bench.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
 from validation.bench.network import PER_NODE, network_rows
-from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
-from validation.report.page import GNS, MPM, Page, Row, between
-from validation.report.plots import BLUE, ORANGE, figure
+from validation.bench.page import GNS, MPM, Keep, Out, Page, Row, between, kept
+from validation.plots import BLUE, ORANGE, figure
 
 CUBE = 0.375
 """Edge of the column in 3D [m]."""

@@ -10,7 +10,7 @@ from datasets.files import write_json, write_text
 from validation.design.problem import ASSURANCE
 from validation.design.reliability import Reliability
 from validation.design.search import Design
-from validation.report.plots import BLUE, GREY, ORANGE, figure
+from validation.plots import BLUE, GREY, ORANGE, figure
 
 STATIONS = 25
 """Along each variable, in the picture."""

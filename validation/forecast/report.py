@@ -7,7 +7,7 @@ from tabulate import tabulate
 
 from datasets.files import write_json, write_text
 from validation.forecast.predict import LEVELS, Forecast, quantile
-from validation.report.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
+from validation.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
 
 
 def save(found: Forecast, folder: Path, command: str) -> None:

@@ -12,13 +12,12 @@ from datasets.scene.particles import particle_count
 from tests.commands import found_at
 from validation.bench import efficiency
 from validation.bench import gns as bench_gns
+from validation.bench import page as pages
 from validation.bench.__main__ import PAGES, main
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.keep import kept
 from validation.bench.large import CELL, slide
+from validation.bench.page import Page, kept
 from validation.bench.speed import CASES, column, mean_x, modes
-from validation.report import page as pages
-from validation.report.page import Page
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -23,9 +23,8 @@ from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measur
 from mpm.runtime import Arch
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.bench.held_out import deposit_of
-from validation.bench.keep import Keep, Out, kept
-from validation.report.page import Page, emphasised, percent, tables
-from validation.report.plots import BLUE, GREY, ORANGE, figure
+from validation.bench.page import Keep, Out, Page, emphasised, kept, percent, tables
+from validation.plots import BLUE, GREY, ORANGE, figure
 from validation.runs import SHARE, Run, RunStore
 
 TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)

@@ -20,11 +20,10 @@ from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
 from mpm.arrays.layout import Precision
 from mpm.resolution import Resolution, with_resolution
 from validation.bench.accuracy.flows import Flow
-from validation.bench.keep import Out
+from validation.bench.page import Out, Page, emphasised, percent
+from validation.bench.page import Row as TableRow
 from validation.bench.stability import quantities, slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
-from validation.report.page import Page, emphasised, percent
-from validation.report.page import Row as TableRow
 
 FOLDER = Path(__file__).parent
 COLUMNS = {

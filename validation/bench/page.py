@@ -1,19 +1,31 @@
-"""Pages of figures in Markdown: templates with a conclusion, the command, the machine and tables filled in."""
+"""Pages of figures in Markdown: templates with a conclusion, the command, the machine and tables filled in.
+
+Also the flags that all pages share, and where finished work of a page stays.
+"""
 
 import math
 import os
 import platform
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
 
+from cyclopts import Parameter
 from tabulate import tabulate
 
 from datasets.files import write_text
+from datasets.lock import locked
 
-TEMPLATES = Path(__file__).parents[1] / "bench" / "pages"
+Out = Annotated[Path, Parameter(help="Folder of the page and its pictures.")]
+Keep = Annotated[
+    Path | None, Parameter(help="Folder of finished work, which is not done again; temporary if not given.")
+]
+TEMPLATES = Path(__file__).parent / "pages"
 CONCLUSION = 5
 """Most sentences of a conclusion."""
 MPM = {"Taichi": "taichi", "NumPy": "numpy"}
@@ -23,6 +35,13 @@ CPUINFO = Path("/proc/cpuinfo")
 
 Row = Mapping[str, object]
 """A row of a table: its cells by column heading."""
+
+
+@contextmanager
+def kept(folder: Path | None) -> Iterator[Path]:
+    """The folder of finished work, held for this process, or a temporary one."""
+    with TemporaryDirectory() if folder is None else locked(folder) as found:
+        yield Path(found)
 
 
 def percent(fraction: float) -> str:
