@@ -23,7 +23,7 @@ from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_paramet
 from inverse.parameters.bounds import check_parameters, check_scene
 from inverse.parameters.field import UnknownField
 from inverse.parameters.prior import Correlation, JointPrior, Marginal
-from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings, require_integer
+from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings
 
 PROBLEMS = Path(__file__).parent / "problems"
 FEWEST_RUNS = 5
@@ -45,7 +45,7 @@ class _File(Record):
 
 
 @dataclass(frozen=True)
-class Bounds:
+class Box:
     """The box of the prior bounds of U numbers."""
 
     lower: Vector
@@ -107,8 +107,8 @@ class Problem:
         _ = self.prior
         self._check_observations()
         self._check_target()
-        unknowns = len(self.parameters)
-        require_integer("loop.mpm_runs", self.loop.budget(unknowns), unknowns + FEWEST_RUNS)
+        budget, fewest = self.loop.budget(len(self.parameters)), len(self.parameters) + FEWEST_RUNS
+        require(budget >= fewest, "loop.mpm_runs", f"an integer of at least {fewest}", budget)
         if any(each.is_field for each in self.parameters):
             self._check_fields()
 
@@ -138,10 +138,10 @@ class Problem:
         return [each.kind for each in self.numbers]
 
     @property
-    def box(self) -> Bounds:
+    def box(self) -> Box:
         """The prior bounds of the numbers."""
         lower, upper = np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T
-        return Bounds(lower, upper)
+        return Box(lower, upper)
 
     @property
     def marginals(self) -> dict[str, Marginal]:

@@ -13,13 +13,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 
 from datasets.errors import InputError, keyed, require
 from datasets.scene import Scene
-from datasets.schema import Record
+from datasets.schema import Bounds, Record
 from inverse.parameters import inputs
 from inverse.parameters.kind import (
     Centre,
@@ -72,6 +72,9 @@ KINDS: dict[str, Kind] = {
     )
 }
 """Every kind by its name, with `[]` in place of an index."""
+
+
+LENGTHS = Bounds("positive lengths in m, up to 1e+09", gt=0.0)
 
 
 def kind(name: str) -> Kind:
@@ -131,13 +134,13 @@ class Parameter(Record):
     """Of a number: where the search starts; with a prior its median where absent."""
     prior: Prior | None = None
     """Of a number, cut off at its bounds; uniform where absent."""
-    spacing: tuple[float, ...] | None = None
+    spacing: Annotated[tuple[float, ...] | None, LENGTHS] = None
     """Of a field: distance between nodes along each axis [m], at most; over a shorter body it is constant."""
-    mean: float | None = None
+    mean: Annotated[float | None, Bounds("a finite value")] = None
     """Of a field: of its prior, everywhere [deg or m/s]."""
-    deviation: float | None = None
+    deviation: Annotated[float | None, Bounds("a standard deviation from 1e-06 to 1e+09", ge=1.0e-6)] = None
     """Of a field: standard deviation of its prior at every node [deg or m/s]."""
-    length: float | tuple[float, ...] | None = None
+    length: Annotated[float | tuple[float, ...] | None, LENGTHS] = None
     """Of a field: correlation length [m], or one along each axis; at this distance the correlation is 0.14 in 2D."""
 
     def check(self, scene: Scene) -> None:

@@ -13,14 +13,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from datasets.errors import require
-from datasets.schema import Record
+from datasets.schema import Bounds, Record
 from inverse.posterior import Matrix
 
 KINDS = {"uniform": (), "normal": ("mean", "deviation"), "lognormal": ("mean", "deviation"), "triangular": ("mode",)}
@@ -42,24 +42,21 @@ class Prior(Record):
     >>> Parameter(name="friction_deg", lower=16.0, upper=45.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
     """
 
-    kind: str
+    kind: Literal["uniform", "normal", "lognormal", "triangular"]
     """A key of `KINDS`."""
     mean: float | None = None
     """Of a normal and a lognormal number itself."""
-    deviation: float | None = None
+    deviation: Annotated[float | None, Bounds("a value above 0", gt=0.0, le=math.inf)] = None
     """Standard deviation of the same."""
     mode: float | None = None
     """Of a triangular one, whose density falls to 0 at both bounds."""
 
     def check(self, lower: float, upper: float) -> None:
         """Raise InputError, which names the key, for a prior that is none between the bounds."""
-        require(self.kind in KINDS, "kind", f"one of {', '.join(KINDS)}", repr(self.kind))
         for name in ("mean", "deviation", "mode"):
             value, needed = getattr(self, name), name in KINDS[self.kind]
             require(not needed or value is not None, name, f"a value of a {self.kind} prior", "none")
             require(needed or value is None, name, f"none of a {self.kind} prior", value)
-        if self.deviation is not None:
-            require(self.deviation > 0.0, "deviation", "a value above 0", self.deviation)
         if self.mode is not None:
             require(lower <= self.mode <= upper, "mode", f"a value in [{lower:g}, {upper:g}]", self.mode)
         if self.kind == "lognormal":
@@ -94,7 +91,7 @@ class Correlation(Record):
 
     between: tuple[str, str]
     """Their names."""
-    coefficient: float
+    coefficient: Annotated[float, Bounds("a value in (-1, 1)", gt=-1.0, lt=1.0)]
     """Of their normal scores."""
 
 
@@ -152,7 +149,6 @@ class JointPrior:
             require(first != second, f"{key}.between", "two different numbers", f"{first!r} twice")
             row, column = names.index(first), names.index(second)
             require(self.correlation[row, column] == 0.0, f"{key}.between", "each pair once", f"{first}, {second}")
-            require(-1.0 < each.coefficient < 1.0, f"{key}.coefficient", "a value in (-1, 1)", each.coefficient)
             self.correlation[row, column] = self.correlation[column, row] = each.coefficient
         smallest = float(np.linalg.eigvalsh(self.correlation).min())
         require(smallest > 1e-9, "correlations", "coefficients that go together (a positive definite matrix)", "others")

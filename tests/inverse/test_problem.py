@@ -97,12 +97,12 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
         (
             "[target]",
             "[loop]\nmpm_runs = 1000000000000\n[target]",
-            "loop.mpm_runs: expected an integer of at most 1000000",
+            "loop.mpm_runs: expected an integer from 1 to 1000000",
         ),
         (
             "[target]",
             "[optimiser]\nensemble = 10000000\n[target]",
-            "optimiser.ensemble: expected an integer of at most",
+            "optimiser.ensemble: expected an integer from 4 to 1000000",
         ),
         ("[target]", "[[target", "problem.toml"),
         ('"friction_deg"', '"baffles[0].x"', "unknowns[0].name"),

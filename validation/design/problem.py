@@ -7,7 +7,7 @@ import zlib
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from scipy import stats
@@ -19,15 +19,15 @@ from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.forces import forces_of
 from datasets.scene import Scene
 from datasets.scene.library import SCENES, find, read_scene, scene_from
-from datasets.schema import Record, from_mapping
+from datasets.schema import Bounds, Record, from_mapping
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, with_kinds
 from inverse.parameters.bounds import check_bounds
 from inverse.parameters.prior import Correlation, JointPrior, Prior
 from inverse.posterior import Matrix, Row
-from inverse.problem import Bounds
+from inverse.problem import Box
 from inverse.saving import read_samples
-from inverse.settings import MOST
+from inverse.settings import counted
 
 DESIGNS = Path(__file__).parent / "problems"
 FORCE_SCATTER = 0.1
@@ -70,7 +70,7 @@ class Limit(Record):
     quantity: Literal["front", "runout", "impact_force"]
     """Of the deposit [m]; the largest mean force between two frames [N, in 2D N per metre of width]."""
     below: float
-    probability: float = 0.95
+    probability: Annotated[float, Bounds("a probability in [0.5, 1)", ge=0.5, lt=1.0)] = 0.95
     solid: str | None = None
     """Of a force: on which baffle or solid, by its name; the largest on any where absent."""
     window: float = 0.0
@@ -103,7 +103,6 @@ class Limit(Record):
         """Raise InputError for a limit that flows of `scene` cannot have."""
         top = np.inf if self.force else scene.domain.size[0]
         require(0.0 < self.below < top, "limit.below", f"a number in (0, {top:g})", self.below)
-        require(0.5 <= self.probability < 1.0, "limit.probability", "a probability in [0.5, 1)", self.probability)
         plain = self.solid is None and self.window == 0.0
         require(plain or self.force, "limit.quantity", "impact_force beside solid or window", self.quantity)
         require(0.0 <= self.window <= scene.duration, "limit.window", f"up to {scene.duration:g} s", self.window)
@@ -118,11 +117,11 @@ class Limit(Record):
 class Budget(Record):
     """What the MPM may spend."""
 
-    runs: int | None = None
+    runs: Annotated[int | None, counted(1)] = None
     """Runs for the emulator, at most; 20 and 20 for each number, chosen or uncertain, where absent."""
-    checks: int = 100
+    checks: Annotated[int, counted(20)] = 100
     """Runs at the design, each of a fresh draw."""
-    seed: int = 0
+    seed: Annotated[int, counted(0, 2**62)] = 0
     """Of random numbers."""
 
 
@@ -175,11 +174,8 @@ class DesignProblem(_Keys):
         known = names[: len(self.variables)]
         for name in self.cost:
             require(name in known, f"cost.{name}", f"one of the variables {', '.join(known)}", name)
-        budget, fewest = self.budget, 4 * len(names)
-        for key, number, least in (("runs", self.runs, fewest), ("checks", budget.checks, 20)):
-            require(number >= least, f"budget.{key}", f"an integer of at least {least}", number)
-            require(number <= MOST, f"budget.{key}", f"an integer of at most {MOST}", number)
-        require(budget.seed >= 0, "budget.seed", "an integer of at least 0", budget.seed)
+        fewest = 4 * len(names)
+        require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
 
     @property
     def numbers(self) -> tuple[Variable, ...]:
@@ -191,9 +187,9 @@ class DesignProblem(_Keys):
         return [each.parameter.kind for each in self.numbers]
 
     @cached_property
-    def box(self) -> Bounds:
+    def box(self) -> Box:
         """Of all of them."""
-        return Bounds(*np.array([(each.lower, each.upper) for each in self.numbers]).T)
+        return Box(*np.array([(each.lower, each.upper) for each in self.numbers]).T)
 
     @property
     def joint(self) -> int:
