@@ -175,25 +175,15 @@ def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
 def statement(state: Loop) -> str:
     """What the posterior is made of, in sentences."""
     found, led = state.knowledge.posterior, state.knowledge.guide is not None
-    prior = prior_of(state.knowledge.problem)
     enough = CONSTANTS.converged_around if state.known or led else CONSTANTS.converged
     more = " **More runs of the MPM (`mpm_runs`) would narrow these.**" if found.emulator_share > enough else ""
     before = f" ({len(state.known)} of them made before)" if state.known else ""
     return (
         f"An emulator of {int(found.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
-        f"seed, gives the posterior over the whole box ({prior}). What the emulator does not "
-        f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} "
-        f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
+        "seed, gives the posterior over the whole box. What the emulator does not know is "
+        f"{100.0 * found.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} Two "
+        f"independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     )
-
-
-def prior_of(problem: Problem) -> str:
-    """The prior in words."""
-    if problem.prior is None:
-        return "uniform prior between the bounds"
-    stated = [f"`{each.name}` {each.prior.text}" for each in problem.numbers if each.prior is not None]
-    pairs = [f"{' with '.join(each.between)} correlated by {each.coefficient:g}" for each in problem.correlations]
-    return f"prior, cut off at the bounds: {', '.join([*stated, *pairs])}"
 
 
 def further(outcome: Conclusion) -> dict[str, float]:

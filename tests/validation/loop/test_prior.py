@@ -37,7 +37,6 @@ def test_a_prior_counts_as_much_as_a_measurement(tmp_path: Path) -> None:
     assert result["correlations"] == []
     report = (tmp_path / "out" / "report.md").read_text()
     assert "| normal 24.0 ± 3.0" in report
-    assert "prior, cut off at the bounds: `friction_deg` normal 24.0 ± 3.0" in report
     with h5py.File(tmp_path / "out" / "posterior.nc") as file:
         assert set(file) == {"posterior", "prior", "posterior_predictive", "observed_data"}
         samples, drawn = file["posterior/friction_deg"], file["prior/friction_deg"]
