@@ -6,7 +6,7 @@ import numpy as np
 from tabulate import tabulate
 
 from datasets.files import write_json, write_text
-from validation.forecast.predict import LEVELS, Forecast, quantile
+from validation.forecast.predict import LEVELS, Forecast, quantiles
 from validation.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
 
 
@@ -65,11 +65,11 @@ def report(found: Forecast, command: str) -> str:
 
 def draw(found: Forecast, path: Path) -> None:
     """The fronts, and the band of the profile or the probability that a cell is covered."""
-    low, middle, high = quantile(found.profiles, found.quantiles(LEVELS["interval"]))
+    low, middle, high = quantiles(found.profiles, LEVELS["interval"])
     with figure(path, columns=2, size=(5.5, 3.4)) as ((left, right),):
         values = found.predicted["front"]
         left.step(values, (np.arange(len(values)) + 1.0) / (len(values) + 1.0), where="post", color=BLUE)
-        for end in quantile(values, found.quantiles(LEVELS["interval"]))[::2]:
+        for end in quantiles(values, LEVELS["interval"])[::2]:
             left.axvline(end, color=GREY, linestyle="--")
         left.set(xlabel="front [m]", ylabel="probability of less", ylim=(0.0, 1.0))
         if found.maps is None:
