@@ -4,7 +4,6 @@ import resource
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from inverse.observations.target import Target
 from inverse.parameters import Vector
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
+from inverse.search.waves import ModelRun
 
 MAX_NUMBERS = 100
 """Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""
@@ -60,7 +60,7 @@ class Purpose(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MpmRun:
+class MpmRun(ModelRun):
     """A run of the MPM, with a jitter seed of its own, compared with the target."""
 
     purpose: Purpose
@@ -72,11 +72,6 @@ class MpmRun:
     file: str = ""
     """Beside `result.json`."""
 
-    @cached_property
-    def observation(self) -> Values:
-        """Exact, shape [M]."""
-        return self.target.observation.observe(self.trajectory)
-
     @property
     def front_error(self) -> float:
         """Relative, with its sign; nan where the target has no front."""
@@ -87,10 +82,10 @@ class MpmRun:
         return {
             "purpose": self.purpose.value,
             "unknowns": problem.named(self.parameters),
-            "observation": plain(self.observation),
+            "observation": plain(self.numbers),
             "front": measures.front(self.trajectory.positions[-1], self.trajectory.volumes),
             "front_error_pct": 100.0 * self.front_error,
-            "loss": self.target.misfit(self.observation),
+            "loss": self.target.misfit(self.numbers),
             "seconds": self.seconds,
             "file": self.file,
         }
@@ -122,7 +117,7 @@ class Answer:
     @property
     def observation(self) -> Values:
         """Mean of the checks, shape [M]."""
-        return np.asarray(np.mean([run.observation for run in self.checks], axis=0))
+        return np.asarray(np.mean([run.numbers for run in self.checks], axis=0))
 
     @property
     def confirmed(self) -> bool:

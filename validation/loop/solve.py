@@ -160,7 +160,7 @@ def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
     named, box, answers = task.problem.named, task.problem.box, []
     for part, parameters in zip(led.answers, task.at(np.stack([each.point for each in led.answers])), strict=True):
         checks = [each for each in state.runs if np.array_equal(each.parameters, parameters)]
-        seen = [each.observation for each in checks] or state.knowledge.posterior.expected(part.point[None])
+        seen = [each.numbers for each in checks] or state.knowledge.posterior.expected(part.point[None])
         shown = np.mean(seen, axis=0)
         error = {"misfit": task.target.misfit(shown)}
         if checks and math.isfinite(task.target.front):

@@ -167,7 +167,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     for each in found.mpm_runs:
         trajectory = Trajectory.load(out / each.file)
         assert trajectory.scene.material.friction_deg == each.parameters[0]
-        np.testing.assert_allclose(case.target.observation.observe(trajectory), each.observation)
+        np.testing.assert_allclose(case.target.observation.observe(trajectory), each.numbers)
         assert len(trajectory.time) == 1
     assert {run.purpose for run in found.mpm_runs} == {Purpose.WAVE, Purpose.CHECK}
     assert result["remarks"] == ["the sand still moves"]
