@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.flow.trajectory import Trajectory
 from datasets.lock import locked
 from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
@@ -15,26 +16,6 @@ from validation.design.problem import DesignProblem, read_design
 from validation.design.report import save
 from validation.design.search import Design, designed
 from validation.runs import RunStore
-
-
-class Mpm:
-    """Responses by the MPM, each flow with a jitter seed of its own, kept in `folder`."""
-
-    def __init__(self, problem: DesignProblem, folder: Path, simulate: Simulate) -> None:
-        limit = problem.limit
-        self.problem, self.record = problem, ALL if limit.force else LAST
-        self.store = RunStore(folder / limit.folder, simulate, label="design-", reduce=limit.kept)
-        self.remarks: list[list[str]] = []
-        """Of every flow so far."""
-
-    def __call__(self, points: Matrix, first: int) -> Row:
-        """Responses at points [n, K + Q] in fractions of the ranges, shape [n]; first: number of the first flow."""
-        problem, values = self.problem, self.problem.box.at(np.round(points, 6))
-        jitters = [jitter_seed(problem.scene.seed, first + index) for index in range(len(points))]
-        scenes = [problem.scene_at(row, jitter) for row, jitter in zip(values, jitters, strict=True)]
-        flows = self.store(scenes, record=self.record)
-        self.remarks += [list(each.summary.get("remarks", [])) for each in flows]
-        return np.array([each.summary[problem.limit.quantity] for each in flows])
 
 
 def find_design(
@@ -52,12 +33,23 @@ def find_design(
     writes into `out`.
     """
     asked = problem if isinstance(problem, DesignProblem) else read_design(problem)
+    limit = asked.limit
     with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
-        mpm = Mpm(asked, folder / "mpm", simulate)
-        found = designed(asked, mpm)
-        remarks = [lines[0] for lines in mpm.remarks[-asked.budget.checks :] if lines]
+        store = RunStore(folder / "mpm" / limit.folder, simulate, label="design-", reduce=limit.kept)
+        flows = list[Trajectory]()
+
+        def respond(points: Matrix, first: int) -> Row:
+            values = asked.box.at(np.round(points, 6))
+            jitters = [jitter_seed(asked.scene.seed, first + index) for index in range(len(points))]
+            scenes = [asked.scene_at(row, jitter) for row, jitter in zip(values, jitters, strict=True)]
+            flows[:] = store(scenes, record=ALL if limit.force else LAST)
+            return np.array([each.summary[limit.quantity] for each in flows])
+
+        found = designed(asked, respond)
+        # The last flows are those of the check.
+        remarks = [lines[0] for each in flows if (lines := each.summary.get("remarks"))]
         # On deposits, which a force does not depend on.
-        if remarks and not asked.limit.force:
+        if remarks and not limit.force:
             found = replace(found, remark=f"of {len(remarks)} flows of the check, such as: {remarks[0]}")
         if out is not None:
             save(found, folder)
