@@ -31,7 +31,7 @@ from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import simulate, simulate_many
-from validation.bench.page import GNS, MPM, Out, Page, Row
+from validation.bench.page import GNS, MPM, Out, Row, write_page
 
 SCENE = "layers-10"
 CUTS = ((1, 1), (1, 10), (10, 10))
@@ -142,7 +142,17 @@ def bench(*, out: Out) -> str:
     ]
     network = gns.load("obstacle3d")
     gradients += gradients_of(BAFFLES, read_problem(BAFFLES), BAFFLE_STEP, network, BAFFLE_JITTERS)
-    return page(gradients).write(out)
+    return write_page(
+        out,
+        "efficiency",
+        conclusion(gradients),
+        packages=MPM | GNS,
+        fraction=FRACTION,
+        columns=MOST_COLUMNS,
+        jitters=JITTERS,
+        baffle_jitters=BAFFLE_JITTERS,
+        gradients=[gradient_row(each) for each in gradients],
+    )
 
 
 def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator, jitters: int) -> list[Gradient]:
@@ -209,19 +219,6 @@ def conclusion(gradients: Sequence[Gradient]) -> list[str]:
             f" mean gradient, differences over {1000.0 * BAFFLE_STEP:g} mm by {scatter[Method.DIFFERENCES]:.0%}."
         )
     return said
-
-
-def page(gradients: Sequence[Gradient]) -> Page:
-    return Page(
-        "efficiency",
-        conclusion(gradients),
-        packages=MPM | GNS,
-        fraction=FRACTION,
-        columns=MOST_COLUMNS,
-        jitters=JITTERS,
-        baffle_jitters=BAFFLE_JITTERS,
-        gradients=[gradient_row(each) for each in gradients],
-    )
 
 
 def gradient_row(each: Gradient) -> Row:

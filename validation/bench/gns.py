@@ -16,7 +16,7 @@ from datasets.scene import Scene
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import MOUNDS, SEED, Measured, coarse, creep, deposit_of, held_out, mean, mound, worst
-from validation.bench.page import GNS, MPM, Keep, Out, Page, Row, kept, rms, signed, tables
+from validation.bench.page import GNS, MPM, Keep, Out, Row, kept, rms, signed, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
 from validation.runs import Run, RunStore
 
@@ -99,7 +99,7 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     mounds = at_rest([path for path, dimension in paths.items() if dimension == 2])
     draw(out / "gns.png", found)
     flags = "".join(f" --model {path}" for path in model)
-    return page(found, mounds, flags=flags).write(out)
+    return written(out, found, mounds, flags)
 
 
 def measure(
@@ -198,7 +198,8 @@ def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
     return sentences
 
 
-def page(found: Sequence[Model], mounds: Mounds, *, flags: str) -> Page:
+def written(out: Path, found: Sequence[Model], mounds: Mounds, flags: str) -> str:
+    """Write the page, and return its conclusion."""
     kinds = []
     for each in found:
         names = dict.fromkeys(one.kind for one in each.compared)
@@ -222,7 +223,8 @@ def page(found: Sequence[Model], mounds: Mounds, *, flags: str) -> Page:
         if each.held
     ]
     creep = [{"mound": title} | {by: f"{worst(v):+.2g}" for by, v in own.items()} for title, own in mounds.items()]
-    return Page(
+    return write_page(
+        out,
         "gns",
         conclusion(found, mounds),
         flags=flags,

@@ -21,7 +21,7 @@ from datasets.scene.library import scene_from
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
 from validation.bench.measuring import once
-from validation.bench.page import Keep, Out, Page, Row, between, kept
+from validation.bench.page import Keep, Out, Row, between, kept, write_page
 from validation.runs import Run
 
 CASE = "CoulombOnly"
@@ -139,11 +139,11 @@ def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] =
             place = folder / f"mountain-{Run(scene=scene_of(data, cell)).digest}"
             make_folder(place)
             found[cell] = once(place / "peaks.json", slid, data, cell, place)
-    return page(found, others).write(out)
+    return written(out, found, others)
 
 
-def page(found: Mapping[float, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> Page:
-    """The page."""
+def written(out: Path, found: Mapping[float, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> str:
+    """Write the page, and return its conclusion."""
     finest = found[min(found)]
     alike = np.array([others[code]["speeds"] for code in ALIKE])
     apart = np.abs(finest["speeds"] / alike.mean(axis=0) - 1.0)
@@ -173,7 +173,8 @@ def page(found: Mapping[float, Mapping[str, Any]], others: Mapping[str, Mapping[
         for cell, each in found.items()
     ]
     flags = f" --data DIR --cells {' --cells '.join(f'{cell:g}' for cell in found)}"
-    return Page("mountain", said, flags=flags, codes=[row(name, each) for name, each in codes.items()], costs=costs)
+    rows = [row(name, each) for name, each in codes.items()]
+    return write_page(out, "mountain", said, flags=flags, codes=rows, costs=costs)
 
 
 def row(name: str, each: Mapping[str, Any]) -> Row:

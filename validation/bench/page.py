@@ -75,39 +75,31 @@ def tables(many: Iterable[Sequence[Row]]) -> str:
     return "\n\n".join(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True) for rows in many if rows)
 
 
-class Page:
-    """A page of which everything has been measured: its template with the parts that it names.
+def write_page(
+    out: Path,
+    name: str,
+    conclusion: Sequence[str],
+    *,
+    flags: str = "",
+    packages: Mapping[str, str] = MPM,
+    **parts: Sequence[Row] | str | float,
+) -> str:
+    """Write `out`/NAME.md, its template with the parts that it names, and return its conclusion, for the terminal.
 
-    Every sentence of the conclusion is made from the numbers of the page, never from a constant of its writer.
+    Every sentence of the conclusion is made from the numbers of the page, never from a constant of its writer. flags:
+    with which the page was measured, today and here; packages: those whose version matters; parts: rows are written as
+    a table.
     """
-
-    def __init__(
-        self,
-        name: str,
-        conclusion: Sequence[str],
-        *,
-        flags: str = "",
-        packages: Mapping[str, str] = MPM,
-        **parts: Sequence[Row] | str | float,
-    ) -> None:
-        """flags: with which the page was measured, today and here. packages: those whose version matters.
-
-        parts: rows are written as a table.
-        """
-        if not 0 < len(conclusion) <= CONCLUSION:
-            raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
-        command, day = f"python -m validation.bench {name}{flags} --out docs", date.today().isoformat()
-        self.name, self.conclusion = name, "\n".join(f"- {sentence}" for sentence in conclusion)
-        written = {key: part if isinstance(part, (str, float, int)) else tables([part]) for key, part in parts.items()}
-        written |= {"conclusion": self.conclusion, "made": f"`{command}`, {day}, on {machine(packages)}."}
-        filled = (TEMPLATES / f"{name}.md").read_text(encoding="utf-8").format_map(written)
-        # A part may be empty.
-        self.text = re.sub(r"\n{3,}", "\n\n", filled).strip() + "\n"
-
-    def write(self, out: Path) -> str:
-        """Write the page into a folder and return its conclusion, for the terminal."""
-        write_text(out / f"{self.name}.md", self.text)
-        return self.conclusion
+    if not 0 < len(conclusion) <= CONCLUSION:
+        raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
+    command, day = f"python -m validation.bench {name}{flags} --out docs", date.today().isoformat()
+    written = {key: part if isinstance(part, (str, float, int)) else tables([part]) for key, part in parts.items()}
+    written["conclusion"] = "\n".join(f"- {sentence}" for sentence in conclusion)
+    written["made"] = f"`{command}`, {day}, on {machine(packages)}."
+    filled = (TEMPLATES / f"{name}.md").read_text(encoding="utf-8").format_map(written)
+    # A part may be empty.
+    write_text(out / f"{name}.md", re.sub(r"\n{3,}", "\n\n", filled).strip() + "\n")
+    return str(written["conclusion"])
 
 
 def machine(packages: Mapping[str, str] = MPM) -> str:

@@ -20,7 +20,7 @@ from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
 from mpm.arrays.layout import Precision
 from mpm.resolution import Resolution, with_resolution
 from validation.bench.accuracy.flows import Flow
-from validation.bench.page import Out, Page, emphasised, percent
+from validation.bench.page import Out, emphasised, percent, write_page
 from validation.bench.page import Row as TableRow
 from validation.bench.stability import quantities, slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
@@ -200,14 +200,8 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
     chosen, found, safety = read_rows(rows), fronts(), slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION)
     flows = run(chosen, precision)
     verdicts = [verdict(row, flows[row.name], flows.get(row.over)) for row in chosen]
-    conclusion = page(verdicts, found, safety, precision=precision).write(out)
-    if red := [f"{each.row.name}: {'; '.join(each.failures)}" for each in verdicts if each.failures]:
-        raise WorkFailed("red rows: " + ". ".join(red))
-    return conclusion
-
-
-def page(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, precision: str) -> Page:
-    return Page(
+    said = write_page(
+        out,
         "stability",
         conclusion(verdicts, found, safety),
         flags=f" --precision {precision}",
@@ -222,6 +216,9 @@ def page(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, 
             for dimension, stiffness, step in dict.fromkeys((d, s, t) for d, _, s, t in found)
         ],
     )
+    if red := [f"{each.row.name}: {'; '.join(each.failures)}" for each in verdicts if each.failures]:
+        raise WorkFailed("red rows: " + ". ".join(red))
+    return said
 
 
 def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors) -> list[str]:
