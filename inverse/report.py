@@ -35,18 +35,14 @@ def markdown(result: Result, command: str, pictures: Collection[str], *, viewed:
     if len(result.answers) > 1:
         parts += ["## Every separate answer", every_answer(result)]
     for field in result.fields:
-        parts += [f"## {field.name}", identified(field), field_table(field), shown(f"{field.stem}.png", field.name)]
+        parts += [f"## {field.name}", field_table(field), shown(f"{field.stem}.png", field.name)]
     parts += ["## Comparison with the target", comparison(result), shown("deposit.png", "deposits")]
     if notes := uncertainty(result):
         parts += ["## Uncertainty", *notes]
     parts.append(shown("posterior.png", "prior and posterior"))
     if result.further:
         gains = [{"measurement": name, "information [nat]": f"{gain:.2f}"} for name, gain in result.further.items()]
-        parts += [
-            "## What a further measurement would decide",
-            "Expected information of each about the parameters, beyond what was observed; 0.69 halves one interval.",
-            table(gains),
-        ]
+        parts += ["## What a further measurement would decide", table(gains)]
     parts += ["## How it was found", search_table(result), "## Cost", cost(result)]
     return "\n\n".join(part for part in parts if part) + "\n"
 

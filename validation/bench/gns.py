@@ -12,11 +12,12 @@ from tqdm import tqdm
 
 import gns
 from datasets.errors import InputError
+from datasets.flow import measures
 from datasets.scene import Scene
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import MOUNDS, SEED, Measured, coarse, creep, deposit_of, held_out, mean, mound, worst
-from validation.bench.page import GNS, MPM, Keep, Out, Row, kept, rms, signed, tables, write_page
+from validation.bench.page import GNS, MPM, Keep, Out, Row, kept, signed, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
 from validation.runs import Run, RunStore
 
@@ -66,7 +67,7 @@ class Model:
         return {
             method: (
                 float(np.mean([each.seconds for each in some])),
-                rms([max(abs(each.front), each.profile) for each in some]),
+                measures.rms(np.array([max(abs(each.front), each.profile) for each in some])),
             )
             for method, some in runs.items()
         }

@@ -65,11 +65,6 @@ def emphasised(text: str, ok: bool) -> str:
     return text if ok else f"**{text}**"
 
 
-def rms(values: Collection[float]) -> float:
-    """Root mean square; nan of none."""
-    return math.sqrt(sum(value**2 for value in values) / len(values)) if values else math.nan
-
-
 def tables(many: Iterable[Sequence[Row]]) -> str:
     """Tables one after the other, each with the headings of its first row; none without rows."""
     return "\n\n".join(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True) for rows in many if rows)

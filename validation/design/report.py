@@ -7,7 +7,6 @@ import numpy as np
 from tabulate import tabulate
 
 from datasets.files import write_json, write_text
-from validation.design.problem import ASSURANCE
 from validation.design.reliability import Reliability
 from validation.design.search import Design
 from validation.plots import BLUE, GREY, ORANGE, figure
@@ -86,8 +85,6 @@ def report(found: Design) -> str:
         "\n".join(f"- {line}" for line in lines),
         "![probability over the variables, responses of the check over what is uncertain](design.png)",
         tabulate(ranges, "keys", "pipe"),
-        f"The search, after so many runs. It looks for {100.0 * problem.required:.1f} %, more than is asked: so a "
-        f"design passes its check in {100.0 * ASSURANCE:g} % of the cases where the emulator is right.",
         tabulate(waves, "keys", "pipe", floatfmt=".4g"),
     ]
     return "\n\n".join(parts) + "\n"

@@ -47,20 +47,16 @@ def report(found: Forecast, command: str) -> str:
         }
         for name, number in found.as_json()["numbers"].items()
     ]
-    maps = ""
-    if found.maps is not None:
-        listed = ", ".join(f"`probability-{name}.tif`" for name in found.covered)
-        maps = f"Maps of the probability that more than {found.maps.threshold:.3g} m lies or flows in a cell: {listed}."
     parts = [
         "# Forecast",
         "\n".join(f"- {line}" for line in summary(found)),
         "![fronts of the flows; profile or map of probability](forecast.png)",
         tabulate(rows, "keys", "pipe", disable_numparse=True),
-        maps,
-        f"By `{command}`. Intervals hold the posterior, the scatter of flows, the error of the cells"
-        + (f" and a model error of {100.0 * found.model_error:g} %." if found.model_error else "."),
+        f"`{command}`",
     ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    if found.maps is not None:
+        parts.append(f"A cell of `probability-*.tif` is covered by more than {found.maps.threshold:.3g} m.")
+    return "\n\n".join(parts) + "\n"
 
 
 def draw(found: Forecast, path: Path) -> None:
