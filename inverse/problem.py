@@ -102,7 +102,10 @@ class Problem:
     surrogate: Surrogate = Surrogate.AUTO
 
     def __post_init__(self) -> None:
-        check_parameters(self.scene, self.parameters)
+        require(len(self.parameters) > 0, "unknowns", "at least one unknown", "none")
+        check_parameters(
+            self.scene, {f"unknowns[{index}]": each for index, each in enumerate(self.parameters)}, "unknowns"
+        )
         # It refuses correlations that are none.
         _ = self.prior
         self._check_observations()

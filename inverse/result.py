@@ -72,10 +72,8 @@ class Result:
 
     @property
     def certainty(self) -> dict[str, float]:
-        """Half of each interval; of a field its mean over the body."""
-        bands = {each.name: each.average(each.arrays["upper"] - each.arrays["lower"]) for each in self.fields}
-        widths = self.problem.named(self.answers[0].half_widths)
-        return widths | {name: 0.5 * band for name, band in bands.items()}
+        """Half of each interval."""
+        return {name: 0.5 * (high - low) for name, (low, high) in self.interval.items()}
 
     @property
     def interval(self) -> dict[str, list[float]]:

@@ -12,7 +12,7 @@ Knowledge is a strategy object with one method, `updated`: a posterior compares 
 reliability of a design has one response and no target, so that they share an emulator and nothing else.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -30,6 +30,11 @@ class ModelRun:
     """Its parameters in fractions of their ranges, shape [U]."""
     numbers: Row
     """What it shows, shape [M]."""
+
+
+def runs_of(points: Matrix, numbers: Iterable[Row]) -> list[ModelRun]:
+    """Those at points [n, U] that show `numbers` [n, M]."""
+    return [ModelRun(point=point, numbers=each) for point, each in zip(points, numbers, strict=True)]
 
 
 class Knowledge(Protocol):

@@ -4,7 +4,7 @@ minimise c . d    subject to    P(y(d, u, e) < L) >= p,    u ~ prior or posterio
 """
 
 import zlib
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 from scipy.stats import qmc
 
-from datasets.errors import keyed, naming, require
+from datasets.errors import naming, require
 from datasets.files import read_toml
 from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.forces import forces_of
@@ -22,7 +22,7 @@ from datasets.scene.library import SCENES, find, read_scene, scene_from
 from datasets.schema import Bounds, Record, from_mapping
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, with_kinds
-from inverse.parameters.bounds import check_bounds
+from inverse.parameters.bounds import check_parameters
 from inverse.parameters.prior import Correlation, JointPrior, Prior
 from inverse.posterior import Matrix, Row
 from inverse.problem import Box
@@ -160,21 +160,16 @@ class DesignProblem(_Keys):
 
     def __post_init__(self) -> None:
         groups = {"variables": self.variables, "uncertain": self.uncertain}
-        by_key = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
-        names = [each.name for each in self.numbers]
         for group, own in groups.items():
             require(len(own) > 0, group, "at least one number", "none")
-        for key, each in by_key.items():
-            with keyed(key):
-                require(names.count(each.name) == 1, "name", "each number once", f"{each.name!r} twice")
-                each.parameter.check(self.scene)
-        check_bounds(self.scene, {key: each.parameter for key, each in by_key.items()}, "variables")
+        by_key = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
+        check_parameters(self.scene, {key: each.parameter for key, each in by_key.items()}, "variables")
         _ = self.prior
         self.limit.check(self.scene)
-        known = names[: len(self.variables)]
+        known = [each.name for each in self.variables]
         for name in self.cost:
             require(name in known, f"cost.{name}", f"one of the variables {', '.join(known)}", name)
-        fewest = 4 * len(names)
+        fewest = 4 * len(self.numbers)
         require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
 
     @property
@@ -258,7 +253,7 @@ def read_design(name: str | Path) -> DesignProblem:
     path = find(str(name), DESIGNS, "design problem")
     with naming(path):
         file = from_mapping(DesignFile, read_toml(path))
-        own = {each.name: getattr(file, each.name) for each in fields(file)}
+        own = dict(vars(file))
         if (posterior := own.pop("posterior")) is not None:
             own["samples"], learned = read_posterior(path.parent / posterior)
             own["uncertain"] += learned

@@ -15,7 +15,7 @@ from mpm import ALL, LAST, simulate_many
 from validation.design.problem import DesignProblem, read_design
 from validation.design.report import save
 from validation.design.search import Design, designed
-from validation.runs import RunStore
+from validation.runs import RunStore, caveats
 
 
 def find_design(
@@ -47,10 +47,10 @@ def find_design(
 
         found = designed(asked, respond)
         # The last flows are those of the check.
-        remarks = [lines[0] for each in flows if (lines := each.summary.get("remarks"))]
+        remarks = caveats(flows)
         # On deposits, which a force does not depend on.
         if remarks and not limit.force:
-            found = replace(found, remark=f"of {len(remarks)} flows of the check, such as: {remarks[0]}")
+            found = replace(found, remark=remarks[0])
         if out is not None:
             save(found, folder)
     return found

@@ -38,7 +38,7 @@ from inverse.parameters import with_parameters
 from inverse.search.waves import jitter_seed
 from mpm import LAST, Recording
 from validation.loop.verdict import OTHER_CELLS
-from validation.runs import RunStore
+from validation.runs import RunStore, caveats
 
 FRAMES = 50
 """Frames of a flow that are kept at most where its peaks are wanted."""
@@ -229,9 +229,3 @@ def with_maps(
             hit["pressure"] = found.scene.material.density * maps.velocity**2 > pressure
         counts = {name: counts.get(name, 0.0) + where / len(flows) for name, where in hit.items()}
     return replace(found, maps=maps, covered=counts)
-
-
-def caveats(flows: Sequence[Trajectory]) -> list[str]:
-    """What the flows themselves say, each kind once."""
-    said = [line for flow in flows for line in flow.summary.get("remarks", [])[:1]]
-    return [f"{len(said)} of {len(flows)} flows, such as: {said[0]}"] if said else []

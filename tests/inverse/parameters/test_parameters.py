@@ -99,7 +99,7 @@ def test_bounds_at_which_nothing_could_flow_are_refused(
     scene = make_problem(2, "friction_deg").scene
     unknown = Parameter(name=name, initial=kind(name).read(scene), lower=lower, upper=upper)
     with pytest.raises(InputError, match=key):
-        check_parameters(scene, [unknown])
+        check_parameters(scene, {"unknowns[0]": unknown}, "unknowns")
 
 
 COLUMN = read_problem("friction-tall-42").scene
