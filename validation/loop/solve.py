@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from datasets.errors import WorkFailed
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory
 from datasets.lock import locked
@@ -23,6 +24,7 @@ from inverse.posterior.emulator import linear
 from inverse.posterior.information import information, measurements
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem, read_problem
+from inverse.report import summary
 from inverse.result import Result
 from inverse.saving import save
 from inverse.search.descent import ROUGH, inverted
@@ -82,6 +84,13 @@ def solve(
         if out is not None:
             save(result, out)
     return result
+
+
+def print_outcome(result: Result, out: Path) -> None:
+    """Print the outcome. Raises WorkFailed where the MPM did not confirm."""
+    print(summary(result))
+    if not result.verdict.confirms:
+        raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")
 
 
 def run(

@@ -19,8 +19,7 @@ from inverse.search.inference import begun, narrowed
 from tests.inverse.test_fields import files
 from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, Uneven, layers, length, wedge
 from validation.loop import verdict
-from validation.loop.__main__ import print_outcome
-from validation.loop.solve import solve
+from validation.loop.solve import print_outcome, solve
 
 
 @pytest.mark.parametrize(("kind", "truth"), [("front", 13.0), ("front", 42.0), ("profile", 24.0)])
