@@ -30,7 +30,7 @@ from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
 from mpm import simulate_many
 from mpm.cluster import connected, pool
-from validation.bench.page import GNS, MPM, Keep, Out, Row, emphasised, kept, write_page
+from validation.bench.page import Keep, Out, Row, emphasised, kept, write_page
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
 from validation.plots import GREY, figure
@@ -258,7 +258,7 @@ def written(out: Path, found: Mapping[Family, Sequence[Twin]]) -> str:
     flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in found)
     flags += " --model RUN" * any(family.adapted for family in found)
     rows = [row(family, twins) for family, twins in found.items()]
-    return write_page(out, "coverage", said, flags=flags, packages=MPM | GNS, bins=BINS, twins=rows)
+    return write_page(out, "coverage", said, flags=flags, bins=BINS, twins=rows)
 
 
 def held(found: Sequence[Twin], level: float) -> float:

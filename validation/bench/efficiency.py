@@ -31,7 +31,7 @@ from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import simulate, simulate_many
-from validation.bench.page import GNS, MPM, Out, Row, write_page
+from validation.bench.page import Out, Row, write_page
 
 SCENE = "layers-10"
 CUTS = ((1, 1), (1, 10), (10, 10))
@@ -146,7 +146,6 @@ def bench(*, out: Out) -> str:
         out,
         "efficiency",
         conclusion(gradients),
-        packages=MPM | GNS,
         fraction=FRACTION,
         columns=MOST_COLUMNS,
         jitters=JITTERS,

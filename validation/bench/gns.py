@@ -17,7 +17,7 @@ from datasets.scene import Scene
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import MOUNDS, SEED, Measured, coarse, creep, deposit_of, held_out, mean, mound, worst
-from validation.bench.page import GNS, MPM, Keep, Out, Row, kept, signed, tables, write_page
+from validation.bench.page import Keep, Out, Row, kept, signed, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
 from validation.runs import Run, RunStore
 
@@ -229,7 +229,6 @@ def written(out: Path, found: Sequence[Model], mounds: Mounds, flags: str) -> st
         "gns",
         conclusion(found, mounds),
         flags=flags,
-        packages=GNS | MPM,
         seed=SEED,
         level=LEVEL,
         kinds=tables(kinds),

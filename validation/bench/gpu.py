@@ -6,7 +6,7 @@ from datasets.errors import InputError
 from datasets.processes import processors
 from validation.bench.measuring import Spread, turns
 from validation.bench.network import PER_NODE, network_rows
-from validation.bench.page import GNS, MPM, Out, between, write_page
+from validation.bench.page import Out, between, write_page
 from validation.bench.speed import Case, Mode, rate, rate_rows
 
 CASES = (
@@ -53,4 +53,4 @@ def bench(*, out: Out, rounds: int = 2) -> str:
     ]
     networks = [row | {f"GPU, {key}": other[key] for key in list(row)[3:]} for row, other in zip(*beside, strict=True)]
     flags, table = f" --rounds {rounds}", rate_rows(rates)
-    return write_page(out, "gpu", said, flags=flags, packages=MPM | GNS, rates=table, networks=networks)
+    return write_page(out, "gpu", said, flags=flags, rates=table, networks=networks)

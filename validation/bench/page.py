@@ -28,9 +28,8 @@ Keep = Annotated[
 TEMPLATES = Path(__file__).parent / "pages"
 CONCLUSION = 5
 """Most sentences of a conclusion."""
-MPM = {"Taichi": "taichi", "NumPy": "numpy"}
-GNS = {"PyTorch": "torch", "Numba": "numba"}
-"""What a part of Talus computes with, by name, and its package."""
+PACKAGES = {"Taichi": "taichi", "NumPy": "numpy", "PyTorch": "torch", "Numba": "numba"}
+"""What Talus computes with, by name."""
 CPUINFO = Path("/proc/cpuinfo")
 
 Row = Mapping[str, object]
@@ -71,37 +70,30 @@ def tables(many: Iterable[Sequence[Row]]) -> str:
 
 
 def write_page(
-    out: Path,
-    name: str,
-    conclusion: Sequence[str],
-    *,
-    flags: str = "",
-    packages: Mapping[str, str] = MPM,
-    **parts: Sequence[Row] | str | float,
+    out: Path, name: str, conclusion: Sequence[str], *, flags: str = "", **parts: Sequence[Row] | str | float
 ) -> str:
     """Write `out`/NAME.md, its template with the parts that it names, and return its conclusion, for the terminal.
 
     Every sentence of the conclusion is made from the numbers of the page, never from a constant of its writer. flags:
-    with which the page was measured, today and here; packages: those whose version matters; parts: rows are written as
-    a table.
+    with which the page was measured, today and here; parts: rows are written as a table.
     """
     if not 0 < len(conclusion) <= CONCLUSION:
         raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
     command, day = f"python -m validation.bench {name}{flags} --out docs", date.today().isoformat()
     written = {key: part if isinstance(part, (str, float, int)) else tables([part]) for key, part in parts.items()}
     written["conclusion"] = "\n".join(f"- {sentence}" for sentence in conclusion)
-    written["made"] = f"`{command}`, {day}, on {machine(packages)}."
+    written["made"] = f"`{command}`, {day}, on {machine()}."
     filled = (TEMPLATES / f"{name}.md").read_text(encoding="utf-8").format_map(written)
     # A part may be empty.
     write_text(out / f"{name}.md", re.sub(r"\n{3,}", "\n\n", filled).strip() + "\n")
     return str(written["conclusion"])
 
 
-def machine(packages: Mapping[str, str] = MPM) -> str:
+def machine() -> str:
     """Processor, cores and versions in a line: what a figure was measured on."""
     features = " with AVX-512" if "avx512f" in cpuinfo("flags").split() else ""
     processor = cpuinfo("model name") or platform.processor() or platform.machine()
-    versions = ", ".join(f"{name} {version(package)}" for name, package in packages.items())
+    versions = ", ".join(f"{name} {version(package)}" for name, package in PACKAGES.items())
     return f"{processor}{features}, {os.cpu_count()} cores; Python {platform.python_version()}, {versions}"
 
 

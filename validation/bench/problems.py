@@ -22,7 +22,7 @@ from gns import library
 from inverse.answer import Verdict
 from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate
-from validation.bench.page import GNS, MPM, Keep, Out, Row, between, emphasised, kept, tables, write_page
+from validation.bench.page import Keep, Out, Row, between, emphasised, kept, tables, write_page
 from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
 
 RESULT, KEY = "result.json", "made-of.txt"
@@ -266,7 +266,6 @@ def written(out: Path, found: Mapping[str, Mapping[str, Outcomes]], pictures: Se
         out,
         "problems",
         conclusion([ways for problems in found.values() for ways in problems.values()]),
-        packages=MPM | GNS,
         families="\n\n".join(part for part in families if part),
         pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
     )

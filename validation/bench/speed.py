@@ -26,7 +26,7 @@ from mpm.simulation import LARGE, Options
 from validation.bench import large
 from validation.bench.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
 from validation.bench.network import PER_NODE, network_rows
-from validation.bench.page import GNS, MPM, Keep, Out, Row, between, kept, write_page
+from validation.bench.page import Keep, Out, Row, between, kept, write_page
 from validation.plots import BLUE, ORANGE, figure
 
 CUBE = 0.375
@@ -249,7 +249,6 @@ def bench(*, out: Out, keep: Keep = None, rounds: int = 2) -> str:
         "speed",
         [*conclusion(rates, prices, networks), large.sentence(terrain)],
         flags=f" --rounds {rounds}",
-        packages=MPM | GNS,
         large=LARGE,
         rates=rate_rows(rates),
         baffles=solids,
