@@ -22,7 +22,7 @@ from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_parameters
 from inverse.parameters.bounds import check_parameters, check_scene
 from inverse.parameters.field import UnknownField
-from inverse.parameters.prior import Correlation, JointPrior, Marginal
+from inverse.parameters.prior import Correlation, JointPrior
 from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings
 
 PROBLEMS = Path(__file__).parent / "problems"
@@ -146,16 +146,13 @@ class Problem:
         lower, upper = np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T
         return Box(lower, upper)
 
-    @property
-    def marginals(self) -> dict[str, Marginal]:
-        """The prior of each number by its name."""
-        return {each.name: each.marginal for each in self.numbers}
-
     @cached_property
     def prior(self) -> JointPrior | None:
         """The stated prior of the numbers; None where it is uniform between the bounds. Raises InputError."""
         stated = [each for each in self.numbers if each.prior is not None and each.prior.kind != "uniform"]
-        return JointPrior(self.marginals, self.correlations) if stated or self.correlations else None
+        if not stated and not self.correlations:
+            return None
+        return JointPrior({each.name: each.marginal for each in self.numbers}, self.correlations)
 
     @property
     def prior_widths(self) -> Vector:
