@@ -103,9 +103,11 @@ class Problem:
 
     def __post_init__(self) -> None:
         require(len(self.parameters) > 0, "unknowns", "at least one unknown", "none")
-        check_parameters(
-            self.scene, {f"unknowns[{index}]": each for index, each in enumerate(self.parameters)}, "unknowns"
-        )
+        by_key = {f"unknowns[{index}]": each for index, each in enumerate(self.parameters)}
+        for key, each in by_key.items():
+            started = each.is_field or each.prior is not None or each.initial is not None
+            require(started, f"{key}.initial", "a value", "none, the key is missing")
+        check_parameters(self.scene, by_key, "unknowns")
         # It refuses correlations that are none.
         _ = self.prior
         self._check_observations()

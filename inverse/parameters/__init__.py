@@ -131,7 +131,7 @@ class Parameter(Record):
     upper: float | None = None
     """Largest value allowed."""
     initial: float | None = None
-    """Of a number: where the search starts; with a prior its median where absent."""
+    """Of a number: where a search starts; with a prior its median where absent."""
     prior: Prior | None = None
     """Of a number, cut off at its bounds; uniform where absent."""
     spacing: Annotated[tuple[float, ...] | None, LENGTHS] = None
@@ -146,8 +146,7 @@ class Parameter(Record):
     def check(self, scene: Scene) -> None:
         """Raise InputError, which names the key, for one that `scene` has not, or whose keys do not go together."""
         of_field, of_number = ("mean", "deviation", "length"), ("initial", "prior")
-        start = () if self.prior is not None else ("initial",)
-        for key in of_field if self.is_field else (*start, "lower", "upper"):
+        for key in of_field if self.is_field else ("lower", "upper"):
             require(getattr(self, key) is not None, key, "a value", "none, the key is missing")
         for key in of_number if self.is_field else of_field:
             kind = "number" if self.is_field else "field, which has a spacing"

@@ -23,7 +23,7 @@ from datasets.schema import Bounds, Record, from_mapping
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, with_kinds
 from inverse.parameters.bounds import check_parameters
-from inverse.parameters.prior import Correlation, JointPrior, Prior
+from inverse.parameters.prior import Correlation, JointPrior
 from inverse.posterior import Matrix, Row
 from inverse.problem import Box
 from inverse.saving import read_samples
@@ -34,33 +34,6 @@ FORCE_SCATTER = 0.1
 """Standard deviation of a peak force from flow to flow over the limit, before runs have measured it."""
 ASSURANCE = 0.9
 """Probability with which a design passes its check where the emulator is right."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variable(Record):
-    """A number that is chosen, one of `inverse.parameters`."""
-
-    name: str
-    lower: float
-    upper: float
-
-    @property
-    def parameter(self) -> Parameter:
-        """The same of an inversion."""
-        return Parameter(name=self.name, lower=self.lower, upper=self.upper, initial=0.5 * (self.lower + self.upper))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Uncertain(Variable):
-    """A number that is not known when the barriers are built."""
-
-    prior: Prior | None = None
-    """Cut off at its bounds; uniform where absent."""
-
-    @property
-    def parameter(self) -> Parameter:
-        """The same of an inversion."""
-        return replace(super().parameter, prior=self.prior)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,10 +102,10 @@ class Budget(Record):
 class _Keys(Record):
     """What a design problem and its file have in common."""
 
-    variables: tuple[Variable, ...]
+    variables: tuple[Parameter, ...]
     """What is chosen: d, K numbers."""
-    uncertain: tuple[Uncertain, ...] = ()
-    """What is not known: u, Q numbers."""
+    uncertain: tuple[Parameter, ...] = ()
+    """What is not known when the barriers are built: u, Q numbers."""
     correlations: tuple[Correlation, ...] = ()
     """Of the priors of pairs of them."""
     limit: Limit
@@ -163,7 +136,12 @@ class DesignProblem(_Keys):
         for group, own in groups.items():
             require(len(own) > 0, group, "at least one number", "none")
         by_key = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
-        check_parameters(self.scene, {key: each.parameter for key, each in by_key.items()}, "variables")
+        for key, each in by_key.items():
+            require(each.initial is None, f"{key}.initial", "no start of a search", each.initial)
+            require(not each.is_field, f"{key}.spacing", "a number", "a field")
+        for index, variable in enumerate(self.variables):
+            require(variable.prior is None, f"variables[{index}].prior", "no prior of what is chosen", "one")
+        check_parameters(self.scene, by_key, "variables")
         _ = self.prior
         self.limit.check(self.scene)
         known = [each.name for each in self.variables]
@@ -173,18 +151,18 @@ class DesignProblem(_Keys):
         require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
 
     @property
-    def numbers(self) -> tuple[Variable, ...]:
+    def numbers(self) -> tuple[Parameter, ...]:
         """Chosen, then uncertain: K + Q."""
         return (*self.variables, *self.uncertain)
 
     @cached_property
     def kinds(self) -> list[Kind]:
-        return [each.parameter.kind for each in self.numbers]
+        return [each.kind for each in self.numbers]
 
     @cached_property
     def box(self) -> Box:
         """Of all of them."""
-        return Box(*np.array([(each.lower, each.upper) for each in self.numbers]).T)
+        return Box(*np.array([each.bounds for each in self.numbers]).T)
 
     @property
     def joint(self) -> int:
@@ -194,7 +172,7 @@ class DesignProblem(_Keys):
     @cached_property
     def prior(self) -> JointPrior | None:
         """Of the uncertain numbers but those of a posterior. Raises InputError, which names the key."""
-        alone = [each.parameter for each in self.uncertain[: len(self.uncertain) - self.joint]]
+        alone = self.uncertain[: len(self.uncertain) - self.joint]
         return JointPrior({each.name: each.marginal for each in alone}, self.correlations) if alone else None
 
     @property
@@ -265,8 +243,8 @@ def read_design(name: str | Path) -> DesignProblem:
         return DesignProblem(name=path.stem, **own)
 
 
-def read_posterior(path: Path) -> tuple[Matrix, tuple[Uncertain, ...]]:
+def read_posterior(path: Path) -> tuple[Matrix, tuple[Parameter, ...]]:
     """Samples [S, Q'] of a posterior of `validation.loop` with equal weights, and their numbers."""
     names, samples = read_samples(path)
     ranges = zip(names, samples.min(axis=0), samples.max(axis=0), strict=True)
-    return samples, tuple(Uncertain(name=name, lower=float(low), upper=float(high)) for name, low, high in ranges)
+    return samples, tuple(Parameter(name=name, lower=float(low), upper=float(high)) for name, low, high in ranges)

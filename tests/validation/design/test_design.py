@@ -12,13 +12,14 @@ from datasets.errors import InputError
 from datasets.forces import forces_of
 from datasets.scene import Baffle, Mass
 from inverse.answer import Verdict
+from inverse.parameters import Parameter
 from inverse.parameters.prior import Correlation, Prior
 from inverse.posterior import Matrix, Row
 from mpm import simulate
 from tests.scenes import scene_of
 from validation import find_design
 from validation.design.__main__ import main
-from validation.design.problem import Budget, DesignProblem, Limit, Uncertain, Variable, read_design
+from validation.design.problem import Budget, DesignProblem, Limit, read_design
 from validation.design.search import designed
 
 SCENE = scene_of(
@@ -29,9 +30,9 @@ SCENE = scene_of(
     frame_dt=0.005,
     step_fraction=0.9,
 )
-HEIGHTS = tuple(Variable(name=f"baffles[{index}].height", lower=0.04, upper=0.24) for index in (0, 1))
-FRICTION = Uncertain(name="friction_deg", lower=18.0, upper=42.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
-FLOOR = Uncertain(name="floor_friction", lower=0.3, upper=0.5)
+HEIGHTS = tuple(Parameter(name=f"baffles[{index}].height", lower=0.04, upper=0.24) for index in (0, 1))
+FRICTION = Parameter(name="friction_deg", lower=18.0, upper=42.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
+FLOOR = Parameter(name="floor_friction", lower=0.3, upper=0.5)
 SCATTER, PRICES = 0.005, {"baffles[0].height": 1.0, "baffles[1].height": 2.0}
 SEEDS = range(3)
 
@@ -69,7 +70,7 @@ def test_the_cheapest_design_of_a_known_response_is_found(seed: int) -> None:
 
 
 def test_the_most_reliable_design_is_found_where_nothing_has_a_cost() -> None:
-    problem = problem_of(cost={}, variables=(Variable(name="baffles[0].height", lower=0.04, upper=0.24),))
+    problem = problem_of(cost={}, variables=(Parameter(name="baffles[0].height", lower=0.04, upper=0.24),))
 
     def respond(points: Matrix, first: int) -> Row:
         height, angle = problem.box.at(points).T
@@ -109,12 +110,12 @@ def test_flows_of_a_failed_check_inform_a_second_design() -> None:
 def test_draws_are_those_of_the_prior() -> None:
     lognormal = Prior(kind="lognormal", mean=0.4, deviation=0.05)
     floor = replace(FLOOR, lower=0.05, upper=2.0, prior=lognormal)
-    problem = problem_of(uncertain=(FRICTION, floor, Uncertain(name="wall_friction", lower=0.1, upper=0.3)))
+    problem = problem_of(uncertain=(FRICTION, floor, Parameter(name="wall_friction", lower=0.1, upper=0.3)))
     drawn = problem.box.lower[2:] + problem.box.range[2:] * problem.draws(4000, np.random.default_rng(0))
     np.testing.assert_allclose(drawn.mean(axis=0), [30.0, 0.4, 0.2], rtol=2e-3)
     np.testing.assert_allclose(drawn.std(axis=0), [3.0, 0.05, 0.2 / np.sqrt(12.0)], rtol=1e-2)
     narrow = replace(FRICTION, lower=29.0, upper=33.0)
-    cut = narrow.parameter.marginal.at(np.linspace(0.0, 1.0, 5))
+    cut = narrow.marginal.at(np.linspace(0.0, 1.0, 5))
     assert (cut[0], cut[-1]) == (29.0, 33.0)
     pair = Correlation(between=("friction_deg", "floor_friction"), coefficient=-0.6)
     pairs = problem_of(uncertain=(FRICTION, floor), correlations=(pair,)).draws(4000, np.random.default_rng(0))
@@ -174,6 +175,9 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
     [
         ('"baffles[0].height"\nl', '"baffles[5].height"\nl', "variables[0].name: expected an index below 2"),
         ("lower = 0.04", "lower = 0.4", "variables[0].upper: expected a value above 0.4"),
+        ("lower = 0.04", "lower = 0.04\ninitial = 0.1", "variables[0].initial: expected no start"),
+        ("lower = 0.04", "lower = 0.04\nprior = { kind = 'uniform' }", "variables[0].prior: expected no prior"),
+        ("upper = 0.5", "upper = 0.5\nspacing = [0.1, 0.1]", "uncertain[0].spacing: expected a number"),
         ('name = "floor_friction"', 'name = "baffles[0].height"', "variables[0].name: expected each number once"),
         ("upper = 0.5", "upper = 0.5\nprior = { kind = 'normal', mean = 0.4 }", "uncertain[0].prior.deviation"),
         ("upper = 0.5", "upper = 0.5\nprior = { mean = 0.4 }", "uncertain[0].prior.kind: expected"),
