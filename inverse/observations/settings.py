@@ -3,9 +3,8 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -21,15 +20,6 @@ from inverse.observations.target import Target
 
 SOURCES = ("value", "values", "csv")
 """Keys under which measured numbers stand."""
-
-
-class LengthUnit(StrEnum):
-    """In what a length was measured."""
-
-    METRE = "m"
-    CENTIMETRE = "cm"
-    MILLIMETRE = "mm"
-    FOOT = "ft"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +136,7 @@ class TabulatedSettings(ObservationSettings):
 class LengthsSettings(TabulatedSettings):
     """Of an observation whose table has lengths."""
 
-    unit: LengthUnit = LengthUnit.METRE
+    unit: Literal["m", "cm", "mm", "ft"] = "m"
     """Of the lengths in a table."""
 
     @property

@@ -13,7 +13,6 @@ from datasets.scene.particles import initial_particles
 from inverse.observations import ProfileSettings
 from inverse.observations.measured_profile import Heights
 from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile
-from inverse.observations.settings import LengthUnit
 from inverse.observations.target import Target
 from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
@@ -53,8 +52,8 @@ def operator_of(problem: Problem) -> Profile:
 @pytest.mark.parametrize(
     ("x", "height", "settings"),
     [
-        (100.0 * X, 100.0 * HEIGHT, {"unit": LengthUnit.CENTIMETRE}),
-        (X / 0.3048, HEIGHT / 0.3048 - 3.0, {"unit": LengthUnit.FOOT, "datum": -3.0}),
+        (100.0 * X, 100.0 * HEIGHT, {"unit": "cm"}),
+        (X / 0.3048, HEIGHT / 0.3048 - 3.0, {"unit": "ft", "datum": -3.0}),
         (X[:21], HEIGHT[:21], {}),
         (X, HEIGHT, {"heights": Heights.SURFACE}),
     ],

@@ -10,7 +10,7 @@ from datasets.scene import Mass
 from datasets.scene.particles import initial_particles
 from tests.flows import flow_of
 from tests.scenes import scene_of
-from validation.experiments.experiment import Measured, Quantity, Status, edge, quantity
+from validation.experiments.experiment import Measured, Quantity, edge, quantity
 
 BLOCK = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.1)), size=(1.0, 0.2), cell=0.01, jitter=0.0)
 AT_START = initial_particles(BLOCK).positions
@@ -23,7 +23,7 @@ def flow(*positions: NDArray[np.floating]) -> Trajectory:
 
 def number(kind: Quantity, **other: object) -> Measured:
     """A measured number of a kind."""
-    return Measured(quantity=kind, value=0.1, spread=0.01, status=Status.READ, source="", **other)
+    return Measured(quantity=kind, value=0.1, spread=0.01, status="read", source="", **other)
 
 
 def test_height_of_the_surface_and_front_by_share_and_by_thickness() -> None:
