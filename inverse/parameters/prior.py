@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from scipy import stats
@@ -42,7 +42,7 @@ class Prior(Record):
     >>> Parameter(name="friction_deg", lower=16.0, upper=45.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
     """
 
-    kind: Literal["uniform", "normal", "lognormal", "triangular"]
+    kind: str
     """A key of `KINDS`."""
     mean: float | None = None
     """Of a normal and a lognormal number itself."""
@@ -53,6 +53,7 @@ class Prior(Record):
 
     def check(self, lower: float, upper: float) -> None:
         """Raise InputError, which names the key, for a prior that is none between the bounds."""
+        require(self.kind in KINDS, "kind", f"one of {', '.join(KINDS)}", repr(self.kind))
         for name in ("mean", "deviation", "mode"):
             value, needed = getattr(self, name), name in KINDS[self.kind]
             require(not needed or value is not None, name, f"a value of a {self.kind} prior", "none")
