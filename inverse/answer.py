@@ -61,31 +61,25 @@ class Purpose(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class MpmRun(ModelRun):
-    """A run of the MPM, with a jitter seed of its own, compared with the target."""
+    """A run of the MPM, with a jitter seed of its own."""
 
     purpose: Purpose
     parameters: Vector
     """Shape [U]."""
     trajectory: Trajectory
-    target: Target
     seconds: float = 0.0
     file: str = ""
     """Beside `result.json`."""
 
-    @property
-    def front_error(self) -> float:
-        """Relative, with its sign; nan where the target has no front."""
-        return self.target.front_error(self.trajectory)
-
-    def as_json(self, problem: Problem) -> dict[str, Any]:
+    def as_json(self, problem: Problem, target: Target) -> dict[str, Any]:
         """As `result.json` has it."""
         return {
             "purpose": self.purpose.value,
             "unknowns": problem.named(self.parameters),
             "observation": plain(self.numbers),
             "front": measures.front(self.trajectory.positions[-1], self.trajectory.volumes),
-            "front_error_pct": 100.0 * self.front_error,
-            "loss": self.target.misfit(self.numbers),
+            "front_error_pct": 100.0 * target.front_error(self.trajectory),
+            "loss": target.misfit(self.numbers),
             "seconds": self.seconds,
             "file": self.file,
         }

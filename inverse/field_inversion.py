@@ -101,7 +101,6 @@ def of_fields(problem: Problem) -> Result:
         point=problem.box.shares(values),
         numbers=target.observation.observe(shown),
         trajectory=shown,
-        target=target,
         file="check.npz",
     )
     expected = target.observation.prior_scatter(target.values)

@@ -106,7 +106,8 @@ class Result:
         values = self.problem.named(self.answer)
         errors = {name: 100.0 * abs(values[name] - true) / abs(true) for name, true in truth.items() if true != 0.0}
         if self.answers[0].checks and math.isfinite(self.target.front):
-            errors["front"] = 100.0 * abs(float(np.mean([each.front_error for each in self.answers[0].checks])))
+            off = [self.target.front_error(each.trajectory) for each in self.answers[0].checks]
+            errors["front"] = 100.0 * abs(float(np.mean(off)))
         return errors
 
     @property
@@ -173,7 +174,7 @@ class Result:
             "error_pct": self.error_pct,
             "observation": {"target": plain(raw(self.target.values)), key: shown} | self.target.observation.record(),
             "loss": {key: self.target.misfit(self.predicted) if same else self.iterations[-1].get("loss")},
-            "mpm_runs": [each.as_json(problem) for each in self.mpm_runs],
+            "mpm_runs": [each.as_json(problem, self.target) for each in self.mpm_runs],
             "run_count": self.run_count,
             "iterations": list(self.iterations),
             "surrogate": self.surrogate,

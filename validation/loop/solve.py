@@ -173,7 +173,7 @@ def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
         shown = np.mean(seen, axis=0)
         error = {"misfit": task.target.misfit(shown)}
         if checks and math.isfinite(task.target.front):
-            error["front_pct"] = 100.0 * float(np.mean([each.front_error for each in checks]))
+            error["front_pct"] = 100.0 * float(np.mean([task.target.front_error(each.trajectory) for each in checks]))
         interval = dict(zip(task.problem.names, box.at(part.interval).T.tolist(), strict=True))
         answer = {"unknowns": named(parameters), "interval": interval, "weight": part.weight, "mpm_error": error}
         answer["half_widths"] = named(box.range * part.half_widths)

@@ -72,7 +72,6 @@ class Task:
             point=self.problem.box.shares(location),
             numbers=self.target.observation.observe(flow),
             trajectory=flow,
-            target=self.target,
             seconds=float(flow.summary.get(SHARE, 0.0)) if file else 0.0,
             file=file,
         )
