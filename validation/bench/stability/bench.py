@@ -50,8 +50,8 @@ class Quantity(Record):
 
     name: str
     unit: str = ""
-    minimum: float | None = None
-    maximum: float | None = None
+    minimum: float = -math.inf
+    maximum: float = math.inf
 
 
 ROWS = read_toml(FOLDER / "rows.toml")
@@ -67,16 +67,10 @@ class Check(Record):
     maximum: float | None = None
 
     def finding(self, flow: Trajectory) -> Finding:
-        usual = QUANTITIES[self.quantity]
+        usual, value = QUANTITIES[self.quantity], getattr(quantities, self.quantity)(flow)
         low = usual.minimum if self.minimum is None else self.minimum
         high = usual.maximum if self.maximum is None else self.maximum
-        return Finding(
-            check=usual.name,
-            value=getattr(quantities, self.quantity)(flow),
-            unit=usual.unit,
-            minimum=-math.inf if low is None else low,
-            maximum=math.inf if high is None else high,
-        )
+        return Finding(check=usual.name, value=value, unit=usual.unit, minimum=low, maximum=high)
 
 
 @dataclass(frozen=True, kw_only=True)
