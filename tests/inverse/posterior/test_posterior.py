@@ -32,7 +32,7 @@ def inferred(*, truth: tuple[float, float] = (0.4, 0.7), seed: int = 0, **change
         points = region.low + (region.high - region.low) * points
     numbers = points @ SLOPES + SCATTER * rng.standard_normal((60, 4))
     target = target_of(np.array(truth) @ SLOPES + SCATTER * rng.standard_normal(4))
-    return posterior(points, numbers, target, scatter=np.full(4, SCATTER), rng=rng, **changes)  # type: ignore[arg-type]
+    return posterior(points, numbers, target, scatter=np.full(4, SCATTER), rng=rng, **changes)
 
 
 def exact_deviations() -> Matrix:
@@ -176,7 +176,6 @@ def inferred_across(truth: tuple[float, float], seed: int = 0) -> Posterior:
 def test_a_column_that_stands_may_have_all_parameters_at_which_it_does(seed: int) -> None:
     found = inferred_across((0.3, 0.4), seed)
     regime = found.likelihood.regime
-    assert regime is not None
     assert np.all(regime.inside[:, 0] < EDGE)
     assert np.all(regime.outside[:, 0] > EDGE)
     samples = found.samples
