@@ -78,7 +78,6 @@ def toy_dataset(folder: Path, dimension: int) -> Path:
         if split is Split.TRAIN:
             each = motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
             statistics = each if statistics is None else statistics + each
-    assert statistics is not None
     described = metadata("toy", entries, seed=0, statistics=statistics)
     write_json(folder / "metadata.json", described)
     return folder

@@ -105,8 +105,8 @@ def box_distance(points: Floats, centre: Floats, half: Floats) -> Floats:
 
 def consistent(points: Floats, found: object) -> None:
     """The foot, the normal and the distance say the same."""
-    np.testing.assert_allclose(found.foot + found.distance[:, None] * found.normal, points, atol=1e-9)  # type: ignore[attr-defined]
-    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-9)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(found.foot + found.distance[:, None] * found.normal, points, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("turned_deg", [0.0, 30.0, -101.0])

@@ -18,7 +18,7 @@ PLANE = Solid(kind="terrain", points=((0.0, 116.0), (200.0, 16.0)), friction=0.2
 
 
 def sheet(thickness: float, **changes: object) -> Mass:
-    return Mass(kind="layer", thickness=thickness, outline=((10.0,), (30.0,)), **changes)  # type: ignore[arg-type]
+    return Mass(kind="layer", thickness=thickness, outline=((10.0,), (30.0,)), **changes)
 
 
 def on_plane(mass: Mass, **changes: object) -> Scene:

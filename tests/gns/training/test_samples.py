@@ -125,7 +125,6 @@ def test_a_flow_over_terrain_has_its_ground_and_other_solids_are_refused(tmp_pat
 
     ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.4, 0.0), (0.6, 0.1)), friction=0.5)
     ground = over(ramp, 0.1).conditions.ground
-    assert ground is not None
     assert ground.spacing == 0.1
     np.testing.assert_allclose(ground.elevation[0], [0.0] * 5 + [0.05, 0.1], atol=1e-7)
     np.testing.assert_array_equal(ground.friction[0], [0.5] * 7)
@@ -275,8 +274,6 @@ def test_a_mirror_turns_its_axes_and_twice_changes_nothing(deep: Batch, axis: in
             for points, around, axes in ((own, before, order), (there, after, [0, 1, 2]))
         ]
         torch.testing.assert_close(*gaps, atol=1e-6, rtol=0.0)
-    assert before.ground is not None
-    assert after.ground is not None
     for there, here in (
         (after.ground.elevation, before.ground.elevation),
         (after.ground.friction, before.ground.friction),

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Mass
 from datasets.scene.particles import initial_particles
 from tests.flows import flow_of
+from tests.refusals import refused
 from tests.scenes import scene_of
 from validation.experiments.experiment import Measured, Quantity, Status, edge, quantity
 
@@ -59,5 +59,4 @@ def test_profile_is_held_against_the_rows() -> None:
 
 @pytest.mark.parametrize(("x", "heights"), [((0.1,), (0.1,)), ((0.1, 0.2), (0.1,)), ((0.2, 0.1), (0.1, 0.1))])
 def test_a_wrong_profile_is_refused(x: tuple[float, ...], heights: tuple[float, ...]) -> None:
-    with pytest.raises(InputError):
-        number(Quantity.PROFILE, x=x, heights=heights)
+    refused(number, Quantity.PROFILE, x=x, heights=heights)

@@ -54,7 +54,6 @@ def slide(
     block[:, 0] += 0.3 - front(block)
     time, flows = np.linspace(0.0, 1.2, 61), []
     for scene in scenes:
-        assert scene.masses[0].velocity is not None
         speed, friction = np.array(scene.masses[0].velocity[0]), np.array(scene.floor_friction)
         shift = moved(time, speed, friction) - cells(time, scene.domain.cell)
         positions = [block + np.array([x, 0.0]) for x in shift]
@@ -105,7 +104,6 @@ def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
     target = read_target(problem, lambda asked: slide([asked])[0])
     found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=slide))
     fit, (birge, quantiles) = found.answers[0].fit, exact(values, unknowns)
-    assert fit is not None
     assert found.verdict is Verdict.UNCONFIRMED
     assert fit.applied == pytest.approx(birge, rel=0.05)
     shown = np.stack([found.answers[0].interval[0], found.answer, found.answers[0].interval[1]])
@@ -130,7 +128,6 @@ def test_errors_of_the_cells_hide_no_late_clock_and_no_outlier(
     target = read_target(problem, lambda asked: coarse([asked])[0])
     found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=coarse))
     fit, said = found.answers[0].fit, summary(found)
-    assert fit is not None
     assert fit.cells > 4.0 * fit.noise
     assert list(fit.outliers) == outliers
     assert fit.inside is not bool(outliers)
