@@ -74,14 +74,10 @@ def model(settings: ModelSettings, dataset: Path, tmp_path: Path) -> Path:
     return path
 
 
-def call(model: Path, *arguments: str | Path) -> int:
-    return command_line.run(score, "python -m gns.score", ["--model", str(model), *map(str, arguments), "--keep"])
-
-
 def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = dataclasses.replace(spreading(30.0).scene, duration=0.1)
     refused(gns.predict, scene, model=model, said="model.json: calibration: expected a calibration")
-    assert call(model, dataset) == 0
+    assert command_line.run(score, "score", [str(dataset), "--model", str(model), "--keep"]) == 0
     said, known = capsys.readouterr().out, card.read(model)
     calibration = known.calibration(scene)
     assert calibration.flows == 2

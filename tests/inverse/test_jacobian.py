@@ -23,10 +23,6 @@ STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7, "fric
 """Short, because a profile has a kink wherever a point passes a station."""
 
 
-def step_of(name: str) -> float:
-    return next(step for part, step in STEPS.items() if part in name)
-
-
 @pytest.fixture(scope="module", params=list(NAMES))
 def rollouts(request: pytest.FixtureRequest) -> SimpleNamespace:
     """One rollout that autograd looks through, from unknowns with a gradient (`point`), and two beside it for each."""
@@ -37,7 +33,7 @@ def rollouts(request: pytest.FixtureRequest) -> SimpleNamespace:
     assert forward.initial.conditions.units.length != 1.0
     assert forward.initial.times[-1] == pytest.approx(problem.scene.duration)
     point = torch.tensor(problem.initial, requires_grad=True)
-    steps = np.array([step_of(name) for name in problem.names])
+    steps = np.array([next(step for part, step in STEPS.items() if part in name) for name in problem.names])
     return SimpleNamespace(
         problem=problem,
         volumes=forward.initial.conditions.volume,

@@ -89,8 +89,6 @@ def test_a_height_field(tmp_path: Path, name: str) -> None:
 
 
 NONE = -9999.0
-
-
 HEIGHTS = st.sampled_from((NONE, 0.0)) | st.floats(0.05, 0.3)
 RINGED = np.pad(np.full((3, 3), 0.2), 2, constant_values=NONE)
 

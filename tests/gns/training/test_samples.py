@@ -27,7 +27,7 @@ from gns.surroundings.state import Ground, State, in_model_units
 from gns.surroundings.units import Units
 from gns.training.loop import LAST, joined, rank
 from gns.training.losses import UnrolledLoss
-from gns.training.samples import Batch, Flow, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
+from gns.training.samples import Batch, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
 from tests.gns.conftest import TINY, rows, spreading
 from tests.scenes import scene_of
 
@@ -117,19 +117,11 @@ def test_a_stretch_gives_the_past_that_there_is(
     assert few.conditions.volume.sum() == pytest.approx(flow.volume.sum())
 
 
-def test_a_flow_over_terrain_has_its_ground_and_other_solids_are_refused(tmp_path: Path) -> None:
-    def over(solid: Solid, cell: float = 0.01) -> Flow:
-        flow = spreading(30.0)
-        dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(solid,))).save(tmp_path / "a.npz")
-        return Flows([tmp_path / "a.npz"], ModelSettings(cell=cell))[0]
-
-    ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.4, 0.0), (0.6, 0.1)), friction=0.5)
-    ground = over(ramp, 0.1).conditions.ground
-    assert ground.spacing == 0.1
-    np.testing.assert_allclose(ground.elevation[0], [0.0] * 5 + [0.05, 0.1], atol=1e-7)
-    np.testing.assert_array_equal(ground.friction[0], [0.5] * 7)
+def test_solids_other_than_terrain_are_refused(tmp_path: Path) -> None:
+    flow, solid = spreading(30.0), Solid(lower=(0.45, 0.0), size=(0.02, 0.05))
+    dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(solid,))).save(tmp_path / "a.npz")
     with pytest.raises(InputError, match=r"a\.npz: solids\[0\].kind: expected baffles and terrain"):
-        over(Solid(lower=(0.45, 0.0), size=(0.02, 0.05)))
+        Flows([tmp_path / "a.npz"], ModelSettings())[0]
 
 
 def test_flows_are_opened_when_they_are_asked_for(tmp_path: Path, settings: ModelSettings) -> None:
