@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Scene
+from datasets import Scene, Trajectory
 
 
 def flow_of(scene: Scene, positions: ArrayLike, **others: Any) -> Trajectory:

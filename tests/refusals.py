@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from datasets import command_line
-from datasets.errors import InputError
+from datasets import InputError, command_line
 
 
 def refused(do: Callable[..., object], *given: object, said: str = "", **named: object) -> InputError:

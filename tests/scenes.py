@@ -4,8 +4,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from datasets.scene import Baffle, Domain, Mass, Scene
-from datasets.scene.material import Material
+from datasets import Baffle, Domain, Mass, Material, Scene
 
 SAND = Material(friction_deg=30.0)
 COLUMN = Mass(lower=(0.0, 0.0), size=(0.2, 0.2))

@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Baffle, Mass, Material, Scene, Trajectory
 from datasets.definitions.definition import Entry, Split
 from datasets.definitions.training import metadata, motion_statistics
 from datasets.files import write_json
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Scene
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from tests.flows import flow_of
 from tests.scenes import scene_of

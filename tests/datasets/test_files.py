@@ -15,9 +15,8 @@ from typing import Any
 import pytest
 from filelock import FileLock
 
-from datasets import memory
+from datasets import InputError, memory
 from datasets.command_line import run
-from datasets.errors import InputError
 from datasets.files import PART, remove_own_parts, replacing, write_json, write_text
 from datasets.lock import HOLDER, LOCK, locked
 from tests.refusals import refused

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from datasets import Baffle, Trajectory
 from datasets.command_line import run
-from datasets.flow.trajectory import Trajectory
 from datasets.forces import command, forces_of
-from datasets.scene import Baffle
 from tests.refusals import refused, refused_by
 
 TIME = np.array([0.0, 0.01, 0.02, 0.05, 0.06, 0.10])

@@ -9,10 +9,9 @@ import pytest
 import rasterio
 from shapely.geometry import shape
 
+from datasets import Baffle, Mass, Scene, Solid, Trajectory
 from datasets.command_line import run
-from datasets.flow.trajectory import Trajectory
 from datasets.maps import PlanMaps, command, maps_of, outline, write
-from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.scene.grid_field import Grid
 from datasets.scene.particles import initial_particles
 from tests import scenes

@@ -8,9 +8,8 @@ import pytest
 import shapely
 from rasterio.transform import Affine
 
+from datasets import Scene, read_scene
 from datasets.command_line import run
-from datasets.scene import Scene
-from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles, mass_volumes
 from datasets.site import command
 from tests.datasets.exchange.test_scene_files import write_raster

@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import command_line
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass
-from datasets.scene.material import Material
+from datasets import Mass, Material, Trajectory, command_line
 from datasets.scene.particles import initial_particles
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator

@@ -10,10 +10,9 @@ from typing import Any
 import pytest
 import torch
 
+from datasets import Baffle, Channel, Domain, Mass, Scene, Solid, read_scene
 from datasets.definitions.definition import Split
 from datasets.definitions.flow2d import FLOW2D
-from datasets.scene import Baffle, Channel, Domain, Mass, Scene, Solid
-from datasets.scene.library import read_scene
 from gns import card, checkpoint
 from gns.card import Calibration
 from gns.library import models, shipped

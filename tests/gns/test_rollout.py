@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import command_line
+from datasets import Mass, Scene, Trajectory, command_line, write_scene
 from datasets.flow import measures
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
-from datasets.scene.library import write_scene
 from gns import checkpoint, library
 from gns.rollout import rollout
 from gns.simulator import Simulator

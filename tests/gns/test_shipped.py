@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 import gns
+from datasets import Trajectory, read_scene
 from datasets.flow import measures
-from datasets.flow.trajectory import Trajectory
-from datasets.scene.library import read_scene
 from gns import card
 from gns.library import shipped
 

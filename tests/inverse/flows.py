@@ -6,14 +6,12 @@ from typing import Any
 
 import torch
 
-from datasets.scene import Baffle, Mass, Scene, Solid
-from datasets.scene.material import Material
+from datasets import Baffle, Mass, Material, Scene, Solid
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
+from inverse import Parameter, Problem, TargetSettings
 from inverse.observations import DepositSettings
-from inverse.parameters import Parameter, kind
-from inverse.problem import Problem
-from inverse.settings import TargetSettings
+from inverse.parameters import kind
 from tests.scenes import scene_of
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)

@@ -6,17 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import InputError, Trajectory
 from datasets.definitions.definition import Split
-from datasets.errors import InputError
-from datasets.flow.trajectory import Trajectory
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.library import model_path
 from gns.surroundings.units import Units
 from gns.training.samples import flows_of, stretch
+from inverse import Parameter
 from inverse.adapt import main
 from inverse.adaptation import DATA, adapt, definition, deposits
-from inverse.parameters import Parameter
 from tests.inverse.flows import problem_of, simulator_of
 from tests.refusals import refused, refused_by
 

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from scipy.special import gamma, kv
 
+from datasets import read_scene
 from datasets.command_line import run
 from datasets.scene.grid_field import Grid
-from datasets.scene.library import read_scene
+from inverse import invert, read_problem
 from inverse.__main__ import main
 from inverse.answer import Verdict
 from inverse.field_inversion import Objective, WhiteFlow, linear_mean
-from inverse.inversion import invert
 from inverse.parameters.field import BAND, Prior
-from inverse.problem import read_problem
 from inverse.target import read_target
 from mpm import simulate
 from tests.refusals import refused

@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Scene
+from datasets import Scene, Trajectory
+from inverse import Problem, TargetSettings, read_problem
 from inverse.__main__ import main
 from inverse.observations import KINDS
 from inverse.parameters import kind
-from inverse.problem import PROBLEMS, Problem, read_problem
-from inverse.settings import TargetSettings
+from inverse.problem import PROBLEMS
 from inverse.target import read_target
 from tests.flows import flow_of
 from tests.refusals import refused, refused_by

@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
-from datasets.scene import Gate, Mass, Scene
+from datasets import Gate, InputError, Mass, Scene
 from datasets.scene.particles import initial_particles
 from mpm import WITH_FIELDS, simulate
 from mpm.adjoint.gradient import gradient

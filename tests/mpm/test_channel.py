@@ -6,8 +6,7 @@ from functools import partial
 
 import pytest
 
-from datasets.scene import Channel, Mass
-from datasets.scene.material import Material
+from datasets import Channel, Mass, Material
 from mpm import LAST, simulate
 from tests.refusals import refused
 from tests.scenes import box

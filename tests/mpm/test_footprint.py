@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Scene, read_scene
 from datasets.command_line import run
-from datasets.scene import Scene
-from datasets.scene.library import read_scene
 from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Precision, node_room

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Domain, InputError, Mass, Scene, Trajectory
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split, Storage
-from datasets.errors import InputError, WorkFailed
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Domain, Mass, Scene
+from datasets.errors import WorkFailed
 from mpm.generate import command, generate, thinned
 from tests.breaking import BLOCKS, dataset_files, orphans, start, unfinished
 from tests.pool import pool

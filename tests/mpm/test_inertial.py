@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.scene import Mass, Scene
-from datasets.scene.material import Material
+from datasets import Mass, Material, Scene
 from mpm import LAST, runtime, simulate
 from mpm.arrays.batch import Batch, put_vectors
 from mpm.kernel import Phase, kernel

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datasets import Baffle, Mass, Material, Scene, Solid
 from datasets.geometry.bodies import scene_height
-from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.scene.checks import warn_if_unlikely
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from mpm import WITH_FIELDS, simulate
 from mpm.initial.geostatic import warn_of_ratio

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
+from datasets import Baffle, Mass, Scene, Trajectory
 from datasets.command_line import run
 from datasets.flow.array_files import FrameWriter
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Scene
 from mpm import WITH_FIELDS, Recording, simulate
 from mpm import simulation as solver
 from mpm.arrays.batch import Batch

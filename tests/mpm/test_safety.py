@@ -7,11 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from datasets.errors import InputError
-from datasets.scene import Mass
+from datasets import InputError, Mass, Material, write_scene
 from datasets.scene.grid_field import Field
-from datasets.scene.library import write_scene
-from datasets.scene.material import Material
 from mpm import safety_factor
 from mpm.run import command
 from mpm.safety import reduced

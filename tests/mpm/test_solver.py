@@ -8,10 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
-from datasets.scene import Baffle, Mass, Scene
-from datasets.scene.library import read_scene
-from datasets.scene.material import Material
+from datasets import Baffle, InputError, Mass, Material, Scene, read_scene
 from mpm import WITH_FIELDS, Recording, simulate, simulate_many
 from tests import scenes
 from tests.scenes import SAND, scaled, scene_of

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from datasets import Mass, Material, Scene, Stage
 from datasets.definitions.training import check_known
-from datasets.scene import Mass, Scene, Stage
 from datasets.scene.grid_field import Field
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from mpm import AT_REST, LAST, Recording, simulate, simulate_many
 from mpm.adjoint.gradient import gradient

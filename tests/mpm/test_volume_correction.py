@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from datasets import Mass, Solid, read_scene
 from datasets.flow.measures import bulk, particle_spacing
-from datasets.scene import Mass, Solid
-from datasets.scene.library import read_scene
 from mpm import LAST, simulate, simulate_many
 from tests.scenes import scene_of
 

@@ -10,11 +10,10 @@ import pyvista
 from matplotlib import colormaps
 from matplotlib.image import imread
 
+from datasets import Baffle, Mass, Trajectory
 from datasets.command_line import run
 from datasets.errors import WorkFailed
 from datasets.flow.fields import Colour
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass
 from tests.flows import flow_of
 from tests.refusals import refused_by
 from tests.scenes import scene_of

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from datasets import Baffle, Mass, Scene, read_scene
 from datasets.definitions import NAMES, read_definition
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.definitions.flow2d import FLOW2D
@@ -19,8 +20,6 @@ from datasets.definitions.held_out import ASPECTS, is_held_out, neighbours
 from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.definitions.paper_families import BAFFLES3D, COLUMNS2D
 from datasets.geometry.placement import overlaps
-from datasets.scene import Baffle, Mass, Scene
-from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles
 from datasets.schema import changed
 from tests.refusals import refused

@@ -14,11 +14,10 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datasets import InputError, read_scene, read_trajectory
+from datasets import InputError, Trajectory, read_scene, read_trajectory
 from datasets.exchange import geoelements
 from datasets.exchange.spreadsheet import read_columns
 from datasets.files import read_toml
-from datasets.flow.trajectory import Trajectory
 from datasets.scene.library import SCENES, scene_from
 from datasets.scene.particles import initial_particles
 from tests.datasets.conftest import toy

@@ -10,12 +10,10 @@ import pyvista
 import rasterio
 from rasterio.transform import Affine
 
+from datasets import Scene, Trajectory, read_scene, write_scene
 from datasets.compare import compare
 from datasets.exchange.vtk import write_vtk
-from datasets.flow.trajectory import Trajectory
 from datasets.maps import maps_of, write
-from datasets.scene import Scene
-from datasets.scene.library import read_scene, write_scene
 from datasets.scene.particles import initial_particles, mass_volumes
 from tests.datasets.exchange.test_scene_files import scene as read
 from tests.datasets.exchange.test_scene_files import write_raster

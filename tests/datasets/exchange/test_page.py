@@ -16,11 +16,9 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
+from datasets import Material, Solid, Trajectory
 from datasets.exchange import page as view
 from datasets.exchange.page import Observed, write_view
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Solid
-from datasets.scene.material import Material
 from tests.datasets.conftest import toy
 from tests.refusals import refused
 

@@ -13,12 +13,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rasterio.transform import Affine
 
+from datasets import Scene, read_scene
 from datasets.exchange.meshes import read_mesh, write_surface
 from datasets.geometry.nearest import nearest
 from datasets.geometry.shells import manifold, outward
-from datasets.scene import Scene
 from datasets.scene.checks import warn_if_unlikely
-from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles, mass_volumes
 from tests.datasets.geometry.solids import sphere, surface
 from tests.refusals import refused

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 import pyvista
 
+from datasets import Baffle, Mass, Material, Solid, Trajectory
 from datasets.errors import WorkFailed
 from datasets.exchange import vtk
 from datasets.exchange.vtk import write_vtk
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Solid
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from tests.datasets.conftest import toy
 from tests.flows import flow_of

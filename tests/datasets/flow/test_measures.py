@@ -6,10 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from datasets import Mass, Scene, Solid, read_scene
 from datasets.flow import measures
 from datasets.flow.caveats import caveats
-from datasets.scene import Mass, Scene, Solid
-from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles
 from tests.scenes import scene_of
 

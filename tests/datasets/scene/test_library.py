@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.scene import Baffle, Mass, Scene, Solid, Stage
+from datasets import Baffle, Mass, Material, Scene, Solid, Stage, read_scene, write_scene
 from datasets.scene.checks import warn_if_unlikely
-from datasets.scene.library import SCENES, read_scene, write_scene
-from datasets.scene.material import Material
+from datasets.scene.library import SCENES
 from tests.refusals import refused
 from tests.scenes import SAND, scene_of
 

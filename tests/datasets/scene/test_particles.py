@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from datasets.scene import Mass, Scene
+from datasets import Mass, Material, Scene
 from datasets.scene.grid_field import Field, Grid
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles, particle_count, particle_volumes, warn_if_unresolved
 from tests.refusals import refused
 from tests.scenes import scene_of

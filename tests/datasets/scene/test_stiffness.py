@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from datasets.scene import Mass, Scene, Solid
-from datasets.scene.library import read_scene, write_scene
-from datasets.scene.material import USUAL_YOUNG, Material
+from datasets import Mass, Material, Scene, Solid, read_scene, write_scene
+from datasets.scene.material import USUAL_YOUNG
 from datasets.scene.stiffness import greatest_speed
 from tests.scenes import SAND, box, scene_of
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.scene import Baffle, Mass, Scene, Solid
-from datasets.scene.material import Material
+from datasets import Baffle, Mass, Material, Scene, Solid
 from datasets.scene.particles import initial_particles, released_volume
 from gns.inference import simulate
 from gns.settings import GRAVITY, ModelSettings

@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import command_line
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Domain, Solid
+from datasets import Baffle, Domain, Solid, Trajectory, command_line
 from gns import card, checkpoint
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator

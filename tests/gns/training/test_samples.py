@@ -13,11 +13,8 @@ import pytest
 import torch
 from torch.nn.parallel import DistributedDataParallel
 
-from datasets.errors import InputError
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Solid
+from datasets import Baffle, InputError, Mass, Material, Solid, Trajectory
 from datasets.scene.grid_field import Field
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from gns.network.features import Inputs
 from gns.settings import ModelSettings, TrainingSettings

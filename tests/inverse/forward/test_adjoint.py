@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.scene import Baffle
+from datasets import Baffle
+from inverse import Parameter, Problem, TargetSettings
 from inverse.forward.adjoint import AdjointForward, Run
 from inverse.observations import ImpulseSettings
-from inverse.parameters import Parameter
-from inverse.problem import Problem
-from inverse.settings import TargetSettings
 from mpm import simulate, simulate_many
 from tests.mpm.adjoint.flows import plane
 

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Scene
+from datasets import Baffle, Mass, Scene, Trajectory
+from inverse import Problem, read_problem
 from inverse.observations import FrontSettings, GaugesSettings, ObservationSettings, ProfileSettings, Rollout
 from inverse.observations.deposit import Outline
 from inverse.observations.gauges import Gauges, Impulse
 from inverse.observations.observation import Joint
-from inverse.problem import Problem, read_problem
 from inverse.target import read_target
 from tests.flows import flow_of
 from tests.refusals import refused

@@ -6,17 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
+from datasets import InputError, Mass, Solid
 from datasets.flow.measures import height_profile
-from datasets.scene import Mass, Solid
 from datasets.scene.particles import initial_particles
+from inverse import Problem, TargetSettings, read_problem
 from inverse.observations import ProfileSettings
 from inverse.observations.measured_profile import Heights
 from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile
 from inverse.observations.settings import LengthUnit
 from inverse.observations.target import Target
-from inverse.problem import Problem, read_problem
-from inverse.settings import TargetSettings
 from inverse.target import read_target
 from tests.inverse.observations.test_joint import never
 from tests.scenes import scene_of

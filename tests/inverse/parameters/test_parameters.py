@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.scene import Baffle, Channel, Mass, Scene, Solid
-from datasets.scene.material import Material
+from datasets import Baffle, Channel, Mass, Material, Scene, Solid
 from datasets.scene.particles import released_volume
+from inverse import Parameter, read_problem
 from inverse.forward.gns import GnsForward
-from inverse.parameters import Parameter, kind, with_parameters
+from inverse.parameters import kind, with_parameters
 from inverse.parameters.bounds import check_parameters
-from inverse.problem import read_problem
 from tests.gns.training.test_samples import tensors
 from tests.inverse.flows import problem_of, simulator_of
 from tests.refusals import refused

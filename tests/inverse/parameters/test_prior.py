@@ -10,14 +10,13 @@ import torch
 from scipy import stats
 
 from datasets.schema import changed, from_mapping
-from inverse import Correlation, Parameter, Prior
+from inverse import Correlation, Parameter, Prior, Problem, read_problem
 from inverse.answer import Answer, Combination, unidentified
 from inverse.observations.errors import Covariance
 from inverse.parameters.prior import JointPrior
 from inverse.posterior import Matrix
 from inverse.posterior.posterior import posterior
 from inverse.posterior.sampling import Samples, sample
-from inverse.problem import Problem, read_problem
 from inverse.search.descent import inverted
 from tests.inverse.flows import problem_of
 from tests.inverse.posterior.test_posterior import SCATTER, SLOPES, target_of

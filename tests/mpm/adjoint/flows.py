@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import Mass, Scene
-from datasets.scene.material import Material
+from datasets import Mass, Material, Scene
 from datasets.scene.particles import Particles, initial_particles
 from mpm.adjoint.gradient import Gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape

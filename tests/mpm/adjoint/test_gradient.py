@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.scene import Baffle, Channel, Mass, Scene, Solid
+from datasets import Baffle, Channel, Mass, Material, Scene, Solid
 from datasets.scene.grid_field import Field
-from datasets.scene.material import Material
 from mpm.adjoint.gradient import Gradient, started
 from tests.mpm.adjoint.flows import SOIL, Weighted, central, exact_gradient, moved, plane, room, shaken, value_of
 from tests.refusals import refused

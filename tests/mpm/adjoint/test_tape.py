@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.errors import InputError, WorkFailed
-from datasets.scene import Scene
-from datasets.scene.library import read_scene
+from datasets import InputError, Scene, read_scene
+from datasets.errors import WorkFailed
 from mpm import simulate
 from mpm.adjoint.gradient import gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, steady

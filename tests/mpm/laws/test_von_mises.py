@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from datasets import InputError, Mass, Material, Scene
 from datasets.definitions.training import check_known
-from datasets.errors import InputError
-from datasets.scene import Mass, Scene
 from datasets.scene.grid_field import Field
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from datasets.schema import from_mapping
 from mpm import LAST, safety_factor, simulate

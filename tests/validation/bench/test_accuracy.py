@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Scene, Trajectory, read_scene
 from datasets.files import read_toml
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Scene
-from datasets.scene.library import read_scene
 from datasets.schema import from_mapping
 from mpm.resolution import COVERAGE, Measurements, characteristic_length, resolved, with_resolution
 from tests.flows import flow_of

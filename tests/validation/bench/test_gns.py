@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
+from datasets import Mass, Scene, Trajectory
 from datasets.scene.particles import initial_particles, released_volume
 from tests.flows import flow_of
 from tests.scenes import scene_of

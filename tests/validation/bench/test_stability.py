@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.errors import InputError, WorkFailed
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Scene
+from datasets import Baffle, InputError, Mass, Scene, Trajectory
+from datasets.errors import WorkFailed
 from datasets.scene.particles import initial_particles
 from tests import scenes
 from tests.flows import flow_of

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from datasets import Baffle, Mass, write_scene
 from datasets.forces import forces_of
-from datasets.scene import Baffle, Mass
-from datasets.scene.library import write_scene
+from inverse import Correlation, Prior
 from inverse.answer import Verdict
-from inverse.parameters.prior import Correlation, Prior
 from inverse.posterior import Matrix, Row
 from mpm import simulate
 from tests.refusals import refused

@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass
-from datasets.scene.library import write_scene
+from datasets import Mass, Trajectory, write_scene
 from datasets.scene.particles import particle_count
 from tests.flows import flow_of
 from tests.refusals import refused

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass
+from datasets import Mass, Trajectory
 from datasets.scene.particles import initial_particles
 from tests.flows import flow_of
 from tests.refusals import refused

@@ -11,8 +11,7 @@ import pytest
 import rasterio
 from scipy.stats import norm
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
+from datasets import Mass, Scene, Trajectory
 from mpm import LAST
 from tests.flows import flow_of
 from tests.refusals import refused, refused_by

@@ -10,17 +10,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets import Mass, Material, Scene, Trajectory
 from datasets.flow.measures import front
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
-from datasets.scene.material import Material
 from datasets.scene.particles import particle_count
+from inverse import Parameter, Problem, Result, TargetSettings
 from inverse.observations import KINDS, DepositSettings, Observation, Values
 from inverse.observations.target import Target
-from inverse.parameters import Parameter, Vector
-from inverse.problem import Problem
-from inverse.result import Result
-from inverse.settings import Surrogate, TargetSettings
+from inverse.parameters import Vector
+from inverse.settings import Surrogate
 from inverse.target import read_target
 from mpm import ALL, Recording
 from tests.flows import flow_of

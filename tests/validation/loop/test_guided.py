@@ -10,18 +10,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from datasets.errors import InputError
-from datasets.scene import Domain, Solid
+from datasets import Domain, InputError, Solid
 from gns import card, checkpoint
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
+from inverse import Parameter, TargetSettings, read_problem
 from inverse.answer import Purpose, Verdict
 from inverse.forward.gns import GnsForward
 from inverse.observations import FrontSettings
-from inverse.parameters import Parameter
-from inverse.problem import read_problem
 from inverse.search.inference import begun
-from inverse.settings import LoopSettings, Surrogate, TargetSettings
+from inverse.settings import LoopSettings, Surrogate
 from inverse.target import read_target
 from tests.validation.loop.flows import (
     Case,

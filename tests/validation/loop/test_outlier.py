@@ -8,16 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Mass, Scene, Trajectory
 from datasets.flow.measures import front
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
 from datasets.scene.grid_field import Floats
+from inverse import Parameter, Problem, TargetSettings
 from inverse.answer import Verdict
 from inverse.observations import FrontSettings
-from inverse.parameters import Parameter
-from inverse.problem import Problem
 from inverse.report import summary
-from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import ALL, Recording
 from tests.flows import flow_of
