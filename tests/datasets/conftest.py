@@ -10,8 +10,7 @@ from datasets.definitions.definition import Entry, Split
 from datasets.definitions.training import metadata, motion_statistics
 from datasets.files import write_json
 from datasets.scene.particles import initial_particles
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 
 
 @pytest.fixture

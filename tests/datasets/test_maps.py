@@ -15,8 +15,8 @@ from datasets.maps import PlanMaps, command, maps_of, outline, write
 from datasets.scene.grid_field import Grid
 from datasets.scene.particles import initial_particles
 from tests import scenes
-from tests.flows import flow_of
 from tests.refusals import refused_by
+from tests.scenes import flow_of
 
 
 def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[float, ...]], cell: float = 0.05) -> Scene:

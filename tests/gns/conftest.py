@@ -16,8 +16,7 @@ from gns.surroundings.initial import conditions_of
 from gns.surroundings.state import Conditions, State
 from gns.surroundings.units import Units
 from gns.train import train
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 
 NORMALISATION = Normalisation(displacement_scale=3e-3, acceleration_scale=7e-4, friction_mean=0.6, friction_std=0.2)
 Cloud = Callable[..., tuple[State, Conditions]]

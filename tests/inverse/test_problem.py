@@ -13,8 +13,8 @@ from inverse.observations import KINDS
 from inverse.parameters import kind
 from inverse.problem import PROBLEMS
 from inverse.target import read_target
-from tests.flows import flow_of
 from tests.refusals import refused, refused_by
+from tests.scenes import flow_of
 
 GOOD = """
 scene = "column-tall-42"

@@ -14,9 +14,8 @@ from datasets import Baffle, Mass, Trajectory
 from datasets.command_line import run
 from datasets.errors import WorkFailed
 from datasets.flow.fields import Colour
-from tests.flows import flow_of
 from tests.refusals import refused_by
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 from validation.report import rendering
 from validation.report.rendering import Picture
 from validation.vtk import command

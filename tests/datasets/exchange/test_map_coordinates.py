@@ -17,8 +17,8 @@ from datasets.maps import maps_of, write
 from datasets.scene.particles import initial_particles, mass_volumes
 from tests.datasets.exchange.test_scene_files import scene as read
 from tests.datasets.exchange.test_scene_files import write_raster
-from tests.flows import flow_of
 from tests.refusals import refused
+from tests.scenes import flow_of
 
 PLACE = (2_600_000.0, 2_000.0, 1_200_000.0)
 """Easting, elevation and northing of the box, as in the middle of Switzerland."""

@@ -14,9 +14,8 @@ from inverse.observations.deposit import Outline
 from inverse.observations.gauges import Gauges, Impulse
 from inverse.observations.observation import Joint
 from inverse.target import read_target
-from tests.flows import flow_of
 from tests.refusals import refused
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 
 HEAD = 'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
 

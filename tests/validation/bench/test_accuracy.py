@@ -11,7 +11,7 @@ from datasets import Scene, Trajectory, read_scene
 from datasets.files import read_toml
 from datasets.schema import from_mapping
 from mpm.resolution import COVERAGE, Measurements, characteristic_length, resolved, with_resolution
-from tests.flows import flow_of
+from tests.scenes import flow_of
 from validation.bench.accuracy.bench import (
     Error,
     Errors,

@@ -9,9 +9,8 @@ import pytest
 
 from datasets import Mass, Trajectory, write_scene
 from datasets.scene.particles import particle_count
-from tests.flows import flow_of
 from tests.refusals import refused
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 from validation.bench.experiments import compute, crossing
 from validation.experiments.experiment import Quantity, Reading, Shipped, read_experiment, read_experiments
 from validation.runs import Run

@@ -6,9 +6,8 @@ from numpy.typing import NDArray
 
 from datasets import Mass, Trajectory
 from datasets.scene.particles import initial_particles
-from tests.flows import flow_of
 from tests.refusals import refused
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 from validation.experiments.experiment import Measured, Quantity, Status, edge, quantity
 
 BLOCK = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.1)), size=(1.0, 0.2), cell=0.01, jitter=0.0)

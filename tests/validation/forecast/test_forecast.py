@@ -13,9 +13,8 @@ from scipy.stats import norm
 
 from datasets import Mass, Scene, Trajectory
 from mpm import LAST
-from tests.flows import flow_of
 from tests.refusals import refused, refused_by
-from tests.scenes import room, scene_of
+from tests.scenes import flow_of, room, scene_of
 from validation import forecast_scene
 from validation.forecast.__main__ import main
 from validation.forecast.predict import predicted

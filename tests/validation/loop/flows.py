@@ -20,8 +20,7 @@ from inverse.parameters import Vector
 from inverse.settings import Surrogate
 from inverse.target import read_target
 from mpm import ALL, Recording
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 from validation.loop.solve import run
 from validation.loop.task import Task
 

@@ -17,8 +17,7 @@ from inverse.observations import FrontSettings
 from inverse.report import summary
 from inverse.target import read_target
 from mpm import ALL, Recording
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 from validation.loop.solve import run
 from validation.loop.task import Task
 
