@@ -71,7 +71,7 @@ def cloud(settings: ModelSettings) -> Cloud:
         jitter = 0.6 * (torch.rand(lattice.shape, generator=generator) - 0.5)
         positions = torch.tensor(lower) + settings.cell * (lattice + jitter)
         velocities = torch.tensor(velocity).expand_as(positions)
-        state = State.moving(positions, velocities, step=settings.step, history=settings.history)
+        state = State.observed(positions[None], velocities, step=settings.step, history=settings.history)
         numbers = {"friction": 0.5, "cohesion": 100.0, "volume": settings.particle_volume}
         each = {name: torch.full((len(positions),), value) for name, value in numbers.items()}
         scene = scene_of(floor_friction=0.4, wall_friction=0.2, damping=0.1)
