@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from datasets import Mass, Material, Scene, Stage
-from datasets.definitions.training import check_known
 from datasets.scene.grid_field import Field
 from datasets.scene.particles import initial_particles
 from mpm import AT_REST, LAST, Recording, simulate, simulate_many
@@ -138,10 +137,8 @@ def test_a_stage_that_is_none_is_refused_with_its_key(stage: dict[str, Any], sai
     assert str(refused(lambda: staged(Stage(**{"time": 0.2, "cohesion": 1.0} | stage)))) == said
 
 
-def test_times_ascend_and_adjoint_and_surrogate_say_no() -> None:
+def test_times_ascend_and_the_adjoint_says_no() -> None:
     settled, first = Stage(time="settled", cohesion=1.0), Stage(time=0.2, cohesion=0.5)
     refused(staged, settled, first, said="stages[1].time: expected times in ascending order, then 'settled'")
     said = "stages: expected a scene without stages, of which the adjoint has no reverse"
     refused(gradient, staged(first), lambda x, v: (0.0, 0.0 * x, None), said=said)
-    said = "stages: expected a material that stays as it is, a model knows no other"
-    refused(check_known, staged(first), "a model", said=said)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from datasets import InputError, Mass, Material, Scene
-from datasets.definitions.training import check_known
 from datasets.scene.grid_field import Field
 from datasets.scene.particles import initial_particles
 from datasets.schema import from_mapping
@@ -113,8 +112,6 @@ def test_what_the_law_does_not_go_with() -> None:
         features_of([box(material=CLAY, volume_correction=True)], "f32")
     with pytest.raises(InputError, match=r"^fields: expected no field of friction beside law = 'von-mises'"):
         simulate(box(material=CLAY, fields=(field,)), record=LAST)
-    with pytest.raises(InputError, match=r"^material\.law: expected 'mohr-coulomb', the model knows no other"):
-        check_known(box(material=CLAY), "the model")
 
 
 def test_it_is_compiled_where_a_scene_has_it() -> None:
