@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.scene import Mass, Scene, Solid
-from datasets.scene.material import Material
+from datasets import Mass, Material, Scene, Solid
 from datasets.scene.particles import initial_particles
 from mpm import simulate
 from mpm.initial.slope import begins_as_slope

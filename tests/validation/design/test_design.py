@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from datasets.errors import InputError
+from datasets import Baffle, Mass, write_scene
 from datasets.forces import forces_of
-from datasets.scene import Baffle, Mass
+from inverse import Correlation, Parameter, Prior
 from inverse.answer import Verdict
-from inverse.parameters import Parameter
-from inverse.parameters.prior import Correlation, Prior
 from inverse.posterior import Matrix, Row
 from mpm import simulate
+from tests.refusals import refused
 from tests.scenes import scene_of
 from validation import find_design
 from validation.design.__main__ import main
@@ -40,7 +39,7 @@ SEEDS = range(3)
 def problem_of(**changes: object) -> DesignProblem:
     """Two heights under an uncertain angle; the front is to stay below 0.7 m in 95 % of the flows."""
     own = {"variables": HEIGHTS, "uncertain": (FRICTION,), "limit": Limit(quantity="front", below=0.7), "cost": PRICES}
-    return DesignProblem(**{"name": "known", "scene": SCENE, **own, **changes})  # type: ignore[arg-type]
+    return DesignProblem(**{"name": "known", "scene": SCENE, **own, **changes})
 
 
 class Known:
@@ -114,9 +113,6 @@ def test_draws_are_those_of_the_prior() -> None:
     drawn = problem.box.lower[2:] + problem.box.range[2:] * problem.draws(4000, np.random.default_rng(0))
     np.testing.assert_allclose(drawn.mean(axis=0), [30.0, 0.4, 0.2], rtol=2e-3)
     np.testing.assert_allclose(drawn.std(axis=0), [3.0, 0.05, 0.2 / np.sqrt(12.0)], rtol=1e-2)
-    narrow = replace(FRICTION, lower=29.0, upper=33.0)
-    cut = narrow.marginal.at(np.linspace(0.0, 1.0, 5))
-    assert (cut[0], cut[-1]) == (29.0, 33.0)
     pair = Correlation(between=("friction_deg", "floor_friction"), coefficient=-0.6)
     pairs = problem_of(uncertain=(FRICTION, floor), correlations=(pair,)).draws(4000, np.random.default_rng(0))
     assert np.corrcoef(pairs.T)[0, 1] == pytest.approx(-0.6, abs=0.04)
@@ -124,21 +120,17 @@ def test_draws_are_those_of_the_prior() -> None:
 
 PROBLEM = """
 scene = "scene.toml"
-
 [[variables]]
 name = "baffles[0].height"
 lower = 0.04
 upper = 0.24
-
 [[uncertain]]
 name = "floor_friction"
 lower = 0.3
 upper = 0.5
-
 [limit]
 quantity = "front"
 below = 0.7
-
 [cost]
 "baffles[0].height" = 1.0
 """
@@ -147,8 +139,6 @@ below = 0.7
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     """A problem as a file."""
-    from datasets.scene.library import write_scene
-
     write_scene(SCENE, tmp_path / "scene.toml")
     path = tmp_path / "problem.toml"
     path.write_text(PROBLEM)
@@ -180,7 +170,6 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
         ("upper = 0.5", "upper = 0.5\nspacing = [0.1, 0.1]", "uncertain[0].spacing: expected a number"),
         ('name = "floor_friction"', 'name = "baffles[0].height"', "variables[0].name: expected each number once"),
         ("upper = 0.5", "upper = 0.5\nprior = { kind = 'normal', mean = 0.4 }", "uncertain[0].prior.deviation"),
-        ("upper = 0.5", "upper = 0.5\nprior = { mean = 0.4 }", "uncertain[0].prior.kind: expected"),
         ("upper = 0.5", "upper = 0.5\nprior = { kind = 'beta' }", "uncertain[0].prior.kind: expected"),
         ('quantity = "front"', 'quantity = "force"', "limit.quantity: expected 'front', 'runout' or 'impact_force'"),
         ("below = 0.7", "below = 1.7", "limit.below: expected a number in (0, 1)"),
@@ -190,7 +179,6 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
         ('"baffles[0].height" = 1.0', 'height = 1.0', "cost.height: expected one of the variables baffles[0].height"),
         ("[cost]", "[budget]\nchecks = 5\n[cost]", "budget.checks: expected an integer from 20 to 1000000, got 5"),
         ("[cost]", "[budget]\nchecks = 1000000000000000000\n[cost]", "checks: expected an integer from 20 to 1000000"),
-        ("[cost]", "[price]", "price: expected a known key"),
         ("scene =", 'posterior = "none.npz"\nscene =', "none.npz: expected"),
         ("upper = 0.24", "upper = 1.4", "variables[0].upper: expected a scene that can be simulated"),
     ],
@@ -198,10 +186,7 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
 def test_a_mistake_is_one_line(file: Path, old: str, new: str, line: str) -> None:
     assert old in PROBLEM
     file.write_text(PROBLEM.replace(old, new, 1))
-    with pytest.raises(InputError) as caught:
-        read_design(file)
-    assert line in str(caught.value)
-    assert str(file.parent) in str(caught.value)
+    assert str(file.parent) in str(refused(read_design, file, said=line))
 
 
 def test_the_shipped_problem_is_read() -> None:

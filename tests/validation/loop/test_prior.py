@@ -43,7 +43,6 @@ def test_a_prior_counts_as_much_as_a_measurement(tmp_path: Path) -> None:
         assert samples.attrs["units"] == drawn.attrs["units"] == "deg"
         assert (samples.shape, drawn.shape) == ((2, 1500), (1, 3000))
         assert [axis[0].name for axis in samples.dims] == ["/posterior/chain", "/posterior/draw"]
-        assert found.posterior is not None
         weighed = found.posterior.samples.weights @ found.samples[:, 0]
         assert samples[...].mean() == pytest.approx(weighed, abs=0.02)
         assert drawn[...].std() == pytest.approx(3.0, rel=0.1)

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Trajectory
 from datasets.errors import WorkFailed
-from datasets.flow.trajectory import Trajectory
 from datasets.lock import locked
-from inverse import plot, save
+from inverse import Problem, plot, save
 from inverse.answer import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS
-from inverse.problem import Problem
 from inverse.search.inference import begun, narrowed
 from tests.inverse.test_fields import files
 from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, Uneven, layers, length, wedge
