@@ -63,7 +63,7 @@ def terrain_slots(
             columns += math.prod(node_shape(scene.domain)[::2])
     slots = 1
     for worker in workers if features.terrain and not features.processor.gpu else workers[:0]:
-        count = int(worker[Worker.LAST] - worker[Worker.FIRST]) * features.lanes // 4
+        count = int(worker[Worker.LAST] - worker[Worker.FIRST]) * features.lanes * 4
         worker[Worker.SLOT], worker[Worker.SLOTS] = slots, 1 << max(count, 256).bit_length()
         slots += int(worker[Worker.SLOTS])
     # Memory that nothing is written to is none.
