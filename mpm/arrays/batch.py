@@ -193,6 +193,7 @@ class Batch:
             offset[Offset.WINDOW_LOW_X : Offset.WINDOW_LOW_X + len(window.low)] = window.low
             offset[Offset.WINDOW_X : Offset.WINDOW_X + len(window.low)] = window.shape
         self.terrain, self.terrain_cells = terrain_arrays(obstacles, self.offsets, real)
+        self.terrain_tilts = np.zeros(2 * len(self.terrain_cells), real)
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""

@@ -311,7 +311,8 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
     d = arrays.state[contact + Contact.DISTANCE]
     for k in ti.static(range(size)):
         d = d + moved[k] * arrays.state[contact + Contact.NORMAL + k]
-    follows = (free > 0.0) & (bound > 0.0)
+    # As long as the face is the nearest, a way on its outer side meets none.
+    follows = (free > 0.0) & (d > 0.0)
     d = ti.select(follows, d, bound)
     delta = ti.select(follows, contact_delta(d, width), 0.0)
     bound = ti.select(follows, nearby, bound)
@@ -345,30 +346,46 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
     contact = contact_at(block, 0, arrays) * lanes + lane
     x = lane_numbers(arrays.lanes, first, arrays)
     v = lane_numbers(arrays.lanes, first + features.state.velocity * lanes, arrays)
-    velocity, solid, moved = v, -1, False
-    cell = arrays.settings[scene, Setting.CELL]
-    if bound <= 0.0:
-        start = lane_numbers(arrays.scratch_lanes, (scratch + features.scratch.origin) * lanes + lane, arrays)
-        start_entry = cell_of(start, scene, arrays)
-        for rotation in range(MAX_CROSSINGS):
-            face, corner, normal = first_crossed(start, x, start_entry, cell, scene, arrays)
-            if face < 0:
-                break
-            x = x - (x - corner).dot(normal) * normal
-            if rotation == MAX_CROSSINGS - 1:
-                x = start
-            moved = True
-            if v.dot(normal) < 0.0:
-                v = after_contact(v, normal, frictions_of(face, scene, arrays)[0])
-                solid = solid_of(face, scene, arrays)
-    entry = cell_of(x, scene, arrays)
-    delta, distance, free = 0.0 * cell, unlisted_distance(x, entry, scene, arrays), 0.0 * cell
-    _, listed = list_of(entry, arrays)
-    if ti.static(features.terrain) or listed > 0:
-        last = face_number(arrays.lanes[contact + Contact.FACE * lanes])
-        face, feature, weights, normal, d, bound = nearest_face(x, last, entry, scene, arrays)
-        if feature == 0 and d > 0.0 and d < arrays.settings[scene, Setting.SEARCH_DISTANCE]:
-            free = free_path(x, face, weights, normal, d, entry, cell, scene, arrays)
+    velocity, solid, moved, clear = v, -1, False, False
+    cell, nearby = arrays.settings[scene, Setting.CELL], arrays.settings[scene, Setting.SEARCH_DISTANCE]
+    start = lane_numbers(arrays.scratch_lanes, (scratch + features.scratch.origin) * lanes + lane, arrays)
+    face, feature, weights, normal, d = face_number(arrays.lanes[contact + Contact.FACE * lanes]), -1, x, x, cell
+    delta, distance, free = 0.0 * cell, 0.0 * cell, 0.0 * cell
+    # Above a height field the face that is nearest tells mostly that none was met: it is found first there.
+    look, found = ti.static(1 - int(features.terrain)), False
+    while look < 2:
+        search = True
+        if look == 1:
+            if bound <= 0.0 and not clear:
+                start_entry = cell_of(start, scene, arrays)
+                for rotation in range(MAX_CROSSINGS):
+                    crossed, corner, facing = first_crossed(start, x, start_entry, cell, scene, arrays)
+                    if crossed < 0:
+                        break
+                    x = x - (x - corner).dot(facing) * facing
+                    if rotation == MAX_CROSSINGS - 1:
+                        x = start
+                    moved = True
+                    if v.dot(facing) < 0.0:
+                        v = after_contact(v, facing, frictions_of(crossed, scene, arrays)[0])
+                        solid = solid_of(crossed, scene, arrays)
+            search = moved or not ti.static(features.terrain)
+        if search:
+            entry = cell_of(x, scene, arrays)
+            _, listed = list_of(entry, arrays)
+            distance = unlisted_distance(x, entry, scene, arrays)
+            found = ti.static(features.terrain) or listed > 0
+            if found:
+                face, feature, weights, normal, d, distance, free, clear = nearest_face(
+                    start, x, face, entry, scene, arrays
+                )
+                clear = clear and listed == 0
+                if feature == 0 and d > 0.0 and d < nearby:
+                    free = free_path(x, face, weights, normal, d, free, entry, cell, scene, arrays)
+                else:
+                    free = 0.0 * free
+        look += 1
+    if found:
         friction = weights.dot(frictions_of(face, scene, arrays))
         if d < 0.0:
             x = x - d * normal
@@ -376,7 +393,7 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
             if v.dot(normal) < 0.0:
                 v = after_contact(v, normal, friction)
                 solid = solid_of(face, scene, arrays)
-        distance = ti.min(d, bound)
+        distance = ti.min(d, distance)
         delta = contact_delta(d, arrays.settings[scene, Setting.CONTACT_WIDTH])
         arrays.lanes[contact + Contact.FRICTION * lanes] = friction
         arrays.lanes[contact + Contact.FACE * lanes] = face - FIRST_FACE
