@@ -238,19 +238,25 @@ def nearest_at_once(start, x, scene, arrays: ti.template()):
     from its plane [m]; how far x may move and T be nearest still [m], negative where it need not be; and how far the
     way from `start` [m] to x stays above the field [m], negative where that is not known.
     """
-    foot, a, b, c, across, scaled, size = x, x, x, x, x, 0.0 * x[0], 0.0 * x[0]
-    i, k, half, code = 0, 0, 0, 2
+    i, k, half, code = triangle_under(x, scene, arrays)
+    a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+    across = (b - a).cross(c - b)
+    size = across.dot(across)
+    scaled = (x - a).dot(across) / size
     # Over the foot there may be another triangle than over x.
-    for look in range(2):
-        i, k, half, code = triangle_under(foot, scene, arrays)
+    other_i, other_k, other, other_code = triangle_under(x - scaled * across, scene, arrays)
+    if other_i != i or other_k != k or other != half:
+        i, k, half, code = other_i, other_k, other, other_code
         a, b, c = triangle_corners(i, k, half, code, scene, arrays)
         across = (b - a).cross(c - b)
         size = across.dot(across)
         scaled = (x - a).dot(across) / size
-        foot = x - scaled * across
+    foot = x - scaled * across
     first, second = (c - b).cross(foot - b).dot(across) / size, (a - c).cross(foot - c).dot(across) / size
-    w, length = ti.Vector([first, second, 1.0 - first - second]), ti.sqrt(size)
-    edge = length * ti.min(w[0] / (c - b).norm(), w[1] / (a - c).norm(), w[2] / (b - a).norm())
+    w, longest = ti.Vector([first, second, 1.0 - first - second]), ti.max((b - a).dot(b - a), (c - b).dot(c - b))
+    longest = ti.sqrt(ti.max(longest, (a - c).dot(a - c)))
+    length = ti.sqrt(size)
+    edge = ti.min(w[0], w[1], w[2]) * length / longest
     normal, height = across / length, scaled * length
     depth, free, clearance = ti.abs(height), 0.0 * length - 1.0, 0.0 * length - 1.0
     post = 1.0 / ti.max(
