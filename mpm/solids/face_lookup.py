@@ -14,7 +14,6 @@ from mpm.solids.terrain import (
     cells_within,
     corner_frictions,
     in_terrain,
-    nearest_at_once,
     squared_plan_distance,
     terrain_radius,
     triangle_corners,
@@ -85,7 +84,8 @@ def frictions_of(face, scene, arrays: ti.template()):
             value = listed_vector(face, arrays.features.face.friction, arrays)
     if ti.static(arrays.features.terrain):
         if in_terrain(face, scene, arrays):
-            a, b, c = corner_frictions(face, scene, arrays)
+            i, k, half = cell_of_triangle(face, scene, arrays)
+            a, b, c = corner_frictions(i, k, half, cell_code(i, k, scene, arrays), scene, arrays)
             value = ti.Vector([arrays.terrain[a], arrays.terrain[b], arrays.terrain[c]])
     return value
 
@@ -247,12 +247,12 @@ def foot_on_face(x, a, b, c, arrays: ti.template()):
 
 
 @ti.func
-def nearest_face(start, x, last, entry, scene, arrays: ti.template()):
+def nearest_face(x, last, entry, scene, arrays: ti.template()):
     """Of the faces listed for a cell, and of a height field's, that nearest to `x` [m]: its number, its part that is
     nearest, the weights of its corners at the foot, the normal n [-] and the signed distance d [m], negative inside,
-    with x = foot + d n; a lower bound of the distance from all that was not looked at [m]; how far x may move and no
-    triangle of the height field come nearer than this face [m]; and whether the way from `start` [m] to x is known to
-    enter none. last: where to look first. Far away, part -1, where nothing is near.
+    with x = foot + d n; a lower bound of the distance from all that was not looked at [m]; and how far x may move and
+    no triangle of a height field come nearer than a listed face [m]. last: where to look first. Far away, part -1,
+    where nothing is near.
     """
     smallest, bound = 0.0 * x[0] + 1.0e30, unlisted_distance(x, entry, scene, arrays)
     face, feature = last, -1
@@ -274,35 +274,27 @@ def nearest_face(start, x, last, entry, scene, arrays: ti.template()):
                     if square < smallest:
                         smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
                         normal = facing
-    clear, free = False, 0.0 * x[0] - 1.0
+    free = 0.0 * smallest
     if ti.static(arrays.features.terrain):
+        free += 1.0e30
         if arrays.offsets[scene, Offset.POSTS_X] > 0:
-            triangle, w, across, height, free, clearance = nearest_at_once(start, x, scene, arrays)
-            if free > 0.0:
-                clear = clearance > 0.0 - SKIN * arrays.settings[scene, Setting.CELL]
-                if height * height < smallest:
-                    smallest, face, feature, weights = height * height, triangle, 0, w
-                    offset, normal = height * across, across
-                else:
-                    free = 0.5 * (ti.abs(height) - ti.sqrt(smallest))
-            else:
-                radius, beyond, least = terrain_radius(x, reach_of(scene, arrays), scene, arrays)
-                bound = ti.min(bound, beyond)
-                i0, k0, i1, k1 = cells_about(x, radius, scene, arrays)
-                for i in range(i0, i1):
-                    for k in range(k0, k1):
-                        code = cell_code(i, k, scene, arrays)
-                        if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < smallest:
-                            for half in range(2):
-                                a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-                                across = (b - a).cross(c - b)
-                                if (x - a).dot(across) ** 2 < smallest * across.dot(across):
-                                    w, part, from_foot = foot_on_face(x, a, b, c, arrays)
-                                    square = from_foot.dot(from_foot)
-                                    if square < smallest:
-                                        smallest, feature, weights, offset = square, part, w, from_foot
-                                        normal, face = across, triangle_number(i, k, half, scene, arrays)
-                free = 0.5 * (least - ti.sqrt(smallest))
+            radius, beyond, least = terrain_radius(x, reach_of(scene, arrays), scene, arrays)
+            bound = ti.min(bound, beyond)
+            i0, k0, i1, k1 = cells_about(x, radius, scene, arrays)
+            for i in range(i0, i1):
+                for k in range(k0, k1):
+                    code = cell_code(i, k, scene, arrays)
+                    if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < smallest:
+                        for half in range(2):
+                            a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+                            across = (b - a).cross(c - b)
+                            if (x - a).dot(across) ** 2 < smallest * across.dot(across):
+                                w, part, from_foot = foot_on_face(x, a, b, c, arrays)
+                                square = from_foot.dot(from_foot)
+                                if square < smallest:
+                                    smallest, feature, weights, offset = square, part, w, from_foot
+                                    normal, face = across, triangle_number(i, k, half, scene, arrays)
+            free = 0.5 * (least - ti.sqrt(smallest))
     # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
     side = offset[1]
     if ti.static(arrays.features.terrain):
@@ -323,7 +315,7 @@ def nearest_face(start, x, last, entry, scene, arrays: ti.template()):
             normal = offset * (sign / length)
     if feature < 0:
         d = 0.0 * d + 1.0e30
-    return face, feature, weights, normal, d, bound, free, clear
+    return face, feature, weights, normal, d, bound, free
 
 
 @ti.func
@@ -336,10 +328,9 @@ def free_path(x, face, weights, normal, d, free, entry, cell, scene, arrays: ti.
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
-    if ti.static(features.terrain):
-        free = ti.min(free, cell)
-    else:
+    if ti.static(not features.terrain):
         free = cell
+    free = ti.min(free, cell)
     friction = frictions_of(face, scene, arrays)
     for k in ti.static(range(1, dimension)):
         if friction[k] != friction[0]:

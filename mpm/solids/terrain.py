@@ -184,13 +184,12 @@ def triangle_corners(i, k, half, code, scene, arrays: ti.template()):
 
 
 @ti.func
-def corner_frictions(face, scene, arrays: ti.template()):
+def corner_frictions(i, k, half, code, scene, arrays: ti.template()):
     """Where the Coulomb coefficients at the corners of a triangle stand in `terrain`, three numbers."""
     _, across, _, _, _, friction = posts(scene, arrays)
     a, b, c = friction, friction, friction
     if arrays.offsets[scene, Offset.TERRAIN_FRICTION] == 1:
-        i, k, half = cell_of_triangle(face, scene, arrays)
-        p, q = corner_posts(cell_code(i, k, scene, arrays), half)
+        p, q = corner_posts(code, half)
         at = friction + i * across + k
         a, b, c = at + p * across, at + q * across + 1, at + across + half
     return a, b, c
@@ -222,49 +221,3 @@ def tilt_around(i, k, half, scene, arrays: ti.template()):
                         tilt = 0.0 * tilt + UNKNOWN
         arrays.terrain_tilts[2 * cell + half] = tilt
     return tilt
-
-
-@ti.func
-def nearest_at_once(start, x, scene, arrays: ti.template()):
-    """The triangle of a height field nearest to `x` [m], where that follows from the tilt of those around it.
-
-    Let p be the distance of x from the plane of a triangle T, and the foot lie in T, e from its edges. With tan of the
-    angles between T and the others at most t, a point of these that is l from the foot along T rises by at most
-    t (l - e) towards x, so that its distance squared is at least l^2 + p^2 - 2 p t (l - e): no less than p^2 if
-    e >= p t / 2. Others are those within p along T and, because they may be as deep, 2 p in plan: p is at most the
-    distance between posts, and t at most 1, where they are among those AROUND T.
-
-    Returns the number of T as a face, the weights of its corners at the foot, its normal and the signed distance of x
-    from its plane [m]; how far x may move and T be nearest still [m], negative where it need not be; and how far the
-    way from `start` [m] to x stays above the field [m], negative where that is not known.
-    """
-    i, k, half, code = triangle_under(x, scene, arrays)
-    a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-    across = (b - a).cross(c - b)
-    size = across.dot(across)
-    scaled = (x - a).dot(across) / size
-    # Over the foot there may be another triangle than over x.
-    other_i, other_k, other, other_code = triangle_under(x - scaled * across, scene, arrays)
-    if other_i != i or other_k != k or other != half:
-        i, k, half, code = other_i, other_k, other, other_code
-        a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-        across = (b - a).cross(c - b)
-        size = across.dot(across)
-        scaled = (x - a).dot(across) / size
-    foot = x - scaled * across
-    first, second = (c - b).cross(foot - b).dot(across) / size, (a - c).cross(foot - c).dot(across) / size
-    w, longest = ti.Vector([first, second, 1.0 - first - second]), ti.max((b - a).dot(b - a), (c - b).dot(c - b))
-    longest = ti.sqrt(ti.max(longest, (a - c).dot(a - c)))
-    length = ti.sqrt(size)
-    edge = ti.min(w[0], w[1], w[2]) * length / longest
-    normal, height = across / length, scaled * length
-    depth, free, clearance = ti.abs(height), 0.0 * length - 1.0, 0.0 * length - 1.0
-    post = 1.0 / ti.max(
-        terrain_number(TerrainNumber.PER_X, scene, arrays), terrain_number(TerrainNumber.PER_Z, scene, arrays)
-    )
-    if code < 2 and edge > 0.0 and depth < post:
-        tilt, path = tilt_around(i, k, half, scene, arrays), (x - start).norm()
-        free = ti.min((edge - 0.5 * depth * tilt) / (1.0 + 0.5 * tilt), post - depth)
-        if tilt < UNKNOWN and path < post:
-            clearance = ti.min(height, height - (x - start).dot(normal)) - tilt * ti.max(path - edge, 0.0)
-    return triangle_number(i, k, half, scene, arrays), w, normal, height, free, clearance
