@@ -19,7 +19,6 @@ from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, TerrainNumbe
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import add_impulse, contact_at, present
 from mpm.solids.face_lookup import (
-    SKIN,
     TINY,
     cell_of,
     face_number,
@@ -41,6 +40,8 @@ from mpm.solids.terrain import (
     triangle_under,
 )
 
+CUT_BUMP = 0.02
+"""Height [cells] of what the way of a step may cut off a height field, whose contact is a cell wide."""
 MAX_CROSSINGS = 3
 """Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
 
@@ -139,8 +140,8 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
     post = 1.0 / ti.max(
         terrain_number(TerrainNumber.PER_X, scene, arrays), terrain_number(TerrainNumber.PER_Z, scene, arrays)
     )
-    skin = SKIN * arrays.settings[scene, Setting.CELL]
-    clear = minimum(maximum(d, 0.0), before) + skin > tilt * maximum(path - edge, 0.0)
+    bump = CUT_BUMP * arrays.settings[scene, Setting.CELL]
+    clear = minimum(maximum(d, 0.0), before) + bump > tilt * maximum(path - edge, 0.0)
     clear = (clear & (tilt < UNKNOWN) & (path < post)) | ((bound > 0.0) & (d > 0.0))
     known = (bound < nearby) & (free > 0.0) & clear
     put_terrain_contact(block, scratch, known, d, normal, weights, free, nearby, worker, scene, arrays)
