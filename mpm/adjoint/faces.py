@@ -233,7 +233,7 @@ def add_face(face, column: ti.template(), value, scene, arrays: ti.template()):
 def terrain_reverse(bar, v, node, scene, arrays: ti.template()):
     """Bar of a node's velocity `v` [m/s] from that of what the height field takes of it, and this; shape [D] each.
 
-    Adds the bars of friction. The reverse of `mpm.solids.terrain_holds.removed_at_once`.
+    Adds the bars of friction. The reverse of `mpm.solids.terrain_holds.meet_holds`.
     """
     x, removed, v_bar, total = node_position(node, scene, arrays), 0.0 * v, 0.0 * v, 0.0 * v[0]
     i0, k0, i1, k1 = cells_over(x, scene, arrays)

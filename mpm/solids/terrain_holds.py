@@ -11,17 +11,7 @@ its particles need, and then those of others in place of the oldest: memory foll
 import taichi as ti
 
 from mpm.arrays.access import columns_deep
-from mpm.arrays.layout import (
-    KEPT,
-    KEPT_NODES,
-    KEPT_NUMBERS,
-    PADDING,
-    Offset,
-    Setting,
-    Span,
-    TerrainNumber,
-    Worker,
-)
+from mpm.arrays.layout import KEPT, KEPT_NODES, KEPT_NUMBERS, PADDING, Offset, Setting, Span, TerrainNumber, Worker
 from mpm.physics.boundary import after_contact
 from mpm.solids.face_lookup import foot_on_face, frictions_of, reach_of
 from mpm.solids.obstacles import BLEND, FADE
@@ -84,13 +74,12 @@ def removed_by_terrain(v, node, worker, scene, arrays: ti.template()):
     removed = 0.0 * v
     near = may_be_held(node, scene, arrays)
     if ti.static(arrays.features.processor.gpu):
-        slot = 0
         if near:
-            removed = removed_at_once(v, node, scene, arrays)
+            removed = meet_holds(v, 0, node, False, scene, arrays)
     elif near:
         slot, known = slot_of(node, worker, scene, arrays)
         if not known:
-            keep_holds(slot, node, scene, arrays)
+            meet_holds(v, slot, node, True, scene, arrays)
         for hold in range(ti.cast(arrays.kept_holds[slot, 1], ti.i32)):
             at = FIRST_HOLD + hold * KEPT_NUMBERS
             normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))])
@@ -133,13 +122,14 @@ def slot_of(node, worker, scene, arrays: ti.template()):
 
 
 @ti.func
-def keep_holds(slot, node, scene, arrays: ti.template()):
-    """Keep the holds of a node: how many, and of each its share [-], friction [-] and normal [-].
+def meet_holds(v, slot, node, kept: ti.template(), scene, arrays: ti.template()):
+    """What the holds of a node take of its velocity `v` [m/s], shape [D]; or, where they are `kept`, how many they are
+    and of each its share [-], friction [-] and normal [-] in the line `slot`.
 
-    Those with one normal and one friction are one; where there are more than KEPT others, so are those whose normals
-    differ least.
+    Of those that are kept, those with one normal and one friction are one; where there are more than KEPT others, so
+    are those whose normals differ least.
     """
-    x, total, count = node_position(node, scene, arrays), 0.0 * arrays.settings[scene, Setting.CELL], 0
+    x, removed, total, count = node_position(node, scene, arrays), 0.0 * v, 0.0 * v[0], 0
     i0, k0, i1, k1 = cells_over(x, scene, arrays)
     blend, limit = BLEND * arrays.settings[scene, Setting.CELL], reach_of(scene, arrays) ** 2
     depth, nearest = 0.0 * blend, limit
@@ -168,15 +158,20 @@ def keep_holds(slot, node, scene, arrays: ti.template()):
                                 face = triangle_number(i, k, half, scene, arrays)
                                 friction = w.dot(frictions_of(face, scene, arrays))
                                 total += weight
-                                count = add_hold(slot, count, weight, friction, normal, arrays)
+                                if ti.static(kept):
+                                    count = add_hold(slot, count, weight, friction, normal, arrays)
+                                elif v.dot(normal) < 0.0:
+                                    removed += weight * (v - after_contact(v, normal, friction))
     share = hold_share(depth, total, scene, arrays)
-    arrays.kept_holds[slot, 1] = count
-    for hold in range(count):
-        at = FIRST_HOLD + hold * KEPT_NUMBERS
-        normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))]).normalized()
-        arrays.kept_holds[slot, at] = share * arrays.kept_holds[slot, at]
-        for k in ti.static(range(3)):
-            arrays.kept_holds[slot, at + 2 + k] = normal[k]
+    if ti.static(kept):
+        arrays.kept_holds[slot, 1] = count
+        for hold in range(count):
+            at = FIRST_HOLD + hold * KEPT_NUMBERS
+            normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))]).normalized()
+            arrays.kept_holds[slot, at] = share * arrays.kept_holds[slot, at]
+            for k in ti.static(range(3)):
+                arrays.kept_holds[slot, at + 2 + k] = normal[k]
+    return share * removed
 
 
 @ti.func
@@ -208,40 +203,3 @@ def add_hold(slot, count, weight, friction, normal, arrays: ti.template()):
             arrays.kept_holds[slot, at + 2 + k] = normal[k]
         result = count + 1
     return result
-
-
-@ti.func
-def removed_at_once(v, node, scene, arrays: ti.template()):
-    """`removed_by_terrain` where nothing is kept."""
-    x, removed, total = node_position(node, scene, arrays), 0.0 * v, 0.0 * v[0]
-    i0, k0, i1, k1 = cells_over(x, scene, arrays)
-    blend, limit = BLEND * arrays.settings[scene, Setting.CELL], reach_of(scene, arrays) ** 2
-    depth, nearest = 0.0 * blend, limit
-    # First the nearest, then all that are nearly as near.
-    for search in range(2):
-        if search == 1:
-            depth = ti.sqrt(nearest)
-            limit = (depth + blend) ** 2
-        for i in range(i0, i1):
-            for k in range(k0, k1):
-                code = cell_code(i, k, scene, arrays)
-                if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < limit:
-                    for half in range(2):
-                        a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-                        across = (b - a).cross(c - b)
-                        height, size = (x - a).dot(across), across.dot(across)
-                        if height < 0.0 and height * height < limit * size:
-                            w, _, from_foot = foot_on_face(x, a, b, c, arrays)
-                            square = from_foot.dot(from_foot)
-                            if search == 0:
-                                nearest = ti.min(nearest, square)
-                                limit = nearest
-                            elif square < limit:
-                                normal = across / ti.sqrt(size)
-                                weight = hold_weight(square, 0.0 - from_foot.dot(normal), depth, blend)
-                                total += weight
-                                if v.dot(normal) < 0.0:
-                                    face = triangle_number(i, k, half, scene, arrays)
-                                    friction = w.dot(frictions_of(face, scene, arrays))
-                                    removed += weight * (v - after_contact(v, normal, friction))
-    return hold_share(depth, total, scene, arrays) * removed
