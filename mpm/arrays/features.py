@@ -209,6 +209,7 @@ class Features:
             changes=size**2 * corrected,  # of its change
             origin=size * contact,  # the positions before a step
             push=2 * size * contact,  # the contact's force per volume and its arm
+            ground=18 * int(self.terrain),  # the triangle of a height field at each particle
         )
 
 
