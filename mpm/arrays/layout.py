@@ -173,6 +173,18 @@ class Span(Column):
     OCCUPIED = auto()  # line n: the n-th column of cells that holds particles
 
 
+class Look(Column):
+    """What one look at a height field leaves of each particle in the scratch (`mpm.physics.contact_search`)."""
+
+    PLACE = 0  # where it looks from, x and then its foot [m]
+    CORNERS = 3  # of the triangle there [m]
+    TILT = 12  # tan of the largest angle between that one and those around it
+    FACE = 13  # its number, less FIRST_FACE
+    LIMIT = 14  # the distance within which nothing is but those around it [m]
+    FRICTION = 15  # at its corners [-]
+    SIZE = 18
+
+
 class StepControl(Column):
     """Columns of `step_control`, real, shape [scenes, len(StepControl)]: the steps, where each is a launch."""
 

@@ -15,7 +15,7 @@ For the same reason a way of length s that ends at x is clear of the others wher
 import taichi as ti
 
 from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
-from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, TerrainNumber, Worker
+from mpm.arrays.layout import FIRST_FACE, Contact, Look, Offset, Setting, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import add_impulse, contact_at, present
 from mpm.solids.face_lookup import (
@@ -33,7 +33,7 @@ from mpm.solids.face_lookup import (
 from mpm.solids.terrain import (
     UNKNOWN,
     corner_frictions,
-    terrain_number,
+    post_spacing,
     tilt_around,
     triangle_corners,
     triangle_number,
@@ -116,30 +116,30 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
     """
     features = arrays.features
     position = vectors(arrays.state, block * features.state.size, 3)
-    ground, push = scratch + features.scratch.ground, scratch + features.scratch.push
+    seen, push = scratch + features.scratch.look, scratch + features.scratch.push
     for k in ti.static(range(3)):
-        arrays.scratch[ground + k] = position[k]
+        arrays.scratch[seen + k] = position[k]
     # Over the foot there may be another triangle than over the particle.
     for look in range(2):
         for lane in range(features.lanes):
             if arrays.scratch_lanes[push * features.lanes + lane] < nearby:
-                look_at_terrain(ground * features.lanes + lane, look, scene, arrays)
-        across, size = plane_of(ground, arrays)
-        scaled = dot([position[k] - arrays.scratch[ground + 3 + k] for k in ti.static(range(3))], across) / size
+                look_at_terrain(seen * features.lanes + lane, look, scene, arrays)
+        across, size = plane_of(seen, arrays)
+        scaled = (
+            dot([position[k] - arrays.scratch[seen + Look.CORNERS + k] for k in ti.static(range(3))], across) / size
+        )
         for k in ti.static(range(3)):
-            arrays.scratch[ground + k] = position[k] - scaled * across[k]
-    across, size = plane_of(ground, arrays)
+            arrays.scratch[seen + k] = position[k] - scaled * across[k]
+    across, size = plane_of(seen, arrays)
     length = ti.sqrt(size)
-    d = dot([position[k] - arrays.scratch[ground + 3 + k] for k in ti.static(range(3))], across) / length
+    d = dot([position[k] - arrays.scratch[seen + Look.CORNERS + k] for k in ti.static(range(3))], across) / length
     normal = [across[k] / length for k in ti.static(range(3))]
-    weights, edge = foot_weights(ground, across, size, arrays)
-    tilt, bound = arrays.scratch[ground + 12], arrays.scratch[push]
-    limit = arrays.scratch[ground + 14]
+    weights, edge = foot_weights(seen, across, size, arrays)
+    tilt, bound = arrays.scratch[seen + Look.TILT], arrays.scratch[push]
+    limit = arrays.scratch[seen + Look.LIMIT]
     depth, before = maximum(d, 0.0 - d), d - dot(moved, normal)
     free = minimum((edge - 0.5 * depth * tilt) / (1.0 + 0.5 * tilt), limit - depth)
-    post = 1.0 / ti.max(
-        terrain_number(TerrainNumber.PER_X, scene, arrays), terrain_number(TerrainNumber.PER_Z, scene, arrays)
-    )
+    post = post_spacing(scene, arrays)
     bump = CUT_BUMP * arrays.settings[scene, Setting.CELL]
     clear = minimum(maximum(d, 0.0), before) + bump > tilt * maximum(path - edge, 0.0)
     clear = (clear & (tilt < UNKNOWN) & (path < post)) | ((bound > 0.0) & (d > 0.0))
@@ -151,36 +151,34 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
 
 @ti.func
 def look_at_terrain(at, look, scene, arrays: ti.template()):
-    """Leave in `scratch_lanes`, for the place of a particle that stands there from `at` on, the corners [m] of the
-    triangle over or under it, tan of the angle to those around it, its number less FIRST_FACE, the distance within
-    which nothing else is but what is around it [m], and the friction at its corners.
+    """Leave the numbers of `Look` of the triangle over or under a place in `scratch_lanes`, where its own begin `at`.
+
+    look: 0 at a particle, 1 at its foot.
     """
     lanes = arrays.features.lanes
     place = lane_numbers(arrays.scratch_lanes, at, arrays)
     i, k, half, code = triangle_under(place, scene, arrays)
     number = 1.0 * (triangle_number(i, k, half, scene, arrays) - FIRST_FACE)
     if look == 0:
-        limit = 1.0 / ti.max(
-            terrain_number(TerrainNumber.PER_X, scene, arrays), terrain_number(TerrainNumber.PER_Z, scene, arrays)
-        )
+        limit = post_spacing(scene, arrays)
         if ti.static(arrays.features.listed):
             entry = cell_of(place, scene, arrays)
             _, listed = list_of(entry, arrays)
             limit = ti.min(limit, unlisted_distance(place, entry, scene, arrays))
             if listed > 0:
                 limit = 0.0 * limit
-        arrays.scratch_lanes[at + 14 * lanes] = limit
-    if look == 0 or number != arrays.scratch_lanes[at + 13 * lanes]:
+        arrays.scratch_lanes[at + Look.LIMIT * lanes] = limit
+    if look == 0 or number != arrays.scratch_lanes[at + Look.FACE * lanes]:
         a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-        put_lane_numbers(arrays.scratch_lanes, at + 3 * lanes, a, arrays)
-        put_lane_numbers(arrays.scratch_lanes, at + 6 * lanes, b, arrays)
-        put_lane_numbers(arrays.scratch_lanes, at + 9 * lanes, c, arrays)
-        arrays.scratch_lanes[at + 13 * lanes] = number
+        put_lane_numbers(arrays.scratch_lanes, at + Look.CORNERS * lanes, a, arrays)
+        put_lane_numbers(arrays.scratch_lanes, at + (Look.CORNERS + 3) * lanes, b, arrays)
+        put_lane_numbers(arrays.scratch_lanes, at + (Look.CORNERS + 6) * lanes, c, arrays)
+        arrays.scratch_lanes[at + Look.FACE * lanes] = number
     if look == 1:
-        arrays.scratch_lanes[at + 12 * lanes] = tilt_around(i, k, half, scene, arrays)
+        arrays.scratch_lanes[at + Look.TILT * lanes] = tilt_around(i, k, half, scene, arrays)
         first, second, third = corner_frictions(i, k, half, code, scene, arrays)
         friction = ti.Vector([arrays.terrain[first], arrays.terrain[second], arrays.terrain[third]])
-        put_lane_numbers(arrays.scratch_lanes, at + 15 * lanes, friction, arrays)
+        put_lane_numbers(arrays.scratch_lanes, at + Look.FRICTION * lanes, friction, arrays)
 
 
 @ti.func
@@ -196,26 +194,24 @@ def cross(a: ti.template(), b: ti.template()):
 
 
 @ti.func
-def side_of(ground, first: ti.template(), second: ti.template(), arrays: ti.template()):
-    """From one place in the scratch to another [m], a list of three vectors: the foot is 0, the corners 1, 2, 3."""
-    return [
-        arrays.scratch[ground + 3 * second + k] - arrays.scratch[ground + 3 * first + k] for k in ti.static(range(3))
-    ]
+def side_of(seen, first: ti.template(), second: ti.template(), arrays: ti.template()):
+    """From one place in the scratch to another [m], a list of three vectors: the foot is 0, the corners are 1 to 3."""
+    return [arrays.scratch[seen + 3 * second + k] - arrays.scratch[seen + 3 * first + k] for k in ti.static(range(3))]
 
 
 @ti.func
-def plane_of(ground, arrays: ti.template()):
+def plane_of(seen, arrays: ti.template()):
     """The normal of the triangles that `look_at_terrain` left, as long as twice their areas, and its square."""
-    across = cross(side_of(ground, 1, 2, arrays), side_of(ground, 2, 3, arrays))
+    across = cross(side_of(seen, 1, 2, arrays), side_of(seen, 2, 3, arrays))
     return across, dot(across, across)
 
 
 @ti.func
-def foot_weights(ground, across: ti.template(), size, arrays: ti.template()):
+def foot_weights(seen, across: ti.template(), size, arrays: ti.template()):
     """The weights of the corners at the feet [-], a list of three, and no more than their distances from edges [m]."""
-    ab, bc, ca = side_of(ground, 1, 2, arrays), side_of(ground, 2, 3, arrays), side_of(ground, 3, 1, arrays)
-    first = dot(cross(bc, side_of(ground, 2, 0, arrays)), across) / size
-    second = dot(cross(ca, side_of(ground, 3, 0, arrays)), across) / size
+    ab, bc, ca = side_of(seen, 1, 2, arrays), side_of(seen, 2, 3, arrays), side_of(seen, 3, 1, arrays)
+    first = dot(cross(bc, side_of(seen, 2, 0, arrays)), across) / size
+    second = dot(cross(ca, side_of(seen, 3, 0, arrays)), across) / size
     third = 1.0 - first - second
     longest = maximum(maximum(dot(ab, ab), dot(bc, bc)), dot(ca, ca))
     return [first, second, third], minimum(minimum(first, second), third) * ti.sqrt(size / longest)
@@ -241,9 +237,9 @@ def put_terrain_contact(
     """
     features = arrays.features
     first, contact = block * features.state.size, contact_at(block, 0, arrays)
-    ground = scratch + features.scratch.ground
+    seen = scratch + features.scratch.look
     width = arrays.settings[scene, Setting.CONTACT_WIDTH]
-    rough = [arrays.scratch[ground + 15 + k] for k in ti.static(range(3))]
+    rough = [arrays.scratch[seen + Look.FRICTION + k] for k in ti.static(range(3))]
     friction = dot(weights, rough)
     alike = (rough[0] == rough[1]) & (rough[1] == rough[2])
     friction = ti.select(alike, rough[0], friction)
@@ -271,7 +267,7 @@ def put_terrain_contact(
         arrays.state[at] = ti.select(known, normal[k], arrays.state[at])
         arrays.state[at + 3] = ti.select(known, shear, arrays.state[at + 3])
     put_known(contact + Contact.FRICTION, known, friction, arrays)
-    put_known(contact + Contact.FACE, known, arrays.scratch[ground + 13], arrays)
+    put_known(contact + Contact.FACE, known, arrays.scratch[seen + Look.FACE], arrays)
     put_known(contact + Contact.DELTA, known, delta, arrays)
     put_known(contact + Contact.DISTANCE, known, outside, arrays)
     put_known(contact + Contact.FREE, known, ti.select(alike & (d > 0.0) & (d < nearby), free, 0.0), arrays)

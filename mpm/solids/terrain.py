@@ -49,6 +49,16 @@ def posts(scene, arrays: ti.template()):
 
 
 @ti.func
+def post_spacing(scene, arrays: ti.template()):
+    """The lesser of the distances between posts along x and z [m]."""
+    along, across = (
+        terrain_number(TerrainNumber.PER_X, scene, arrays),
+        terrain_number(TerrainNumber.PER_Z, scene, arrays),
+    )
+    return 1.0 / ti.max(along, across)
+
+
+@ti.func
 def raster_cell(x, scene, arrays: ti.template()):
     """The cell i, k of the raster that `x` [m] lies over or under, or the last one on its side."""
     along, across, _, _, _, _ = posts(scene, arrays)
