@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 from rasterio.transform import Affine
 
 from datasets.exchange.meshes import read_mesh, write_surface
+from datasets.exchange.rasters import read_raster
 from datasets.geometry.nearest import nearest
 from datasets.geometry.shells import manifold, outward
 from datasets.scene import Scene
@@ -147,7 +148,11 @@ def test_a_layer_that_the_box_cuts_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("dtype", "hole"),
-    [("float64", -9999.0), ("float64", -99999.0), ("int16", -32768), ("float32", -3.4028235e38), ("float64", 1e20)],
+    [
+        *(("float64", hole) for hole in (-9999.0, -99999.0, -999.0, -9999.9, 9999.0, 1e20)),
+        ("int16", -32768),
+        ("float32", -3.4028235e38),
+    ],
 )
 def test_undeclared_holes_are_no_ground(tmp_path: Path, dtype: str, hole: float) -> None:
     values = np.ones((10, 20), dtype)
@@ -156,6 +161,26 @@ def test_undeclared_holes_are_no_ground(tmp_path: Path, dtype: str, hole: float)
     text = SPACE.replace("[2.0, 1.0, 1.0]", "[2.0, 3.0, 1.0]") + BODY_3D.replace("0.8,", "2.0,") + TERRAIN
     with pytest.warns(UserWarning, match="dem.tif: 1 values such as .* taken as no data"):
         refused(scene, tmp_path, text + 'file = "dem.tif"\n', said="without holes in the box, got 1 cells without data")
+
+
+def test_a_high_valley_beside_zeros_and_a_high_cliff(tmp_path: Path) -> None:
+    """Zeros around ground at 1500 m are no ground; what lies up to 500 m below all else is."""
+    values, above = np.full((14, 26), 1500.0), Affine(0.1, 0.0, 500000.0, 0.0, -0.1, 5000001.4)
+    values[[0, -1]] = 0.0
+    for change, holes in ((0.0, 52), (1001.0, 0)):
+        raster = np.where(values == 0.0, change, values)
+        write_raster(tmp_path / "dem.tif", raster, nodata=None, transform=above)
+        with pytest.warns(UserWarning, match=f"{holes} values such as 0") if holes else nullcontext():
+            assert int(np.isnan(read_raster(tmp_path / "dem.tif").values).sum()) == holes
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_an_ascii_raster_with_a_mark_of_its_encoding(tmp_path: Path, encoding: str) -> None:
+    write_raster(tmp_path / "dem.asc", tilted())
+    text = (tmp_path / "dem.asc").read_text()
+    plain = read_raster(tmp_path / "dem.asc").values
+    (tmp_path / "dem.asc").write_bytes(text.encode(encoding))
+    np.testing.assert_array_equal(read_raster(tmp_path / "dem.asc").values, plain)
 
 
 def test_only_holes_that_the_box_needs_are_holes(tmp_path: Path) -> None:
@@ -178,10 +203,16 @@ def test_scale_and_offset_of_a_raster_are_applied(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("crs", "east", "same"),
-    [("EPSG:32632", 5e5, True), ("EPSG:25832", 5e5, True), (None, 5e5, True), ("EPSG:31287", 4e5, False)],
+    [
+        ("EPSG:32632", 5e5, True),
+        ("EPSG:25832", 5e5, True),
+        (None, 5e5, True),
+        ("EPSG:31287", 4e5, False),
+        ("EPSG:4647", 4e5, False),
+    ],
 )
 def test_reference_systems_of_one_scene(tmp_path: Path, crs: str | None, east: float, same: bool) -> None:
-    """UTM of ETRS89 and of WGS 84 lie on each other, Austria's Lambert does not."""
+    """UTM of ETRS89 and of WGS 84 lie on each other, Austria's Lambert does not; UTM with a zone has no such place."""
     place = Affine(0.1, 0.0, east, 0.0, -0.1, 10.0 * east + 1.0 if same else east)
     write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:32632")
     write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), crs, transform=place)
