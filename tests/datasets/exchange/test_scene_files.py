@@ -21,7 +21,7 @@ from datasets.scene import Scene
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles, mass_volumes
-from tests.datasets.geometry.solids import sphere, surface
+from tests.datasets.geometry.solids import CUBE, QUADS, sphere, surface
 from tests.refusals import refused
 
 PLANE = """\
@@ -238,25 +238,6 @@ def test_a_mesh(tmp_path: Path, name: str) -> None:
     assert mass_volumes(body)[0] == pytest.approx(4.0 / 3.0 * np.pi * 0.2**3, rel=0.03)
 
 
-QUADS = ((1, 2, 3, 4), (5, 8, 7, 6), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 8, 4), (4, 8, 5, 1))
-"""Of a cube, outwards."""
-CUBE = np.array([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1), (0, 1, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1)], float)
-
-
-def volume_of(path: Path) -> float:
-    """Volume of the mesh in a file."""
-    vertices, triangles = outward(*read_mesh(path), "")
-    return float(manifold(vertices, triangles).volume())
-
-
-@pytest.mark.parametrize("corner", ["{0}", "{0}//1", "{0}/1", "{0}/1/1"])
-def test_an_obj_with_normals_and_texture(tmp_path: Path, corner: str) -> None:
-    lines = ["mtllib cube.mtl", "o cube", *(f"v {x} {y} {z}" for x, y, z in 2.0 * CUBE), "vn 0 1 0", "vt 0 0", "s off"]
-    lines += ["f " + " ".join(corner.format(number) for number in quad) for quad in QUADS]
-    (tmp_path / "cube.obj").write_text("\n".join(lines) + "\n")
-    assert volume_of(tmp_path / "cube.obj") == pytest.approx(8.0, rel=1e-6)
-
-
 def test_a_mesh_in_millimetres_is_not_filled(tmp_path: Path) -> None:
     """Its lattice would have 10^12 places: what is wrong is not the memory."""
     lines = [f"v {x} {y} {z}" for x, y, z in 500.0 * CUBE] + ["f " + " ".join(map(str, quad)) for quad in QUADS]
@@ -280,43 +261,6 @@ def test_a_map_with_scale_holes_and_rows_from_the_south(tmp_path: Path) -> None:
         found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + layer)
     np.testing.assert_allclose(ground(found, [(1.0, 0.4, 0.5), (1.0, 0.4, 0.9)]), [0.19612, 0.11767], atol=1e-4)
     assert mass_volumes(found)[0] == pytest.approx(5 * 0.1**2 * 0.2, rel=1e-9)
-
-
-def stl(*corners: np.ndarray, apart: float = 0.0) -> str:
-    """Cubes whose triangles have vertices of their own, up to `apart` from each other."""
-    random, lines = np.random.default_rng(0), ["solid"]
-    for places in corners:
-        for a, b, c, d in np.array(QUADS) - 1:
-            for triangle in ((a, b, c), (a, c, d)):
-                lines += ["facet normal 0 0 0", "outer loop"]
-                for place in places[list(triangle)] + apart * random.uniform(-0.5, 0.5, (3, 3)):
-                    lines.append("vertex {:.9f} {:.9f} {:.9f}".format(*place))
-                lines += ["endloop", "endfacet"]
-    return "\n".join([*lines, "endsolid", ""])
-
-
-@pytest.mark.parametrize("apart", [0.0, 1e-8, 1e-6])
-def test_near_vertices_are_merged(tmp_path: Path, apart: float) -> None:
-    (tmp_path / "cube.stl").write_text(stl(CUBE, apart=apart))
-    assert volume_of(tmp_path / "cube.stl") == pytest.approx(1.0, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("second", "volume", "said"),
-    [
-        (CUBE + np.array([0.5, 0.0, 0.0]), 1.5, True),
-        (CUBE + np.array([1.0, 0.0, 0.0]), 2.0, False),
-        (CUBE + np.array([1.0, 1.0, 0.0]), 2.0, False),
-        (CUBE + np.array([3.0, 0.0, 0.0]), 2.0, False),
-        (0.5 * CUBE + 0.25, 1.0, True),
-        ((0.5 * CUBE + 0.25)[[3, 2, 1, 0, 7, 6, 5, 4]], 0.875, False),
-    ],
-    ids=["half over each other", "touching", "at an edge", "apart", "one in the other", "a cavity"],
-)
-def test_what_shells_of_a_mesh_share_counts_once(tmp_path: Path, second: np.ndarray, volume: float, said: bool) -> None:
-    (tmp_path / "blocks.stl").write_text(stl(CUBE, second))
-    with pytest.warns(UserWarning, match="shells of the mesh are united") if said else nullcontext():
-        assert volume_of(tmp_path / "blocks.stl") == pytest.approx(volume, rel=1e-6)
 
 
 def holes(path: Path) -> None:
