@@ -205,6 +205,20 @@ def test_what_is_unbalanced_on_an_incline_is_what_friction_does_not_bear(how: st
     assert float(said[1]) == pytest.approx(SlidingBlock.on_incline(25.0, friction, 1.0).acceleration, abs=0.015)
 
 
+@pytest.mark.parametrize(("angle_deg", "friction"), [(10.0, 0.1), (5.0, 0.05), (25.0, 0.5), (10.0, 0.3), (0.0, 0.05)])
+def test_a_floor_bears_no_more_than_its_friction(angle_deg: float, friction: float) -> None:
+    """Nodes at which an elastic body would be held by more slip: 0.12 for 0.075 before, 0.079 on a level floor."""
+    block = Mass(lower=(0.3, 0.0), size=(0.2, 0.1), k0="elastic")
+    settings = {"slope_deg": angle_deg, "floor_friction": friction, "material": CLAY}
+    scene = scene_of(block, size=(1.0, 0.6), **settings)
+    exact = max(0.0, SlidingBlock.on_incline(angle_deg, friction, 1.0).acceleration)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        stress_of(scene)
+    said = [re.search(r"gravity: (\S+) of the weight", str(each.message)) for each in caught]
+    assert [float(each[1]) for each in said if each] == ([pytest.approx(exact, abs=0.005)] if exact > 0.0 else [])
+
+
 @pytest.mark.parametrize(("k0", "cohesion"), [(0.32, 0.0), (3.1, 0.0), (0.19, 100.0)])
 def test_a_ratio_beyond_yield_is_refused_with_both_limits(k0: float, cohesion: float) -> None:
     """Rankine's 1/3 and 3; with a cohesion Bell's at the foot, where it adds least: -+ 2 c / (rho g H) sqrt(K)."""
