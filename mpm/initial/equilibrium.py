@@ -138,13 +138,16 @@ class Equilibrium:
                 precondition = None
             stress = stress + self.elastic(displacements)
             tractions = tractions + self.contact.shear_traction(displacements, self.theta * self.shear)
-            # Walls push and do not pull.
-            pulled = ~self.free & (self.unbalanced(stress, tractions) * self.walls > BALANCED * self.weight)
+            pulled = self.pulled(self.unbalanced(stress, tractions))
             if pulled.any() or self.slips(stress, tractions, displacements):
                 self.free |= pulled
                 precondition = None
         self.free, self.slip = state
         return best
+
+    def pulled(self, force: Floats) -> NDArray[np.bool_]:
+        """Which components of nodes a wall would have to pull against the unbalanced `force` [N], both [n, D]."""
+        return np.asarray(~self.free & (force * self.walls > BALANCED * self.weight))
 
     def slips(self, stress: Floats, tractions: Floats, displacements: Floats) -> bool:
         """Free the nodes that a rough floor would have to hold by more than its friction; whether any node changes.
