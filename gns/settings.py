@@ -1,16 +1,19 @@
 """Settings: what a checkpoint needs to build its model again, and how a model is trained. Nothing here needs torch."""
 
-import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 from datasets.errors import require
-from datasets.schema import Record
+from datasets.schema import Bounds, Record
 
 GRAVITY = 9.81
 """Gravitational acceleration of all training data [m/s^2]."""
 UP = 1
 """The axis that points up."""
+Positive = Annotated[float, Bounds("a positive number", gt=0.0)]
+NotNegative = Annotated[float, Bounds("a number of at least 0", ge=0.0)]
+Count = Annotated[int, Bounds("an integer of at least 1", ge=1)]
+Layers = Annotated[int, Bounds("a number of at least 0", ge=0)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,49 +22,43 @@ class ModelSettings(Record):
 
     dimension: int = 2
     """2 or 3."""
-    cell: float = 0.01
+    cell: Positive = 0.01
     """Edge of the cells by which particles are thinned [m]."""
-    particles_per_cell: int = 1
+    particles_per_cell: Count = 1
     """Particles kept of each such cell."""
-    frame_dt: float = 0.0025
+    frame_dt: Positive = 0.0025
     """Time between two frames of the training data [s]."""
-    frames_per_step: int = 4
+    frames_per_step: Count = 4
     """Frames that one step of the model spans."""
-    radius: float = 0.025
+    radius: Positive = 0.025
     """Cutoff radius [m]: particles closer than this exchange messages."""
-    history: int = 3
+    history: Count = 3
     """Past displacements among the node features."""
-    body_length: float | None = None
+    body_length: Positive | None = None
     """Length of a released body in the training data [m], the root of its volume, to which scenes are scaled
     (`gns.surroundings.units.Units`); None for scenes that are run as they are."""
-    density: float = 1800.0
+    density: Positive = 1800.0
     """Density in the training data [kg/m^3]."""
-    rest_speed: float = 0.03
+    rest_speed: NotNegative = 0.03
     """Speed [m/s] below which a displacement fades, as static friction; without it (0) deposits creep for ever."""
-    width: int = 64
+    width: Count = 64
     """Width of every latent vector."""
-    layers: int = 4
+    layers: Count = 4
     """Message-passing steps, shared equally between the rounds."""
-    mlp_layers: int = 1
+    mlp_layers: Layers = 1
     """Hidden layers of every perceptron of nodes."""
-    rounds: int = 2
+    rounds: Count = 2
     """Rounds of grid context, then message passing."""
-    grid_cell: float = 0.02
+    grid_cell: Positive = 0.02
     """Edge of a cell of the background grid [m]."""
-    grid_channels: int = 32
+    grid_channels: Count = 32
     """Channels on the background grid."""
-    grid_layers: int = 4
+    grid_layers: Layers = 4
     """Convolutions on the background grid per round, with dilations 1, 2, 4, ..."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(self.dimension in (2, 3), "dimension", "2 or 3", self.dimension)
-        lengths = ("cell", "radius", "grid_cell", *(() if self.body_length is None else ("body_length",)))
-        for key in (*lengths, "frame_dt", "density"):
-            require(0.0 < getattr(self, key) < math.inf, key, "a positive number", getattr(self, key))
-        for key in ("particles_per_cell", "frames_per_step", "history", "width", "layers", "rounds", "grid_channels"):
-            require(getattr(self, key) >= 1, key, "an integer of at least 1", getattr(self, key))
-        for key in ("rest_speed", "mlp_layers", "grid_layers"):
-            require(getattr(self, key) >= 0, key, "a number of at least 0", getattr(self, key))
         require(self.layers % self.rounds == 0, "layers", f"a multiple of the {self.rounds} rounds", self.layers)
 
     @property
@@ -76,27 +73,27 @@ class ModelSettings(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingSettings:
+class TrainingSettings(Record):
     """How a model is fitted, and how long."""
 
     correct: bool = False
     """Train the correction of whole rollouts alone (`gns.network.correction`); unroll and loss_scale mean nothing."""
-    rollouts: int = 2
+    rollouts: Count = 2
     """Rollouts of each flow that a correction learns from: other particles of it, in another symmetry, from the start
     or later on."""
-    minutes: float = 60.0
+    minutes: Positive = 60.0
     """Time to train [min], all parts of a resumed run together; unrolled steps and learning rate are laid over it."""
-    updates: int | None = None
+    updates: Count | None = None
     """Updates to make instead."""
     clock: Literal["wall", "cpu"] = "wall"
     """What the minutes are: wall time, or time that the process computes, fair between runs on a busy machine."""
-    batch: int = 3
+    batch: Count = 3
     """Samples per update, of each process."""
     shares: tuple[float, ...] = ()
     """Share of the samples that each dataset gives, in their order; equal ones unless given."""
     unroll: tuple[int, ...] = (1, 2, 4, 4, 8, 8, 12, 12)
     """Steps to train through; the entries share the budget equally."""
-    learning_rate: float = 6.0e-4
+    learning_rate: Positive = 6.0e-4
     """Learning rate at the start."""
     final_learning_rate: float = 1.0e-5
     """At the end; half a cosine in between."""
@@ -104,26 +101,21 @@ class TrainingSettings:
     """Updates over which the learning rate rises from zero."""
     clip: float = 1.0
     """Largest norm of the gradient."""
-    loss_scale: float = 0.25
+    loss_scale: Positive = 0.25
     """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
     first: float = 0.15
     """Share of samples that start with the flow itself: from positions and velocities alone."""
     average: float = 0.998
     """Decay of the running average of the weights, which is what is scored and shipped."""
-    validations: int = 12
+    validations: Count = 12
     """Validations, equally far apart in the budget."""
-    validate_flows: int = 8
+    validate_flows: Count = 8
     """Flows to roll out then, spread over the valid splits."""
-    memory_gib: float = 4.0
+    memory_gib: Positive = 4.0
     """Activations of unrolled steps to keep, of each process; what does not fit is computed a second time."""
 
     def __post_init__(self) -> None:
-        positive = "minutes", "batch", "learning_rate", "loss_scale", "validations", "validate_flows", "memory_gib"
-        for key in positive:
-            require(getattr(self, key) > 0, key, "a positive number", getattr(self, key))
-        for key in ("rollouts", "updates"):
-            value = getattr(self, key)
-            require(value is None or value >= 1, key, "an integer of at least 1", value)
+        super().__post_init__()
         require(min(self.unroll, default=0) >= 1, "unroll", "integers of at least 1", list(self.unroll))
         some = not self.shares or (min(self.shares) >= 0.0 and sum(self.shares) > 0.0)
         require(some, "shares", "shares of at least 0, not all of them", list(self.shares))

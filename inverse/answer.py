@@ -4,7 +4,6 @@ import resource
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from inverse.observations.target import Target
 from inverse.parameters import Vector
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
+from inverse.search.waves import ModelRun
 
 MAX_NUMBERS = 100
 """Longest observation that is written out: a whole deposit has thousands of numbers, in every iteration."""
@@ -60,37 +60,26 @@ class Purpose(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MpmRun:
-    """A run of the MPM, with a jitter seed of its own, compared with the target."""
+class MpmRun(ModelRun):
+    """A run of the MPM, with a jitter seed of its own."""
 
     purpose: Purpose
     parameters: Vector
     """Shape [U]."""
     trajectory: Trajectory
-    target: Target
     seconds: float = 0.0
     file: str = ""
     """Beside `result.json`."""
 
-    @cached_property
-    def observation(self) -> Values:
-        """Exact, shape [M]."""
-        return self.target.observation.observe(self.trajectory)
-
-    @property
-    def front_error(self) -> float:
-        """Relative, with its sign; nan where the target has no front."""
-        return self.target.front_error(self.trajectory)
-
-    def as_json(self, problem: Problem) -> dict[str, Any]:
+    def as_json(self, problem: Problem, target: Target) -> dict[str, Any]:
         """As `result.json` has it."""
         return {
             "purpose": self.purpose.value,
             "unknowns": problem.named(self.parameters),
-            "observation": plain(self.observation),
+            "observation": plain(self.numbers),
             "front": measures.front(self.trajectory.positions[-1], self.trajectory.volumes),
-            "front_error_pct": 100.0 * self.front_error,
-            "loss": self.target.misfit(self.observation),
+            "front_error_pct": 100.0 * target.front_error(self.trajectory),
+            "loss": target.misfit(self.numbers),
             "seconds": self.seconds,
             "file": self.file,
         }
@@ -122,7 +111,7 @@ class Answer:
     @property
     def observation(self) -> Values:
         """Mean of the checks, shape [M]."""
-        return np.asarray(np.mean([run.observation for run in self.checks], axis=0))
+        return np.asarray(np.mean([run.numbers for run in self.checks], axis=0))
 
     @property
     def confirmed(self) -> bool:

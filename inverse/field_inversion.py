@@ -95,14 +95,21 @@ def of_fields(problem: Problem) -> Result:
     values = flow.values(posterior.mean)
     spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.of_numbers] ** 2).sum(axis=1), 0.0))
     ends = [ndtr(posterior.mean[flow.of_numbers] + sign * BAND * spread) for sign in (1.0, -1.0)]
-    check = MpmRun(purpose=Purpose.CHECK, parameters=values, trajectory=shown, target=target, file="check.npz")
+    check = MpmRun(
+        purpose=Purpose.CHECK,
+        parameters=values,
+        point=problem.box.shares(values),
+        numbers=target.observation.observe(shown),
+        trajectory=shown,
+        file="check.npz",
+    )
     expected = target.observation.prior_scatter(target.values)
     scatter = Scatter(deviations=runs - runs.mean(axis=0), freedom=len(runs) - 1, expected=expected)
     answer = Answer(
         parameters=values,
         interval=problem.box.at(np.stack(ends[::-1])),
         checks=(check,),
-        fit=fit(target, check.observation[None], scatter, parameters=posterior.informative),
+        fit=fit(target, check.numbers[None], scatter, parameters=posterior.informative),
     )
     flow.bar.close()
     fields = field_posteriors(flow, posterior)
@@ -125,7 +132,7 @@ def of_fields(problem: Problem) -> Result:
         verdict=judge(problem, (answer,)),
         answers=(answer,),
         forward="MPM",
-        predicted=check.observation,
+        predicted=check.numbers,
         deposit=shown.positions[-1],
         iterations=[*first.iterates, *second.iterates],
         mpm_runs=(check,),

@@ -22,8 +22,8 @@ from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_parameters
 from inverse.parameters.bounds import check_parameters, check_scene
 from inverse.parameters.field import UnknownField
-from inverse.parameters.prior import Correlation, JointPrior, Marginal
-from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings, require_integer
+from inverse.parameters.prior import Correlation, JointPrior
+from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings
 
 PROBLEMS = Path(__file__).parent / "problems"
 FEWEST_RUNS = 5
@@ -45,7 +45,7 @@ class _File(Record):
 
 
 @dataclass(frozen=True)
-class Bounds:
+class Box:
     """The box of the prior bounds of U numbers."""
 
     lower: Vector
@@ -102,13 +102,18 @@ class Problem:
     surrogate: Surrogate = Surrogate.AUTO
 
     def __post_init__(self) -> None:
-        check_parameters(self.scene, self.parameters)
+        require(len(self.parameters) > 0, "unknowns", "at least one unknown", "none")
+        by_key = {f"unknowns[{index}]": each for index, each in enumerate(self.parameters)}
+        for key, each in by_key.items():
+            started = each.is_field or each.prior is not None or each.initial is not None
+            require(started, f"{key}.initial", "a value", "none, the key is missing")
+        check_parameters(self.scene, by_key, "unknowns")
         # It refuses correlations that are none.
         _ = self.prior
         self._check_observations()
         self._check_target()
-        unknowns = len(self.parameters)
-        require_integer("loop.mpm_runs", self.loop.budget(unknowns), unknowns + FEWEST_RUNS)
+        budget, fewest = self.loop.budget(len(self.parameters)), len(self.parameters) + FEWEST_RUNS
+        require(budget >= fewest, "loop.mpm_runs", f"an integer of at least {fewest}", budget)
         if any(each.is_field for each in self.parameters):
             self._check_fields()
 
@@ -138,21 +143,18 @@ class Problem:
         return [each.kind for each in self.numbers]
 
     @property
-    def box(self) -> Bounds:
+    def box(self) -> Box:
         """The prior bounds of the numbers."""
         lower, upper = np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T
-        return Bounds(lower, upper)
-
-    @property
-    def marginals(self) -> dict[str, Marginal]:
-        """The prior of each number by its name."""
-        return {each.name: each.marginal for each in self.numbers}
+        return Box(lower, upper)
 
     @cached_property
     def prior(self) -> JointPrior | None:
         """The stated prior of the numbers; None where it is uniform between the bounds. Raises InputError."""
         stated = [each for each in self.numbers if each.prior is not None and each.prior.kind != "uniform"]
-        return JointPrior(self.marginals, self.correlations) if stated or self.correlations else None
+        if not stated and not self.correlations:
+            return None
+        return JointPrior({each.name: each.marginal for each in self.numbers}, self.correlations)
 
     @property
     def prior_widths(self) -> Vector:

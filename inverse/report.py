@@ -35,18 +35,14 @@ def markdown(result: Result, command: str, pictures: Collection[str], *, viewed:
     if len(result.answers) > 1:
         parts += ["## Every separate answer", every_answer(result)]
     for field in result.fields:
-        parts += [f"## {field.name}", identified(field), field_table(field), shown(f"{field.stem}.png", field.name)]
+        parts += [f"## {field.name}", field_table(field), shown(f"{field.stem}.png", field.name)]
     parts += ["## Comparison with the target", comparison(result), shown("deposit.png", "deposits")]
     if notes := uncertainty(result):
         parts += ["## Uncertainty", *notes]
     parts.append(shown("posterior.png", "prior and posterior"))
     if result.further:
         gains = [{"measurement": name, "information [nat]": f"{gain:.2f}"} for name, gain in result.further.items()]
-        parts += [
-            "## What a further measurement would decide",
-            "Expected information of each about the parameters, beyond what was observed; 0.69 halves one interval.",
-            table(gains),
-        ]
+        parts += ["## What a further measurement would decide", table(gains)]
     parts += ["## How it was found", search_table(result), "## Cost", cost(result)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -178,8 +174,14 @@ def quality(result: Result) -> str:
     if fit is not None and fit.applied > 1.0:
         times = f"{fit.applied:.2g} times"
         parts.append(f"the fit is {times} worse than noise, scatter and cells explain, the intervals {times} as wide")
-    if off := outlying(result):
-        parts.append(f"outliers: {', '.join(name for name, _ in off)}")
+    if fit is not None and fit.outliers:
+        names = [
+            f"{part.name} {n + 1}"
+            for part in result.target.observation.parts
+            for n in range(len(result.target.values[part.numbers]))
+        ]
+        listed = ", ".join(f"{names[index]} ({off:+.1f})" for index, off in fit.outliers.items())
+        parts.append(f"outliers, in standard deviations from what all other numbers predict: {listed}")
     return sentence(parts)
 
 
@@ -283,31 +285,17 @@ def field_table(field: FieldPosterior) -> str:
 
 
 def uncertainty(result: Result) -> list[str]:
-    """What the intervals are made of."""
+    """What the intervals are made of, and which combinations of the numbers are known how well."""
     parts = list(result.notes)
     if result.target.roughness > 1.0:
         parts.append(
             f"The measured heights scatter about their neighbours by {result.target.roughness:.2g} times the stated "
             "noise: so much noise is counted."
         )
-    if (fit := result.answers[0].fit) is not None:
-        widths = "stay" if fit.applied == 1.0 else f"are {fit.applied:.2g} times as wide"
-        against = f"{fit.ratio:.2g} times what noise, scatter and cells explain (p = {fit.probability:.2g})"
-        parts.append(f"Residuals are {against}: **the intervals {widths}**.")
-        if fit.outliers:
-            listed = ", ".join(f"{name} ({off:+.1f})" for name, off in outlying(result))
-            parts.append(f"**Outliers**, in standard deviations from what all other numbers predict: {listed}.")
     if len(result.combinations) > 1:
         words = {True: "**Identifiable**", False: "**Not identifiable**"}
         parts.append("\n".join(f"- {words[each.identifiable]}: {mix(each, ',')}." for each in result.combinations))
     return parts
-
-
-def outlying(result: Result) -> list[tuple[str, float]]:
-    """Outliers of the first answer by observation and place in it, with their standardised residuals."""
-    fit, parts = result.answers[0].fit, result.target.observation.parts
-    names = [f"{part.name} {n + 1}" for part in parts for n in range(len(result.target.values[part.numbers]))]
-    return [] if fit is None else [(names[index], off) for index, off in fit.outliers.items()]
 
 
 def finer(result: Result) -> str:
@@ -365,8 +353,7 @@ def cost(result: Result) -> str:
     counts = {key.replace("_", " "): value for key, value in result.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in result.seconds.items()}
     seconds["peak memory"] = f"{peak_memory_mib():.0f} MiB"
-    budget = "\n\nThe budget `mpm_runs` is of those on the problem's own cells, the twin's excepted." if every else ""
-    return table([{key: str(value) for key, value in (runs | counts | seconds).items()}]) + budget
+    return table([{key: str(value) for key, value in (runs | counts | seconds).items()}])
 
 
 def table(rows: Sequence[dict[str, str]]) -> str:

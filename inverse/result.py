@@ -72,10 +72,8 @@ class Result:
 
     @property
     def certainty(self) -> dict[str, float]:
-        """Half of each interval; of a field its mean over the body."""
-        bands = {each.name: each.average(each.arrays["upper"] - each.arrays["lower"]) for each in self.fields}
-        widths = self.problem.named(self.answers[0].half_widths)
-        return widths | {name: 0.5 * band for name, band in bands.items()}
+        """Half of each interval."""
+        return {name: 0.5 * (high - low) for name, (low, high) in self.interval.items()}
 
     @property
     def interval(self) -> dict[str, list[float]]:
@@ -108,7 +106,8 @@ class Result:
         values = self.problem.named(self.answer)
         errors = {name: 100.0 * abs(values[name] - true) / abs(true) for name, true in truth.items() if true != 0.0}
         if self.answers[0].checks and math.isfinite(self.target.front):
-            errors["front"] = 100.0 * abs(float(np.mean([each.front_error for each in self.answers[0].checks])))
+            off = [self.target.front_error(each.trajectory) for each in self.answers[0].checks]
+            errors["front"] = 100.0 * abs(float(np.mean(off)))
         return errors
 
     @property
@@ -175,7 +174,7 @@ class Result:
             "error_pct": self.error_pct,
             "observation": {"target": plain(raw(self.target.values)), key: shown} | self.target.observation.record(),
             "loss": {key: self.target.misfit(self.predicted) if same else self.iterations[-1].get("loss")},
-            "mpm_runs": [each.as_json(problem) for each in self.mpm_runs],
+            "mpm_runs": [each.as_json(problem, self.target) for each in self.mpm_runs],
             "run_count": self.run_count,
             "iterations": list(self.iterations),
             "surrogate": self.surrogate,

@@ -2,13 +2,19 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
 
 from datasets.errors import InputError, require
 from datasets.scene import Scene
-from datasets.schema import Record
+from datasets.schema import Bounds, Record
 
 MOST = 1_000_000
 """Of runs, draws and iterations: more would take years, and memory that no machine has."""
+
+
+def counted(least: int, most: int = MOST) -> Bounds:
+    """The bounds of a whole number."""
+    return Bounds(f"an integer from {least} to {most}", ge=least, le=most)
 
 
 class ForwardModel(StrEnum):
@@ -79,27 +85,21 @@ class TargetSettings(Record):
 class OptimiserSettings(Record):
     """How the minimum of the misfit is looked for."""
 
-    seed: int = 0
+    seed: Annotated[int, counted(0, 2**62)] = 0
     """Of random numbers."""
-    max_iterations: int = 8
+    max_iterations: Annotated[int, counted(1)] = 8
     """Of fields: Gauss-Newton steps, at most."""
-    seeds: int = 4
+    seeds: Annotated[int, counted(1)] = 4
     """Of fields: jitter seeds over which predictions and their derivatives are averaged."""
-    ensemble: int = 24
+    ensemble: Annotated[int, counted(4)] = 24
     """Of fields: runs that measure the scatter from jitter seed to jitter seed, and as many draws of the prior."""
-
-    def __post_init__(self) -> None:
-        require_integer("seed", self.seed, 0, 2**62)
-        require_integer("max_iterations", self.max_iterations, 1)
-        require_integer("seeds", self.seeds, 1)
-        require_integer("ensemble", self.ensemble, 4)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopSettings(Record):
     """What the MPM may spend (`validation.loop`)."""
 
-    mpm_runs: int | None = None
+    mpm_runs: Annotated[int | None, counted(1)] = None
     """Most MPM runs that the loop may spend on the problem's cells; 40 and 12 for each unknown where absent.
 
     Besides come four on other cells where the target is no flow on the same, and those of a coarse surrogate.
@@ -108,9 +108,3 @@ class LoopSettings(Record):
     def budget(self, unknowns: int) -> int:
         """Most MPM runs for so many unknowns."""
         return 40 + 12 * unknowns if self.mpm_runs is None else self.mpm_runs
-
-
-def require_integer(key: str, number: int, least: int, most: int = MOST) -> None:
-    """Raise InputError for a number that is not between the two."""
-    require(number >= least, key, f"an integer of at least {least}", number)
-    require(number <= most, key, f"an integer of at most {most}", number)

@@ -9,9 +9,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from datasets.files import PART
 from datasets.lock import LOCK
@@ -25,41 +27,24 @@ count = 10
 split_period = 4
 [scene]
 duration = { uniform = [0.1, 0.2], step = 0.05 }
-[scene.domain]
-size = [0.8, 0.4]
-cell = 0.02
-[scene.material]
-friction_deg = { uniform = [20.0, 40.0] }
-[[scene.masses]]
-lower = [{ uniform = [0.0, 0.2] }, 0.0]
-size = [0.2, 0.2]
+domain = { size = [0.8, 0.4], cell = 0.02 }
+material = { friction_deg = { uniform = [20.0, 40.0] } }
+masses = [{ lower = [{ uniform = [0.0, 0.2] }, 0.0], size = [0.2, 0.2] }]
 """
 SCENE = """
 duration = 0.25
 floor_friction = 0.4
-[domain]
-size = [0.8, 0.4]
-cell = 0.02
-[material]
-friction_deg = 30.0
-[[masses]]
-lower = [0.0, 0.0]
-size = [0.2, 0.2]
+domain = { size = [0.8, 0.4], cell = 0.02 }
+material = { friction_deg = 30.0 }
+masses = [{ lower = [0.0, 0.0], size = [0.2, 0.2] }]
 """
 PROBLEM = """
 scene = "scene.toml"
 surrogate = "none"
-[[unknowns]]
-name = "friction_deg"
-initial = 28.0
-lower = 20.0
-upper = 40.0
-[[observations]]
-kind = "front"
-[target]
-twin = true
-[loop]
-mpm_runs = 12
+unknowns = [{ name = "friction_deg", initial = 28.0, lower = 20.0, upper = 40.0 }]
+observations = [{ kind = "front" }]
+target = { twin = true }
+loop = { mpm_runs = 12 }
 """
 ANSWER = ("verdict", "unknowns", "certainty", "answers", "mpm_runs")
 """Keys of the loop's result that must not depend on how it came about."""
@@ -101,14 +86,10 @@ def orphans(session: int) -> list[int]:
 def members(session: int) -> list[int]:
     """Numbers of the processes of a session, without those that have ended and are not yet waited for."""
     found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            # Behind the name, which stands in parentheses: state, parent, process group, session.
-            fields = path.read_text(encoding="utf-8").rpartition(")")[2].split()
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            found.append(int(path.parent.name))
+    for process in psutil.process_iter(["status"]):
+        with suppress(ProcessLookupError):
+            if os.getsid(process.pid) == session and process.info["status"] != psutil.STATUS_ZOMBIE:
+                found.append(process.pid)
     return found
 
 

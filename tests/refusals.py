@@ -5,14 +5,13 @@ from typing import Any
 
 import pytest
 
-from datasets import command_line
-from datasets.errors import InputError
+from datasets import InputError, command_line
 
 
-def refused(do: Callable[..., object], *given: object, said: str = "") -> InputError:
+def refused(do: Callable[..., object], *given: object, said: str = "", **named: object) -> InputError:
     """The mistake that a call finds: one line that says this and what was expected."""
     with pytest.raises(InputError) as caught:
-        do(*given)
+        do(*given, **named)
     line = str(caught.value)
     assert said in line
     assert "expected" in line

@@ -1,11 +1,13 @@
-"""Small scenes for all tests: masses in a box."""
+"""Small scenes for all tests: masses in a box, and flows by positions that a test knows."""
 
 import math
 from dataclasses import replace
 from typing import Any
 
-from datasets.scene import Baffle, Domain, Mass, Scene
-from datasets.scene.material import Material
+import numpy as np
+from numpy.typing import ArrayLike
+
+from datasets import Baffle, Domain, Mass, Material, Scene, Trajectory
 
 SAND = Material(friction_deg=30.0)
 COLUMN = Mass(lower=(0.0, 0.0), size=(0.2, 0.2))
@@ -59,3 +61,17 @@ def scaled(scene: Scene, length: float, *, gravity: float = 9.81, density: float
         frame_dt=time * scene.frame_dt,
         gravity=gravity,
     )
+
+
+def flow_of(scene: Scene, positions: ArrayLike, **others: Any) -> Trajectory:
+    """The trajectory of `scene` with these positions [m], shape [T, N, D], frame by frame; it begins at rest.
+
+    others: further arrays of a trajectory, or in place of its own.
+    """
+    frames = np.asarray(positions, np.float32)
+    own = {
+        "time": np.arange(len(frames)) * scene.frame_dt,
+        "velocity0": np.zeros(frames.shape[1:], np.float32),
+        "friction": np.full(frames.shape[1], scene.material.friction, np.float32),
+    }
+    return Trajectory(positions=frames, scene=scene, **{**own, **others})

@@ -33,29 +33,25 @@ LONGEST = 400
 MODULES = sorted(path for folder in MAY_IMPORT for path in (ROOT / folder).rglob("*.py"))
 
 
-def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Line and top-level package of every absolute import, those by a call included."""
+def imports(tree: ast.AST) -> Iterator[tuple[int, str, list[str]]]:
+    """Line, module and names taken from it of every absolute import: at the top, late, for types alone, by a call."""
     for node in ast.walk(tree):
         match node:
             case ast.Import(names=names):
-                yield from ((node.lineno, alias.name.split(".")[0]) for alias in names)
-            case ast.ImportFrom(module=str(module), level=0):
-                yield node.lineno, module.split(".")[0]
+                yield from ((node.lineno, alias.name, []) for alias in names)
+            case ast.ImportFrom(module=str(module), names=names, level=0):
+                yield node.lineno, module, [alias.name for alias in names]
             case ast.Call(func=function, args=[ast.Constant(value=str(module)), *_]) if ast.unparse(function).endswith(
                 ("import_module", "__import__")
             ):
-                yield node.lineno, module.split(".")[0]
+                yield node.lineno, module, []
 
 
 def breaches(text: str, folder: str, restricted: Set[str] = frozenset()) -> list[str]:
     """What a module of `folder` does against the design, one line each."""
     tree = ast.parse(text)
-    found = []
-    for line, package in imports(tree):
-        if package in MAY_IMPORT.keys() - MAY_IMPORT[folder] - {folder}:
-            found.append(f"{line}: {folder} imports {package}")
-        if package in BANNED.get(folder, set()) | PICKLERS:
-            found.append(f"{line}: {folder} imports {package}")
+    banned = (MAY_IMPORT.keys() - MAY_IMPORT[folder] - {folder}) | BANNED.get(folder, set()) | PICKLERS
+    found = [f"{line}: imports {module}" for line, module, _ in imports(tree) if module.split(".")[0] in banned]
     for node in ast.walk(tree):
         match node:
             case ast.Attribute(value=ast.Name(id="pickle"), attr=name) if name not in PICKLE_ERRORS | restricted:
@@ -100,18 +96,11 @@ def test_what_is_allowed_is_no_breach() -> None:
     assert breaches("import numpy as np\nnp.load('x.npz', allow_pickle=False)", "datasets") == []
 
 
-def imported(tree: ast.AST, names: Set[str]) -> Iterator[str]:
-    """The modules of `names` that a module imports: at the top, late, by name, or for a type checker alone."""
-    for node in ast.walk(tree):
-        match node:
-            case ast.Import(names=aliases):
-                yield from (alias.name for alias in aliases if alias.name in names)
-            case ast.ImportFrom(module=str(module), names=aliases, level=0):
-                inner = [each for alias in aliases if (each := f"{module}.{alias.name}") in names]
-                yield from inner or [module] * (module in names)
-            case ast.Call(func=function, args=[ast.Constant(value=str(module)), *_]) if module in names:
-                if ast.unparse(function).endswith(("import_module", "__import__")):
-                    yield module
+def imported(tree: ast.AST, ours: Set[str]) -> Iterator[str]:
+    """The modules of `ours` that a module imports."""
+    for _, module, names in imports(tree):
+        inner = [each for name in names if (each := f"{module}.{name}") in ours]
+        yield from inner or [module] * (module in ours)
 
 
 def circles(texts: Mapping[str, str], allowed: Set[tuple[str, str]] = frozenset()) -> list[list[str]]:
@@ -165,5 +154,5 @@ def test_every_package_that_is_imported_is_declared() -> None:
     extras = project["optional-dependencies"]
     packages = [*project["dependencies"], *extras["cluster"]]
     declared = {re.split(r"[^\w-]", name)[0].replace("-", "_") for name in packages}
-    used = {package for path in MODULES for _, package in imports(ast.parse(path.read_text()))}
+    used = {module.split(".")[0] for path in MODULES for _, module, _ in imports(ast.parse(path.read_text()))}
     assert used - set(sys.stdlib_module_names) - set(MAY_IMPORT) - declared == set()

@@ -14,8 +14,7 @@ from inverse.problem import read_problem
 from inverse.saving import save
 from inverse.settings import Surrogate, TargetSettings
 from mpm import LAST, simulate
-from validation.loop.__main__ import print_outcome
-from validation.loop.solve import solve
+from validation.loop.solve import print_outcome, solve
 
 ANGLES_DEG = (18.0, 42.0)
 """Range from which the friction angle is drawn."""

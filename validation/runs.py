@@ -60,6 +60,12 @@ class Run:
         return particle_count(self.scene) >= LARGE, repr(self.record), repr(features)
 
 
+def caveats(flows: Sequence[Trajectory]) -> list[str]:
+    """In a line what the summaries of flows say a user must know, if any does."""
+    said = [line for flow in flows for line in flow.summary.get("remarks", [])[:1]]
+    return [f"{len(said)} of {len(flows)} flows, such as: {said[0]}"] if said else []
+
+
 class RunStore:
     """The MPM, with every run kept in `folder`. Called with scenes, it stands in for `mpm.simulate_many`."""
 

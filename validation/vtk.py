@@ -45,7 +45,7 @@ def command(
     """
     from datasets.exchange.vtk import SERIES, frames_of, write_vtk
     from datasets.flow.fields import Colour
-    from validation.report.rendering import require, write_movie, write_picture
+    from validation.rendering import require, write_movie, write_picture
 
     for key, number in (("--frames", frames), ("--rate", rate)):
         if number < 1:

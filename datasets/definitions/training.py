@@ -1,4 +1,4 @@
-"""What is learned of trajectories: which scenes and particles a surrogate can follow, and how a dataset moves.
+"""What is learned of trajectories: which particles a surrogate follows, and how a dataset moves.
 
 With the positions x_t of a particle in frame t, per axis and with one frame as the unit of time:
 
@@ -19,31 +19,9 @@ from numpy.typing import NDArray
 
 from datasets import __version__
 from datasets.definitions.definition import Entry, Split
-from datasets.errors import InputError
-from datasets.scene import Scene, keyed
-from datasets.scene.material import MOHR_COULOMB
 
 MOVING_SPEED = 0.01
 """A particle slower than this [m/s] is at rest: it would need the whole second of a sequence to cross a grid cell."""
-
-
-def check_known(scene: Scene, who: str) -> None:
-    """Raise InputError for a scene that has what no surrogate knows: the key, and what was expected."""
-    materials = [scene.material_of(mass) for mass in scene.masses]
-    densities = {each.density for each in materials}
-    refused = [
-        (bool(scene.open_sides), "open_sides", "a closed box"),
-        (bool(scene.stages), "stages", "a material that stays as it is"),
-        (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
-        (len(densities) > 1, "masses", "masses of one density"),
-        *((each.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for each in materials),
-    ]
-    for place, solid in keyed(scene, "solids").items():
-        refused.append((solid.kind != "terrain", f"{place}.kind", "baffles and terrain alone"))
-        refused.append((solid.contact != "coulomb", f"{place}.contact", "Coulomb friction alone"))
-    for bad, key, expected in refused:
-        if bad:
-            raise InputError(f"expected {expected}, {who} knows no other", key=key)
 
 
 def thin(

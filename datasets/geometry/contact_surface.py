@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.geometry.closed import Body, pseudonormals
+from datasets.geometry.closed import Body
 from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, Integers, first_diagonal, grid_triangles
 from datasets.geometry.ground import ground_grid as grid_of
 from datasets.geometry.surface import Surface, body_of, boundary, near_box, raster_body, solids_of, surface_in
@@ -78,19 +78,12 @@ class HeightField:
         plan = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1)
         vertices = np.stack([plan[..., 0], heights, plan[..., 1]], axis=-1).reshape(-1, 3)
         faces = grid_triangles(heights)
-        normals, corner_normals, edge_normals = pseudonormals(vertices, faces)
         i, k = np.meshgrid(np.arange(*around[:2]), np.arange(*around[2:]), indexing="ij")
         inner = (i >= cells[0]) & (i < cells[1]) & (k >= cells[2]) & (k < cells[3])
         kept = np.repeat((inner & ~self.cut[i, k]).ravel(), 2)
         numbers = (2 * (i * self.cut.shape[1] + k).ravel()[:, None] + [0, 1]).ravel()
-        found = Surface(
-            corners=vertices[faces],
-            normals=normals,
-            corner_normals=corner_normals,
-            edge_normals=edge_normals,
-            solid=np.full(len(faces), self.solid, np.int32),
-            friction=friction.ravel()[faces],
-        )
+        solid = np.full(len(faces), self.solid, np.int32)
+        found = Surface.of_faces(vertices, faces, solid, friction.ravel()[faces])
         return found.chosen(kept), numbers[kept]
 
 

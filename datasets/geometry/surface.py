@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import require
 from datasets.geometry.closed import Body, pseudonormals, ring, snapped
-from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, grid_triangles, ground_grid
+from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, Integers, grid_triangles, ground_grid
 from datasets.geometry.rings import check_simple, cut_ring, lengthened_ring, union_of_rings
 from datasets.geometry.shells import cut_surface, lengthened_surface, outward, union_of_surfaces
 from datasets.scene.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
@@ -57,6 +57,19 @@ class Surface:
     """The solid that each face belongs to: first the scene's baffles, then its solids; shape [F]."""
     friction: Floats
     """Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]."""
+
+    @staticmethod
+    def of_faces(vertices: Floats, faces: Integers, solid: NDArray[np.int32], friction: Floats) -> "Surface":
+        """The surface of `faces` [F, D], numbers of `vertices` [V, D], with the normals that follow from these."""
+        normals, corner_normals, edge_normals = pseudonormals(vertices, faces)
+        return Surface(
+            corners=vertices[faces],
+            normals=normals,
+            corner_normals=corner_normals,
+            edge_normals=edge_normals,
+            solid=solid,
+            friction=friction,
+        )
 
     @property
     def dimension(self) -> int:
@@ -119,17 +132,9 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
     else:
         union = union_of_rings if bodies[0].vertices.shape[1] == 2 else union_of_surfaces
         vertices, faces, friction, owner = union(bodies, gap)
-    normals, corner_normals, edge_normals = pseudonormals(vertices, faces)
-    found = Surface(
-        corners=vertices[faces],
-        normals=normals,
-        corner_normals=corner_normals,
-        edge_normals=edge_normals,
-        solid=owner,
-        friction=friction,
-    )
+    found = Surface.of_faces(vertices, faces, owner, friction)
     # Triangles without area have no normal.
-    return found.chosen(np.asarray(normals.any(axis=1)))
+    return found.chosen(np.asarray(found.normals.any(axis=1)))
 
 
 def body_of(solid: Solid, key: str, box: Domain) -> Body:

@@ -17,14 +17,14 @@ docs/theory/return-map.md has the equations of what follows and their sources:
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import model_validator
 
-from datasets.errors import InputError
-from datasets.schema import Record
+from datasets.errors import InputError, keyed
+from datasets.schema import Bounds, Record
 
 Depth = TypeVar("Depth", float, NDArray[np.float64])
 
@@ -41,19 +41,14 @@ ANGLES = {"triaxial": 90.0, "slope": 45.0}
 """How angles of friction may have been measured, and below which value [deg] each stays."""
 TENSION_SHARE = 0.003
 """Tension cutoff over cohesion [-] where a material names none."""
-BOUNDS = {
-    "density": (1.0e-3, 1.0e6, "a positive density in kg/m^3, 0.001 to 1e6"),
-    "young": (1.0e-3, STIFFEST, f"a positive modulus in Pa, 0.001 to {STIFFEST:g}"),
-    "poisson": (0.0, LEAST_VOLUME_CHANGE, f"a ratio in [0, {LEAST_VOLUME_CHANGE:g}]"),
-    "cohesion": (0.0, STIFFEST, f"a cohesion of at least 0 Pa, up to {STIFFEST:g}"),
-    "strength_gradient": (0.0, STIFFEST, f"a growth of at least 0 Pa/m, up to {STIFFEST:g}"),
-    "tension_cutoff": (0.0, STIFFEST, f"a tension cutoff of at least 0 Pa, up to {STIFFEST:g}"),
-    "softening_length": (1.0e-9, 1.0e9, "a positive slip in m, 1e-9 to 1e9"),
-    "inertial_number": (1.0e-6, 1.0e6, "a positive number, 1e-6 to 1e6"),
-    "grain_diameter": (1.0e-9, 1.0e3, "a positive length in m, 1e-9 to 1000"),
-    "grain_density": (1.0e-3, 1.0e6, "a positive density in kg/m^3, 0.001 to 1e6"),
-}
-"""Of the keys that have fixed ones: least and greatest value, and what is expected."""
+Density = Annotated[float, Bounds("a positive density in kg/m^3, 0.001 to 1e6", ge=1.0e-3, le=1.0e6)]
+Modulus = Annotated[float, Bounds(f"a positive modulus in Pa, 0.001 to {STIFFEST:g}", ge=1.0e-3, le=STIFFEST)]
+Strength = Annotated[float, Bounds(f"a strength of at least 0 Pa, up to {STIFFEST:g}", ge=0.0, le=STIFFEST)]
+Growth = Annotated[float, Bounds(f"a growth of at least 0 Pa/m, up to {STIFFEST:g}", ge=0.0, le=STIFFEST)]
+Ratio = Annotated[float, Bounds(f"a ratio in [0, {LEAST_VOLUME_CHANGE:g}]", ge=0.0, le=LEAST_VOLUME_CHANGE)]
+Slip = Annotated[float, Bounds("a positive slip in m, 1e-9 to 1e9", ge=1.0e-9)]
+Diameter = Annotated[float, Bounds("a positive length in m, 1e-9 to 1000", ge=1.0e-9, le=1.0e3)]
+Inertial = Annotated[float, Bounds("a positive number, 1e-6 to 1e6", ge=1.0e-6, le=1.0e6)]
 
 SHARED = ("law", "constants", "density", "young", "poisson")
 """Keys that a material of any law has."""
@@ -91,30 +86,30 @@ class Material(Record):
     """How angles of friction were measured: "triaxial" (phi itself) or "slope" (on the plane that shears)."""
     friction_limit_deg: float | None = None
     """Angle of friction at very high rates of shear [deg], of the same `angle`; no dependence on them where absent."""
-    inertial_number: float = 0.279
+    inertial_number: Inertial = 0.279
     """I_0 [-], at which half of that growth is reached; that of glass beads where absent."""
-    grain_diameter: float | None = None
+    grain_diameter: Diameter | None = None
     """Diameter of a grain [m], needed with a `friction_limit_deg`."""
-    grain_density: float = 2500.0
+    grain_density: Density = 2500.0
     """Density of the grains [kg/m^3], not of the bulk; that of glass and quartz, about, where absent."""
-    density: float = 1800.0
+    density: Density = 1800.0
     """Initial bulk density [kg/m^3]."""
-    young: float | None = None
+    young: Modulus | None = None
     """Young's modulus [Pa]; where absent 2 MPa, in a scene as much as its thickness and speed need
     (`datasets.scene.stiffness`), which the scene's material then has."""
-    poisson: float = 0.3
+    poisson: Ratio = 0.3
     """Poisson's ratio [-], in [0, 0.4999]."""
     dilation_deg: float = 0.0
     """Angle of dilation [deg], in [0, friction_deg]; for ever where there is no `softening_length`."""
-    cohesion: float = 0.0
+    cohesion: Strength = 0.0
     """Cohesion [Pa], where `strength_gradient` at the top of the body."""
-    strength_gradient: float = 0.0
+    strength_gradient: Growth = 0.0
     """Growth of the cohesion with the depth below the top of the body at the start [Pa/m]."""
-    tension_cutoff: float | None = None
+    tension_cutoff: Strength | None = None
     """Largest tensile principal stress [Pa], where cracks open; `TENSION_SHARE` of the cohesion where absent.
 
     The apex c cot(phi) limits it from above."""
-    softening_length: float | None = None
+    softening_length: Slip | None = None
     """Slip of a shear band at which the residual values are reached [m]; no softening where absent."""
     residual_friction_deg: float | None = None
     """Angle of friction after softening [deg], in [0, friction_deg]; that of the peak where absent."""
@@ -140,6 +135,8 @@ class Material(Record):
             if not ok:
                 raise InputError(f"expected {expected}, got {getattr(self, key):g}", key=f"material.{key}")
 
+        with keyed("material"):
+            super().__post_init__()
         if self.law != MOHR_COULOMB:
             for each in dataclasses.fields(self):
                 value, usual = getattr(self, each.name), 0.0 if each.name == "friction_deg" else each.default
@@ -151,8 +148,6 @@ class Material(Record):
         highest = ANGLES[self.angle]
         kind = "an angle" if self.angle == "triaxial" else "the angle of a slope"
         require(0.0 <= self.friction_deg < highest, "friction_deg", f"{kind} in [0, {highest:g}) degrees")
-        for key, (low, high, expected) in BOUNDS.items():
-            require(getattr(self, key) is None or low <= getattr(self, key) <= high, key, expected)
         require(0.0 <= self.dilation_deg <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
         strong = self.friction_deg > 0.0 or self.cohesion > 0.0 or self.law != MOHR_COULOMB
         require(strong, "friction_deg", "an angle above 0 degrees where there is no cohesion")

@@ -47,11 +47,6 @@ class Correction(nn.Module):
         self.register_buffer("std", torch.ones(count))
         self.network = Network(count, 0, dataclasses.replace(settings, width=WIDTH))
 
-    @property
-    def normalised(self) -> bool:
-        """Whether mean and standard deviation of the features are known."""
-        return bool((self.std != 1.0).any())
-
     def forward(self, start: State, end: Moment) -> Tensor:
         """x'_K - x_K [m], shape [N, D], before any contact; all in units of the model."""
         inputs, conditions = Inputs.of_moment(end), end.conditions

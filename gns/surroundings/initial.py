@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets import memory
-from datasets.definitions.training import check_known, thin
+from datasets.definitions.training import thin
 from datasets.errors import InputError, require
 from datasets.flow.trajectory import Floats, Trajectory, brackets
 from datasets.geometry.ground import ground_raster
-from datasets.scene import Scene, coefficient
+from datasets.scene import Scene, coefficient, keyed
+from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import initial_particles, mass_counts, released_volume
 from gns.settings import ModelSettings
 from gns.surroundings.state import Conditions, Ground, State, Tensors
@@ -112,7 +113,20 @@ def check(scene: Scene, settings: ModelSettings) -> None:
     """Raise InputError for a scene that no model of these settings represents: the key, and what was expected."""
     known = settings.dimension
     require(scene.dimension == known, "", f"a {known}D scene, as the model's", f"{scene.dimension}D")
-    check_known(scene, "the model")
+    materials = [scene.material_of(mass) for mass in scene.masses]
+    refused = [
+        (bool(scene.open_sides), "open_sides", "a closed box"),
+        (bool(scene.stages), "stages", "a material that stays as it is"),
+        (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
+        (len({each.density for each in materials}) > 1, "masses", "masses of one density"),
+        *((each.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for each in materials),
+    ]
+    for place, solid in keyed(scene, "solids").items():
+        refused.append((solid.kind != "terrain", f"{place}.kind", "baffles and terrain alone"))
+        refused.append((solid.contact != "coulomb", f"{place}.contact", "Coulomb friction alone"))
+    for bad, key, expected in refused:
+        if bad:
+            raise InputError(f"expected {expected}, the model knows no other", key=key)
 
 
 def conditions_of(scene: Scene, spacing: float, friction: Any, cohesion: Any, volume: Any, units: Units) -> Conditions:

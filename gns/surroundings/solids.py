@@ -64,11 +64,6 @@ class Boxes:
         """Vectors [n, K, D] from the axes of their boxes in those of the scene."""
         return vectors if self.turn is None else rotated(vectors, *self.turn)
 
-    @property
-    def half_extent(self) -> Tensor:
-        """Half of the extent along the axes of the scene [m], shape [n, K, D]."""
-        return self.half if self.turn is None else rotated(self.half, *map(torch.abs, self.turn), symmetric=True)
-
     def contain(self, points: Tensor, slack: float) -> Tensor:
         """Which points [n, D] are farther than `slack` [m] inside which box, shape [n, K]."""
         return (self.own(points).abs() < self.half - slack).all(dim=2)
@@ -209,7 +204,9 @@ def close_to(boxes: Boxes, first: Tensor, last: Tensor, margin: float, batch: Te
     """
     with torch.no_grad():
         low, high = torch.minimum(first, last), torch.maximum(first, last)
-        lower, upper = boxes.middle - boxes.half_extent - margin, boxes.middle + boxes.half_extent + margin
+        # Of a turned box the extent along the axes of the scene.
+        half = boxes.half if boxes.turn is None else rotated(boxes.half, *map(torch.abs, boxes.turn), symmetric=True)
+        lower, upper = boxes.middle - half - margin, boxes.middle + half + margin
         if batch is None:
             ends = lower.amin(dim=1), upper.amax(dim=1)
             some = ((low < ends[1]) & (high > ends[0])).all(dim=1).nonzero().squeeze(1)

@@ -61,18 +61,13 @@ class State(Tensors):
     """The last H displacements [m per step], newest last, shape [H, N, D]."""
 
     @staticmethod
-    def moving(positions: Tensor, velocities: Tensor, *, step: float, history: int) -> "State":
-        """From positions [m] and velocities [m/s], both [N, D], as if the velocities had always been these."""
-        return State(positions=positions, displacements=(velocities * step).expand(history, *positions.shape))
-
-    @staticmethod
     def observed(frames: Tensor, velocities0: Tensor, *, step: float, history: int) -> "State":
         """From frames one step apart [F, N, D]; where they are too few, what came before had the initial velocities.
 
         frames: [m], the last is now; velocities0: those at the first frame [m/s], shape [N, D].
         """
-        before = State.moving(frames[0], velocities0, step=step, history=history)
-        displacements = torch.cat((before.displacements, frames[1:] - frames[:-1]))[-history:]
+        before = (velocities0 * step).expand(history, *frames.shape[1:])
+        displacements = torch.cat((before, frames[1:] - frames[:-1]))[-history:]
         return State(positions=frames[-1], displacements=displacements)
 
     @staticmethod

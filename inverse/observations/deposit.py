@@ -13,11 +13,10 @@ from torch import Tensor
 from datasets.errors import naming, require
 from datasets.flow import measures
 from datasets.scene import Scene
-from datasets.scene.grid_field import Floats
 from datasets.scene.particles import mass_centroids, mass_volumes, particle_volumes
 from inverse.observations.measured_profile import require_inside
 from inverse.observations.observation import Numbers, Observation, Values, fitted_tail
-from inverse.observations.settings import LengthUnit, ObservationSettings, TabulatedSettings, read_columns
+from inverse.observations.settings import LengthsSettings, ObservationSettings
 from inverse.observations.target import Target
 
 SHARE_SCATTER = 0.005
@@ -47,7 +46,7 @@ class Front(Observation):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrontSettings(TabulatedSettings):
+class FrontSettings(LengthsSettings):
     """Of `Front`; the table has time and front."""
 
     value: float | None = None
@@ -56,14 +55,9 @@ class FrontSettings(TabulatedSettings):
     """One [m] for each of `times`."""
     times: tuple[float, ...] | None = None
     """When [s] after the start; where absent, in the end."""
-    unit: LengthUnit = LengthUnit.METRE
-    """Of the front in a table."""
 
     operator_type, options = Front, ("times",)
     columns: ClassVar = {"time": "times", "front": "values"}
-
-    def converted(self, name: str, column: Floats) -> Floats:
-        return column * self.unit.metres if name == "front" else column
 
 
 class Runout(Observation):
@@ -264,15 +258,13 @@ class Outline(Observation):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OutlineSettings(TabulatedSettings):
+class OutlineSettings(LengthsSettings):
     """Of `Outline`; the table has x and z of its vertices."""
 
     values: tuple[float, ...] | None = None
     """Extent [m] in each of `directions_deg`."""
     directions_deg: tuple[float, ...] | None = None
     """From +x towards +z; every 22.5 degrees where absent."""
-    unit: LengthUnit = LengthUnit.METRE
-    """Of the lengths in a table."""
 
     operator_type, options = Outline, ("directions_deg",)
 
@@ -280,7 +272,7 @@ class OutlineSettings(TabulatedSettings):
         if self.csv is None:
             return super().read(scene, folder, released)
         operator, path = Outline(scene, self.directions_deg), folder / self.csv
-        vertices = np.stack([*read_columns(path, ("x", "z"), unit=self.unit).values()], axis=1) * self.unit.metres
+        vertices = np.stack([*self.table(path, ("x", "z")).values()], axis=1)
         with naming(path):
             require_inside(vertices[:, 0], scene.domain.size[0])
         return self.compared(operator, operator.of_line(vertices))

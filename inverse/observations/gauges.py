@@ -1,6 +1,8 @@
 """What instruments record: heights at gauges, and the impulse on a solid, in the end or at times of their own."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +15,7 @@ from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from inverse.observations.measured_profile import require_inside
 from inverse.observations.observation import Numbers, Observation, Rollout, Values, at_times
-from inverse.observations.settings import LengthUnit, TabulatedSettings
+from inverse.observations.settings import LengthsSettings, TabulatedSettings
 
 SPACING = 0.02
 """Half width over which a gauge takes the mean height [m]."""
@@ -72,7 +74,7 @@ class Gauges(Observation):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GaugesSettings(TabulatedSettings):
+class GaugesSettings(LengthsSettings):
     """Of `Gauges`; the table has x, height and maybe time."""
 
     values: tuple[float, ...] | None = None
@@ -85,8 +87,6 @@ class GaugesSettings(TabulatedSettings):
     """When [s] after the start; where absent, in the end."""
     spacing: float = SPACING
     """Half width over which a gauge takes the mean height [m]."""
-    unit: LengthUnit = LengthUnit.METRE
-    """Of the lengths in a table."""
     datum: float = 0.0
     """Height of the floor in a table [`unit`]."""
 
@@ -94,10 +94,9 @@ class GaugesSettings(TabulatedSettings):
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
 
-    def converted(self, name: str, column: Floats) -> Floats:
-        if name == "time":
-            return column
-        return (column - (self.datum if name == "height" else 0.0)) * self.unit.metres
+    def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
+        table = super().table(path, needed, optional)
+        return table | {"height": table["height"] - self.datum * self.metres}
 
 
 class Impulse(Observation):

@@ -27,7 +27,7 @@ from datasets.scene.particles import particle_volumes
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.measured_profile import Heights, MeasuredProfile, checked_profile
 from inverse.observations.observation import Numbers, Observation, Values, at_times
-from inverse.observations.settings import LengthUnit, TabulatedSettings, read_columns
+from inverse.observations.settings import LengthsSettings
 from inverse.observations.target import Target
 
 SHARES = (*(0.025 + 0.05 * number for number in range(20)), measures.FRONT_QUANTILE)
@@ -135,7 +135,7 @@ class SurfaceProfile(Profile):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProfileSettings(TabulatedSettings):
+class ProfileSettings(LengthsSettings):
     """Of `Profile`; the table has x and height."""
 
     heights: Heights = Heights.EQUIVALENT
@@ -144,8 +144,6 @@ class ProfileSettings(TabulatedSettings):
     """Distance between the stations [m]."""
     times: tuple[float, ...] | None = None
     """When [s] after the start, one time; where absent, in the end."""
-    unit: LengthUnit = LengthUnit.METRE
-    """Of the lengths in a table."""
     datum: float = 0.0
     """Height of the floor in a table [`unit`]."""
 
@@ -158,10 +156,9 @@ class ProfileSettings(TabulatedSettings):
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         path = folder / str(self.csv)
-        x, height = read_columns(path, ("x", "height"), unit=self.unit).values()
-        metres = self.unit.metres
+        x, height = self.table(path, ("x", "height")).values()
         with naming(path):
-            profile = checked_profile(x * metres, (height - self.datum) * metres, scene, self.heights, released)
+            profile = checked_profile(x, height - self.datum * self.metres, scene, self.heights, released)
         operator = self.operator(scene, profile.x)
         return self.sampled(operator, operator.of_heights(profile.at(operator.stations)), profile)
 

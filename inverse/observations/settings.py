@@ -3,9 +3,8 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -21,20 +20,6 @@ from inverse.observations.target import Target
 
 SOURCES = ("value", "values", "csv")
 """Keys under which measured numbers stand."""
-
-
-class LengthUnit(StrEnum):
-    """In what a length was measured."""
-
-    METRE = "m"
-    CENTIMETRE = "cm"
-    MILLIMETRE = "mm"
-    FOOT = "ft"
-
-    @property
-    def metres(self) -> float:
-        """Its length [m]."""
-        return {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}[self.value]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,20 +106,25 @@ class TabulatedSettings(ObservationSettings):
     optional: ClassVar[tuple[str, ...]] = ()
     """Those that may be absent."""
 
-    def converted(self, name: str, column: Floats) -> Floats:
-        """A column in the units of the problem."""
-        return column
+    @property
+    def metres(self) -> float:
+        """What a length of 1 is in its table [m]."""
+        return 1.0
+
+    def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
+        """Columns of a CSV in SI units, each of shape [R], and `optional` ones that it has. Raises InputError."""
+        table = spreadsheet.read_columns(path, needed, optional, others=True, metres=self.metres)
+        if len(table[needed[0]]) < 2:
+            raise InputError(f"expected the columns {' and '.join(needed)} and at least two rows", where=str(path))
+        factors = {name: 1.0 if name in spreadsheet.UNITS else self.metres for name in table}
+        return {name: table[name] * factors[name] for name in (*needed, *optional) if name in table}
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         if self.csv is None:
             return super().read(scene, folder, released)
         path = folder / self.csv
-        unit = getattr(self, "unit", LengthUnit.METRE)
-        needed = [name for name in self.columns if name not in self.optional]
-        table = read_columns(path, needed, self.optional, unit=unit)
-        numbers: dict[str, Any] = {
-            self.columns[name]: tuple(self.converted(name, column).tolist()) for name, column in table.items()
-        }
+        table = self.table(path, [name for name in self.columns if name not in self.optional], self.optional)
+        numbers: dict[str, Any] = {self.columns[name]: tuple(column.tolist()) for name, column in table.items()}
         try:
             return dataclasses.replace(self, csv=None, **numbers).read(scene, folder, released)
         except InputError as error:
@@ -142,11 +132,13 @@ class TabulatedSettings(ObservationSettings):
             raise error.at(str(path)) if error.key in ("", *numbers) else error from None
 
 
-def read_columns(
-    path: Path, names: Sequence[str], optional: Sequence[str] = (), *, unit: LengthUnit = LengthUnit.METRE
-) -> dict[str, Floats]:
-    """Columns of a CSV, each of shape [R], and `optional` ones that it has; lengths in `unit`. Raises InputError."""
-    table = spreadsheet.read_columns(path, names, optional, others=True, metres=unit.metres)
-    if len(table[names[0]]) < 2:
-        raise InputError(f"expected the columns {' and '.join(names)} and at least two rows", where=str(path))
-    return {name: table[name] for name in (*names, *optional) if name in table}
+@dataclass(frozen=True, kw_only=True)
+class LengthsSettings(TabulatedSettings):
+    """Of an observation whose table has lengths."""
+
+    unit: Literal["m", "cm", "mm", "ft"] = "m"
+    """Of the lengths in a table."""
+
+    @property
+    def metres(self) -> float:
+        return spreadsheet.UNITS["length"][self.unit]

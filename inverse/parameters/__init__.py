@@ -13,13 +13,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 
 from datasets.errors import InputError, keyed, require
 from datasets.scene import Scene
-from datasets.schema import Record
+from datasets.schema import Bounds, Record
 from inverse.parameters import inputs
 from inverse.parameters.kind import (
     Centre,
@@ -72,6 +72,9 @@ KINDS: dict[str, Kind] = {
     )
 }
 """Every kind by its name, with `[]` in place of an index."""
+
+
+LENGTHS = Bounds("positive lengths in m, up to 1e+09", gt=0.0)
 
 
 def kind(name: str) -> Kind:
@@ -128,23 +131,22 @@ class Parameter(Record):
     upper: float | None = None
     """Largest value allowed."""
     initial: float | None = None
-    """Of a number: where the search starts; with a prior its median where absent."""
+    """Of a number: where a search starts; with a prior its median where absent."""
     prior: Prior | None = None
     """Of a number, cut off at its bounds; uniform where absent."""
-    spacing: tuple[float, ...] | None = None
+    spacing: Annotated[tuple[float, ...] | None, LENGTHS] = None
     """Of a field: distance between nodes along each axis [m], at most; over a shorter body it is constant."""
-    mean: float | None = None
+    mean: Annotated[float | None, Bounds("a finite value")] = None
     """Of a field: of its prior, everywhere [deg or m/s]."""
-    deviation: float | None = None
+    deviation: Annotated[float | None, Bounds("a standard deviation from 1e-06 to 1e+09", ge=1.0e-6)] = None
     """Of a field: standard deviation of its prior at every node [deg or m/s]."""
-    length: float | tuple[float, ...] | None = None
+    length: Annotated[float | tuple[float, ...] | None, LENGTHS] = None
     """Of a field: correlation length [m], or one along each axis; at this distance the correlation is 0.14 in 2D."""
 
     def check(self, scene: Scene) -> None:
         """Raise InputError, which names the key, for one that `scene` has not, or whose keys do not go together."""
         of_field, of_number = ("mean", "deviation", "length"), ("initial", "prior")
-        start = () if self.prior is not None else ("initial",)
-        for key in of_field if self.is_field else (*start, "lower", "upper"):
+        for key in of_field if self.is_field else ("lower", "upper"):
             require(getattr(self, key) is not None, key, "a value", "none, the key is missing")
         for key in of_number if self.is_field else of_field:
             kind = "number" if self.is_field else "field, which has a spacing"

@@ -14,17 +14,18 @@ FILLING = 32
 """Points by which the box of the bounds is filled, and corners of it, that are tried."""
 
 
-def check_parameters(scene: Scene, parameters: Sequence[Parameter]) -> None:
-    """Raise InputError for parameters that the scene has not, or with bounds at which it could not be simulated."""
-    require(len(parameters) > 0, "unknowns", "at least one unknown", "none")
-    names = [each.name for each in parameters]
-    for index, parameter in enumerate(parameters):
-        with keyed(f"unknowns[{index}]"):
-            require(names.count(parameter.name) == 1, "name", "each unknown once", f"{parameter.name!r} twice")
+def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str) -> None:
+    """Raise InputError for parameters that the scene has not, or with bounds at which it could not be simulated.
+
+    parameters: by their keys; key: of all together.
+    """
+    names = [each.name for each in parameters.values()]
+    for place, parameter in parameters.items():
+        with keyed(place):
+            require(names.count(parameter.name) == 1, "name", "each number once", f"{parameter.name!r} twice")
             parameter.check(scene)
-    numbers = {f"unknowns[{index}]": each for index, each in enumerate(parameters) if not each.is_field}
-    if numbers:
-        check_bounds(scene, numbers, "unknowns")
+    if numbers := {place: each for place, each in parameters.items() if not each.is_field}:
+        check_bounds(scene, numbers, key)
 
 
 def check_bounds(scene: Scene, numbers: Mapping[str, Parameter], key: str) -> None:

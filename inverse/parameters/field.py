@@ -35,12 +35,10 @@ from scipy.sparse.linalg import splu
 from scipy.special import expit, logit
 
 from datasets.errors import InputError, require
-from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 from datasets.scene import Scene
 from datasets.scene.grid_field import FRICTION, VELOCITIES, Field, Floats, Grid
 from datasets.scene.particles import initial_particles
-from datasets.schema import FARTHEST
 from inverse.parameters import Parameter
 
 if TYPE_CHECKING:
@@ -57,8 +55,6 @@ WIDEST = 100.0
 """Deviation of u with which every band is as wide as its bounds."""
 COLUMNS = 256
 """Right-hand neighbours that are solved for at a time."""
-LEAST = 1.0e-6
-"""Least standard deviation of a field, in its unit."""
 BYTES = 24
 """Of each node and right-hand neighbour: it, its solution and their squares."""
 UNITS = {FRICTION: "deg"} | dict.fromkeys(VELOCITIES, "m/s")
@@ -178,11 +174,7 @@ def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple
     require(settings.mass is None or settings.mass in masses, "name", f"a mass of 0 to {masses[-1]}", settings.mass)
     lengths = length if isinstance(length, tuple) else (cast("float", length),) * scene.dimension
     for key, values in (("spacing", spacing), ("length", lengths)):
-        positive = len(values) == scene.dimension and all(0.0 < value <= FARTHEST for value in values)
-        require(positive, key, f"{scene.dimension} positive lengths in m, up to {FARTHEST:g}", list(values))
-    least = f"a standard deviation from {LEAST:g} to {FARTHEST:g}"
-    require(LEAST <= deviation <= FARTHEST, "deviation", least, deviation)
-    require(usual(mean), "mean", "a finite value", mean)
+        require(len(values) == scene.dimension, key, f"{scene.dimension} lengths", list(values))
     low, high = settings.lower, settings.upper
     require((low is None) == (high is None), "upper" if high is None else "lower", "both bounds or none", "one")
     if settings.quantity == FRICTION:

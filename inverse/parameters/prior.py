@@ -13,14 +13,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from datasets.errors import require
-from datasets.schema import Record
+from datasets.schema import Bounds, Record
 from inverse.posterior import Matrix
 
 KINDS = {"uniform": (), "normal": ("mean", "deviation"), "lognormal": ("mean", "deviation"), "triangular": ("mode",)}
@@ -46,7 +46,7 @@ class Prior(Record):
     """A key of `KINDS`."""
     mean: float | None = None
     """Of a normal and a lognormal number itself."""
-    deviation: float | None = None
+    deviation: Annotated[float | None, Bounds("a value above 0", gt=0.0, le=math.inf)] = None
     """Standard deviation of the same."""
     mode: float | None = None
     """Of a triangular one, whose density falls to 0 at both bounds."""
@@ -58,8 +58,6 @@ class Prior(Record):
             value, needed = getattr(self, name), name in KINDS[self.kind]
             require(not needed or value is not None, name, f"a value of a {self.kind} prior", "none")
             require(needed or value is None, name, f"none of a {self.kind} prior", value)
-        if self.deviation is not None:
-            require(self.deviation > 0.0, "deviation", "a value above 0", self.deviation)
         if self.mode is not None:
             require(lower <= self.mode <= upper, "mode", f"a value in [{lower:g}, {upper:g}]", self.mode)
         if self.kind == "lognormal":
@@ -94,7 +92,7 @@ class Correlation(Record):
 
     between: tuple[str, str]
     """Their names."""
-    coefficient: float
+    coefficient: Annotated[float, Bounds("a value in (-1, 1)", gt=-1.0, lt=1.0)]
     """Of their normal scores."""
 
 
@@ -152,7 +150,6 @@ class JointPrior:
             require(first != second, f"{key}.between", "two different numbers", f"{first!r} twice")
             row, column = names.index(first), names.index(second)
             require(self.correlation[row, column] == 0.0, f"{key}.between", "each pair once", f"{first}, {second}")
-            require(-1.0 < each.coefficient < 1.0, f"{key}.coefficient", "a value in (-1, 1)", each.coefficient)
             self.correlation[row, column] = self.correlation[column, row] = each.coefficient
         smallest = float(np.linalg.eigvalsh(self.correlation).min())
         require(smallest > 1e-9, "correlations", "coefficients that go together (a positive definite matrix)", "others")

@@ -34,8 +34,6 @@ class Part:
     """Share of the posterior."""
     points: Matrix
     """Samples of it, shape [S, U]."""
-    shares: Row
-    """Of each of them in it, shape [S]."""
     threshold: float
     """Logarithm of the likelihood above which parameters lie in it."""
 
@@ -84,7 +82,6 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
                 interval=np.stack([low, high]),
                 weight=float(weights.sum()),
                 points=inside,
-                shares=share,
                 threshold=threshold,
             )
         )

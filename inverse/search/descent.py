@@ -26,7 +26,6 @@ import dataclasses
 import math
 import sys
 import time
-from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -44,7 +43,7 @@ from inverse.posterior.reduction import reduction
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.search.inference import EXCLUDED, Inference, Inversion
-from inverse.search.waves import ModelRun, filling
+from inverse.search.waves import ModelRun, filling, runs_of
 
 FIRST, PER_UNKNOWN = 6, 4
 """Predictions that fill the box, the problem's start among them."""
@@ -69,7 +68,7 @@ def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values
     rng = np.random.default_rng([problem.optimiser.seed, 0])
 
     def predict(points: Matrix, first: int) -> list[ModelRun]:
-        return predictions(points, forward.observe(list(box.at(points))))
+        return runs_of(points, forward.observe(list(box.at(points))))
 
     cube = filling(unknowns, FIRST + PER_UNKNOWN * unknowns - 1, rng)
     points = np.concatenate([box.shares(problem.initial)[None], cube])
@@ -93,11 +92,6 @@ def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values
             break
         state = filled(state, rng)
     return dataclasses.replace(state, seconds=time.perf_counter() - began)
-
-
-def predictions(points: Matrix, numbers: Sequence[Values]) -> list[ModelRun]:
-    """Those at points [n, U] of `numbers` [n, m]."""
-    return [ModelRun(point=point, numbers=each) for point, each in zip(points, numbers, strict=True)]
 
 
 def with_minima(state: Inversion) -> Inversion:
@@ -144,7 +138,7 @@ def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix,
     weights = 2.0 * (numbers - state.target.values) @ state.precision
     # Of a sum: a tensor of weights makes torch load sympy.
     (gradient,) = torch.autograd.grad((predicted * torch.from_numpy(weights)).sum(), parameters)
-    state = dataclasses.replace(state, runs=(*state.runs, *predictions(points, list(numbers))))
+    state = dataclasses.replace(state, runs=(*state.runs, *runs_of(points, numbers)))
     slopes = gradient.numpy() * box.range
     # In a parameter that makes other particles autograd finds none.
     without = ~slopes.any(axis=0)

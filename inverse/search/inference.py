@@ -23,7 +23,7 @@ from inverse.posterior.answers import Part, parts
 from inverse.posterior.emulator import fewest_runs, linear
 from inverse.posterior.posterior import SMALLEST, Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
-from inverse.problem import Bounds, Problem
+from inverse.problem import Box, Problem
 from inverse.search.waves import ModelRun, WaveSearch, filling
 
 EXCLUDED = 1e-3
@@ -65,7 +65,7 @@ class Inference:
         return self.latest
 
     @cached_property
-    def box(self) -> Bounds:
+    def box(self) -> Box:
         """Of the parameters."""
         return self.problem.box
 

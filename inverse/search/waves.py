@@ -8,13 +8,14 @@ One search serves three purposes, each with a forward model and with its own kno
 | `validation.loop` | the MPM, each run with its own jitter seed | the same, maybe within the region of a surrogate |
 | `validation.design` | one response of such runs | `validation.design.reliability`: probability of keeping a limit |
 
-Knowledge is a strategy object with one method, `updated`: a posterior compares many numbers with a target, the
-reliability of a design has one response and no target, so that they share an emulator and nothing else.
+Knowledge is a frozen dataclass with one method, `updated`, which returns the same by all runs of a search. A posterior
+compares many numbers with a target, the reliability of a design has one response and no target, so that they share an
+emulator and nothing else.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -32,15 +33,13 @@ class ModelRun:
     """What it shows, shape [M]."""
 
 
-class Knowledge(Protocol):
-    """What runs say."""
-
-    def updated(self, search: "WaveSearch[Any, Any]") -> Self:
-        """The same by all runs of `search`."""
+def runs_of(points: Matrix, numbers: Iterable[Row]) -> list[ModelRun]:
+    """Those at points [n, U] that show `numbers` [n, M]."""
+    return [ModelRun(point=point, numbers=each) for point, each in zip(points, numbers, strict=True)]
 
 
 R = TypeVar("R", bound=ModelRun)
-K = TypeVar("K", bound=Knowledge)
+K = TypeVar("K")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +93,6 @@ class WaveSearch(Generic[R, K]):
 
     def informed(self, **changes: Any) -> Self:
         """With what all runs say; changes: of the fields of `knowledge` before."""
-        # A dataclass, which no protocol says.
         before: Any = self.knowledge
         knowledge: K = replace(before, **changes).updated(self)
         return replace(self, knowledge=knowledge, waves=(*self.waves, knowledge))

@@ -31,7 +31,14 @@ from mpm.solids.face_lookup import (
 )
 from mpm.solids.feet import foot_on_segment, foot_on_triangle
 from mpm.solids.obstacles import BLEND
-from mpm.solids.terrain import cell_code, corner_frictions, in_terrain, triangle_corners, triangle_number
+from mpm.solids.terrain import (
+    cell_code,
+    cell_of_triangle,
+    corner_frictions,
+    in_terrain,
+    triangle_corners,
+    triangle_number,
+)
 from mpm.solids.terrain_holds import cells_over, hold_share, hold_weight, node_position
 
 PUT_BACK = 1.0e-6
@@ -216,7 +223,8 @@ def add_face(face, column: ti.template(), value, scene, arrays: ti.template()):
             arrays.face_adjoints[face, column] += ti.cast(value, ti.f64)
     if ti.static(arrays.features.terrain and first <= column < first + size):
         if in_terrain(face, scene, arrays):
-            a, b, c = corner_frictions(face, scene, arrays)
+            i, k, half = cell_of_triangle(face, scene, arrays)
+            a, b, c = corner_frictions(i, k, half, cell_code(i, k, scene, arrays), scene, arrays)
             at = ti.static([a, b, c])[ti.static(column - first)]
             arrays.terrain_adjoints[scene, at] += ti.cast(value, ti.f64)
 
@@ -225,7 +233,7 @@ def add_face(face, column: ti.template(), value, scene, arrays: ti.template()):
 def terrain_reverse(bar, v, node, scene, arrays: ti.template()):
     """Bar of a node's velocity `v` [m/s] from that of what the height field takes of it, and this; shape [D] each.
 
-    Adds the bars of friction. The reverse of `mpm.solids.terrain_holds.removed_at_once`.
+    Adds the bars of friction. The reverse of `mpm.solids.terrain_holds.meet_holds`.
     """
     x, removed, v_bar, total = node_position(node, scene, arrays), 0.0 * v, 0.0 * v, 0.0 * v[0]
     i0, k0, i1, k1 = cells_over(x, scene, arrays)

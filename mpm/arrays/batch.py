@@ -47,7 +47,7 @@ from mpm.initial.barriers import barrier_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.output.request import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, numbered, obstacles_of
-from mpm.solids.terrain_arrays import terrain_arrays, terrain_slots
+from mpm.solids.terrain_arrays import terrain_arrays, terrain_kept
 
 Array = NDArray[Any]
 PORTION = 2**18
@@ -142,8 +142,8 @@ class Batch:
         counts = [len(particles.positions) for particles in self.particles]
         self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
-        slots = terrain_slots(scenes, self.offsets, self.workers, features, real)
-        self.column_heights, self.kept_nodes, self.kept_holds = slots
+        kept = terrain_kept(scenes, self.offsets, self.workers, features, real)
+        self.column_heights, self.kept_columns, self.kept_holds = kept
         self.scratch = aligned((scratch, lanes), real)
         self.impulse = aligned((max(impulse, 1), lanes), real)
         self.positions = np.zeros(max(recorded * features.dimension, 1), np.float32)
@@ -193,6 +193,7 @@ class Batch:
             offset[Offset.WINDOW_LOW_X : Offset.WINDOW_LOW_X + len(window.low)] = window.low
             offset[Offset.WINDOW_X : Offset.WINDOW_X + len(window.low)] = window.shape
         self.terrain, self.terrain_cells = terrain_arrays(obstacles, self.offsets, real)
+        self.terrain_tilts = np.zeros(2 * len(self.terrain_cells), real)
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""

@@ -13,7 +13,7 @@ from datasets.scene import Scene
 from datasets.scene.grid_field import FRICTION
 from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import mass_particle_volumes, particle_count
-from mpm.arrays.layout import Contact, Precision
+from mpm.arrays.layout import Contact, Look, Precision
 from mpm.laws import law_named, law_of
 from mpm.output.request import ALL, Recording
 
@@ -209,6 +209,7 @@ class Features:
             changes=size**2 * corrected,  # of its change
             origin=size * contact,  # the positions before a step
             push=2 * size * contact,  # the contact's force per volume and its arm
+            look=Look.SIZE * int(self.terrain),  # at the triangle of a height field near each particle
         )
 
 

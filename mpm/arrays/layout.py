@@ -137,8 +137,10 @@ class TerrainNumber(Column):
     NEARNESS = auto()  # the least part of the height above it that is the distance from it [-]
 
 
-KEPT = 16
+KEPT = 8
 """Holds of a node deep in a height field that are told apart."""
+KEPT_NODES = 4
+"""Nodes of a column whose holds are kept in one group; a power of two."""
 KEPT_NUMBERS = 5
 """Of each its share, its friction and its normal."""
 
@@ -156,8 +158,9 @@ class Worker(Column):
     ACTIVE = auto()  # how many columns are in use
     SCRATCH = auto()  # its first vector of `scratch`
     IMPULSE = auto()  # its first vector of `impulse`
-    SLOT = auto()  # its first line of `kept_nodes` and `kept_holds`
-    SLOTS = auto()  # how many it has, a power of two
+    KEPT = auto()  # its first group of `kept_columns` and `kept_holds`
+    GROUPS = auto()  # how many it has
+    NEXT_GROUP = auto()  # the one to be used next, from its first
 
 
 class Span(Column):
@@ -166,7 +169,20 @@ class Span(Column):
     LOW, HIGH = auto(), auto()  # the nodes of a column that are in use, [low, high); high is 0 where it is not
     CELL_LOW, CELL_HIGH = auto(), auto()  # the cells above it that hold particles, while columns are made
     ACTIVE = auto()  # line n: the n-th column in use
+    KEPT = auto()  # the group in which the holds of its nodes are kept, if that is still its own
     OCCUPIED = auto()  # line n: the n-th column of cells that holds particles
+
+
+class Look(Column):
+    """What one look at a height field leaves of each particle in the scratch (`mpm.physics.contact_search`)."""
+
+    PLACE = 0  # where it looks from, x and then its foot [m]
+    CORNERS = 3  # of the triangle there [m]
+    TILT = 12  # tan of the largest angle between that one and those around it
+    FACE = 13  # its number, less FIRST_FACE
+    LIMIT = 14  # the distance within which nothing is but those around it [m]
+    FRICTION = 15  # at its corners [-]
+    SIZE = 18
 
 
 class StepControl(Column):

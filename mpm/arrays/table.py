@@ -35,10 +35,10 @@ STEP = named(
     BLOCKS="state scratch impulse",
     LANES="lanes scratch_lanes impulse_lanes",
     NODES="grid",
-    REAL="cell_distance terrain column_heights",
+    REAL="cell_distance terrain terrain_tilts column_heights",
     REAL_TABLE="settings properties faces holds kept_holds",
-    INTEGER="cell_faces near_faces node_holds covered terrain_cells arrivals bases",
-    INTEGER_TABLE="offsets workers spans barriers retained kept_nodes",
+    INTEGER="cell_faces near_faces node_holds covered terrain_cells kept_columns arrivals bases",
+    INTEGER_TABLE="offsets workers spans barriers retained",
     DOUBLE_TABLE="settling",
 )
 """What a step reads and writes, forwards and in its adjoint; attributes of `mpm.arrays.batch.Batch`."""

@@ -30,34 +30,19 @@ shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma
 It is held like a node behind a wall of the box (`mpm.physics.boundary`), by each face k that it lies behind in part:
 v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares: `mpm.solids.obstacles`).
 
-**Position.** No particle passes a face: a displacement that crosses one ends there and goes on along it.
+**Position.** No particle passes a face: see `mpm.physics.contact_search`.
 """
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
-from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
+from mpm.arrays.access import add, maximum, minimum, over_lanes, vectors
+from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Worker, component
 from mpm.physics.boundary import after_contact
-from mpm.solids.face_lookup import (
-    TINY,
-    cell_of,
-    entry_of,
-    face_number,
-    first_crossed,
-    free_path,
-    frictions_of,
-    list_of,
-    nearest_face,
-    normal_of,
-    solid_of,
-    unlisted_distance,
-)
+from mpm.solids.face_lookup import TINY, entry_of, face_number, list_of, normal_of, solid_of
 from mpm.solids.terrain_holds import removed_by_terrain
 
 NO_FACE = -2.0 * FIRST_FACE
 """Less than the number of any face among reals."""
-MAX_CROSSINGS = 3
-"""Faces along which the displacement of one step is led; beyond them the particle stays where it was."""
 
 
 @ti.func
@@ -266,134 +251,3 @@ def removed_by(hold, v, scene, arrays: ti.template()):
     if v.dot(normal) < 0.0:
         removed = arrays.holds[hold, 2] * (v - after_contact(v, normal, arrays.holds[hold, 1]))
     return face, removed
-
-
-@ti.func
-def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
-    """Keep the particles of a block, moved already, out of the solids, and find the face that each is nearest to;
-    `mass` [kg] of each lane. A particle whose distance was d and that has moved by s has one of at least d - s now: as
-    long as that is beyond the contact no face is searched, nor where the nearest one is known to be (`free_path`).
-    """
-    features, lanes = arrays.features, arrays.features.lanes
-    size = ti.static(features.dimension)
-    x, distance = block * features.state.size, contact_at(block, Contact.DISTANCE, arrays)
-    origin = scratch + features.scratch.origin
-    moved = [arrays.state[x + k] - arrays.scratch[origin + k] for k in ti.static(range(size))]
-    square = 0.0 * moved[0]
-    for k in ti.static(range(size)):
-        square = square + moved[k] * moved[k]
-    path = 1.001 * ti.sqrt(square)
-    lower_bound = arrays.state[distance] - path
-    nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
-    if over_lanes(minimum, lower_bound, arrays) >= nearby:
-        arrays.state[distance] = lower_bound
-    else:
-        arrays.scratch[scratch + features.scratch.push + 1] = mass * present(block, arrays)
-        if follow_faces(block, scratch, moved, path, nearby, scene, arrays):
-            for lane in range(lanes):
-                bound = arrays.scratch_lanes[(scratch + features.scratch.push) * lanes + lane]
-                if bound < nearby:
-                    find_contact(block, scratch, lane, bound, worker, scene, arrays)
-
-
-@ti.func
-def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arrays: ti.template()):
-    """Contact of the particles of a block that are still nearest to the inside of the same face, or to none `nearby`.
-
-    moved: their displacement [m], D vectors; path: no less than its length [m]. Leaves in `scratch` the lower bound of
-    the distance of each particle whose face has to be searched, and `nearby` of the others; returns whether there are
-    any to search.
-    """
-    features = arrays.features
-    size = ti.static(features.dimension)
-    contact, width = contact_at(block, 0, arrays), arrays.settings[scene, Setting.CONTACT_WIDTH]
-    bound, free = arrays.state[contact + Contact.DISTANCE] - path, arrays.state[contact + Contact.FREE] - path
-    d = arrays.state[contact + Contact.DISTANCE]
-    for k in ti.static(range(size)):
-        d = d + moved[k] * arrays.state[contact + Contact.NORMAL + k]
-    follows = (free > 0.0) & (bound > 0.0)
-    d = ti.select(follows, d, bound)
-    delta = ti.select(follows, contact_delta(d, width), 0.0)
-    bound = ti.select(follows, nearby, bound)
-    arrays.state[contact + Contact.DISTANCE] = d
-    arrays.state[contact + Contact.DELTA] = delta
-    # Beyond the search the distance becomes a bound, from which no face can be followed.
-    arrays.state[contact + Contact.FREE] = ti.select(d < nearby, free, 0.0)
-    for k in ti.static(range(size)):
-        at = contact + Contact.NORMAL + size + k
-        arrays.state[at] = ti.select(follows & (delta == 0.0), 0.0, arrays.state[at])
-    arrays.scratch[scratch + features.scratch.push] = bound
-    return over_lanes(minimum, bound, arrays) < nearby
-
-
-@ti.func
-def contact_delta(d, width):
-    """delta_h [1/m] of the distance `d` [m], not negative."""
-    q = minimum(d / width, 1.0)
-    return 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
-
-
-@ti.func
-def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template()):
-    """Contact of the particle in `lane` of a block: where its displacement ends, and the face nearest to that.
-
-    bound: its distance is no less [m]; if that is positive it has met no face.
-    """
-    features, lanes = arrays.features, arrays.features.lanes
-    dimension = ti.static(features.dimension)
-    first = block * features.state.size * lanes + lane
-    contact = contact_at(block, 0, arrays) * lanes + lane
-    x = lane_numbers(arrays.lanes, first, arrays)
-    v = lane_numbers(arrays.lanes, first + features.state.velocity * lanes, arrays)
-    velocity, solid, moved = v, -1, False
-    cell = arrays.settings[scene, Setting.CELL]
-    if bound <= 0.0:
-        start = lane_numbers(arrays.scratch_lanes, (scratch + features.scratch.origin) * lanes + lane, arrays)
-        start_entry = cell_of(start, scene, arrays)
-        for rotation in range(MAX_CROSSINGS):
-            face, corner, normal = first_crossed(start, x, start_entry, cell, scene, arrays)
-            if face < 0:
-                break
-            x = x - (x - corner).dot(normal) * normal
-            if rotation == MAX_CROSSINGS - 1:
-                x = start
-            moved = True
-            if v.dot(normal) < 0.0:
-                v = after_contact(v, normal, frictions_of(face, scene, arrays)[0])
-                solid = solid_of(face, scene, arrays)
-    entry = cell_of(x, scene, arrays)
-    delta, distance, free = 0.0 * cell, unlisted_distance(x, entry, scene, arrays), 0.0 * cell
-    _, listed = list_of(entry, arrays)
-    if ti.static(features.terrain) or listed > 0:
-        last = face_number(arrays.lanes[contact + Contact.FACE * lanes])
-        face, feature, weights, normal, d, bound = nearest_face(x, last, entry, scene, arrays)
-        if feature == 0 and d > 0.0 and d < arrays.settings[scene, Setting.SEARCH_DISTANCE]:
-            free = free_path(x, face, weights, normal, d, entry, cell, scene, arrays)
-        friction = weights.dot(frictions_of(face, scene, arrays))
-        if d < 0.0:
-            x = x - d * normal
-            d, moved = 0.0 * d, True
-            if v.dot(normal) < 0.0:
-                v = after_contact(v, normal, friction)
-                solid = solid_of(face, scene, arrays)
-        distance = ti.min(d, bound)
-        delta = contact_delta(d, arrays.settings[scene, Setting.CONTACT_WIDTH])
-        arrays.lanes[contact + Contact.FRICTION * lanes] = friction
-        arrays.lanes[contact + Contact.FACE * lanes] = face - FIRST_FACE
-        # The shear traction turns with the surface, and ends where the particle leaves it.
-        shear = lane_numbers(arrays.lanes, contact + (Contact.NORMAL + dimension) * lanes, arrays)
-        shear = shear - shear.dot(normal) * normal
-        if delta == 0.0:
-            shear = 0.0 * shear
-        put_lane_numbers(arrays.lanes, contact + Contact.NORMAL * lanes, normal, arrays)
-        put_lane_numbers(arrays.lanes, contact + (Contact.NORMAL + dimension) * lanes, shear, arrays)
-    if moved:
-        put_lane_numbers(arrays.lanes, first, x, arrays)
-        put_lane_numbers(arrays.lanes, first + features.state.velocity * lanes, v, arrays)
-        if solid >= 0:
-            mass = arrays.scratch_lanes[(scratch + features.scratch.push + 1) * lanes + lane]
-            for k in ti.static(range(dimension)):
-                add_impulse(solid, k, mass * (velocity[k] - v[k]), lane, worker, arrays)
-    arrays.lanes[contact + Contact.DELTA * lanes] = delta
-    arrays.lanes[contact + Contact.DISTANCE * lanes] = distance
-    arrays.lanes[contact + Contact.FREE * lanes] = free

@@ -8,7 +8,6 @@ from mpm.physics.boundary import is_wall
 from mpm.physics.contact import (
     contact_at,
     contact_of,
-    find_contacts,
     jump_at_contact,
     motion_and_stress,
     record_traction,
@@ -16,6 +15,7 @@ from mpm.physics.contact import (
     touches,
     with_jump,
 )
+from mpm.physics.contact_search import find_contacts
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
 from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_gap

@@ -14,7 +14,6 @@ from mpm.solids.terrain import (
     cells_within,
     corner_frictions,
     in_terrain,
-    raster_cell,
     squared_plan_distance,
     terrain_radius,
     triangle_corners,
@@ -85,7 +84,8 @@ def frictions_of(face, scene, arrays: ti.template()):
             value = listed_vector(face, arrays.features.face.friction, arrays)
     if ti.static(arrays.features.terrain):
         if in_terrain(face, scene, arrays):
-            a, b, c = corner_frictions(face, scene, arrays)
+            i, k, half = cell_of_triangle(face, scene, arrays)
+            a, b, c = corner_frictions(i, k, half, cell_code(i, k, scene, arrays), scene, arrays)
             value = ti.Vector([arrays.terrain[a], arrays.terrain[b], arrays.terrain[c]])
     return value
 
@@ -250,8 +250,9 @@ def foot_on_face(x, a, b, c, arrays: ti.template()):
 def nearest_face(x, last, entry, scene, arrays: ti.template()):
     """Of the faces listed for a cell, and of a height field's, that nearest to `x` [m]: its number, its part that is
     nearest, the weights of its corners at the foot, the normal n [-] and the signed distance d [m], negative inside,
-    with x = foot + d n; and a lower bound of the distance from all that was not looked at [m]. last: where to look
-    first. Far away, part -1, where nothing is near.
+    with x = foot + d n; a lower bound of the distance from all that was not looked at [m]; and how far x may move and
+    no triangle of a height field come nearer than a listed face [m]. last: where to look first. Far away, part -1,
+    where nothing is near.
     """
     smallest, bound = 0.0 * x[0] + 1.0e30, unlisted_distance(x, entry, scene, arrays)
     face, feature = last, -1
@@ -273,40 +274,27 @@ def nearest_face(x, last, entry, scene, arrays: ti.template()):
                     if square < smallest:
                         smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
                         normal = facing
+    free = 0.0 * smallest
     if ti.static(arrays.features.terrain):
+        free += 1.0e30
         if arrays.offsets[scene, Offset.POSTS_X] > 0:
-            i, k, i0, k0, i1, k1, reach = 0, 0, 0, 0, 0, 0, reach_of(scene, arrays)
-            if in_terrain(last, scene, arrays):
-                i, k, _ = cell_of_triangle(last, scene, arrays)
-            else:
-                i, k = raster_cell(x, scene, arrays)
-            own_i, own_k, number, count = i, k, 0, 1
-            while number < count:
-                code = cell_code(i, k, scene, arrays)
-                counts = number == 0 or i != own_i or k != own_k
-                if code < 2 and counts and squared_plan_distance(x, i, k, scene, arrays) < smallest:
-                    for half in range(2):
-                        a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-                        across = (b - a).cross(c - b)
-                        if (x - a).dot(across) ** 2 < smallest * across.dot(across):
-                            w, part, from_foot = foot_on_face(x, a, b, c, arrays)
-                            square = from_foot.dot(from_foot)
-                            if square < smallest:
-                                smallest, feature, weights, offset, normal = square, part, w, from_foot, across
-                                face = triangle_number(i, k, half, scene, arrays)
-                if number == 0:
-                    # What the first cell has bounds how far to look for others.
-                    radius, beyond = ti.sqrt(smallest), reach
-                    if radius > reach:
-                        radius, beyond = terrain_radius(x, reach, scene, arrays)
-                    bound = ti.min(bound, beyond)
-                    i0, k0, i1, k1 = cells_about(x, radius, scene, arrays)
-                    i, k, count = i0, k0, 1 + (i1 - i0) * (k1 - k0)
-                else:
-                    k += 1
-                    if k == k1:
-                        i, k = i + 1, k0
-                number += 1
+            radius, beyond, least = terrain_radius(x, reach_of(scene, arrays), scene, arrays)
+            bound = ti.min(bound, beyond)
+            i0, k0, i1, k1 = cells_about(x, radius, scene, arrays)
+            for i in range(i0, i1):
+                for k in range(k0, k1):
+                    code = cell_code(i, k, scene, arrays)
+                    if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < smallest:
+                        for half in range(2):
+                            a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+                            across = (b - a).cross(c - b)
+                            if (x - a).dot(across) ** 2 < smallest * across.dot(across):
+                                w, part, from_foot = foot_on_face(x, a, b, c, arrays)
+                                square = from_foot.dot(from_foot)
+                                if square < smallest:
+                                    smallest, feature, weights, offset = square, part, w, from_foot
+                                    normal, face = across, triangle_number(i, k, half, scene, arrays)
+            free = 0.5 * (least - ti.sqrt(smallest))
     # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
     side = offset[1]
     if ti.static(arrays.features.terrain):
@@ -327,32 +315,35 @@ def nearest_face(x, last, entry, scene, arrays: ti.template()):
             normal = offset * (sign / length)
     if feature < 0:
         d = 0.0 * d + 1.0e30
-    return face, feature, weights, normal, d, bound
+    return face, feature, weights, normal, d, bound, free
 
 
 @ti.func
-def free_path(x, face, weights, normal, d, entry, cell, scene, arrays: ti.template()):
+def free_path(x, face, weights, normal, d, free, entry, cell, scene, arrays: ti.template()):
     """How far a particle at `x` [m] outside of the solids may move and be nearest to the inside of `face` still [m].
 
     Its foot has to stay there, it in its cell where that lists faces, those that its points need, and no face that lies
     in part in front of this one may come nearer: both distances change by no more than its path. 0 where the friction
-    varies along the face.
+    varies along the face. free: how far it may move for the height field's sake [m].
     """
     features = arrays.features
     dimension = ti.static(features.dimension)
-    free = cell
-    a, b, c = corners_of(face, scene, arrays)
-    if ti.static(dimension == 2):
-        free = ti.min(free, weights[0] * (b - a).norm(), weights[1] * (b - a).norm())
-    else:
-        area = (b - a).cross(c - a).norm()
-        free = ti.min(free, weights[0] * area / (c - b).norm(), weights[1] * area / (a - c).norm())
-        free = ti.min(free, weights[2] * area / (b - a).norm())
+    if ti.static(not features.terrain):
+        free = cell
+    free = ti.min(free, cell)
     friction = frictions_of(face, scene, arrays)
     for k in ti.static(range(1, dimension)):
         if friction[k] != friction[0]:
             free = 0.0 * free
     if ti.static(features.listed):
+        a, b, c = corners_of(face, scene, arrays)
+        if not in_terrain(face, scene, arrays):
+            if ti.static(dimension == 2):
+                free = ti.min(free, weights[0] * (b - a).norm(), weights[1] * (b - a).norm())
+            else:
+                area = (b - a).cross(c - a).norm()
+                free = ti.min(free, weights[0] * area / (c - b).norm(), weights[1] * area / (a - c).norm())
+                free = ti.min(free, weights[2] * area / (b - a).norm())
         first, listed = list_of(entry, arrays)
         if listed > 0:
             for k in ti.static(range(dimension)):
@@ -365,17 +356,6 @@ def free_path(x, face, weights, normal, d, entry, cell, scene, arrays: ti.templa
             if is_before(p, q, r, a, normal, cell):
                 _, _, from_foot = foot_on_face(x, p, q, r, arrays)
                 free = ti.min(free, 0.5 * (from_foot.norm() - d))
-    if ti.static(features.terrain):
-        i0, k0, i1, k1 = cells_about(x, d + 2.0 * free, scene, arrays)
-        for i in range(i0, i1):
-            for k in range(k0, k1):
-                code = cell_code(i, k, scene, arrays)
-                if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < (d + 2.0 * free) ** 2:
-                    for half in range(2):
-                        p, q, r = triangle_corners(i, k, half, code, scene, arrays)
-                        if is_before(p, q, r, a, normal, cell):
-                            _, _, from_foot = foot_on_face(x, p, q, r, arrays)
-                            free = ti.min(free, 0.5 * (from_foot.norm() - d))
     return free
 
 

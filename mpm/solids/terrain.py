@@ -15,6 +15,15 @@ import taichi as ti
 
 from mpm.arrays.layout import PADDING, Offset, Setting, TerrainNumber
 
+LEVEL = 1.0e-30
+"""Stands for an elevation of zero [m], which means that none is kept."""
+AROUND = 2
+"""Cells of the raster around one whose triangles its own are compared with."""
+UNKNOWN = 1.0e10
+"""Tilt [-] of triangles beside which others have to be searched."""
+STEEP = 0.7
+"""Least cosine of the angle between triangles beside which one is known to be nearest."""
+
 
 @ti.func
 def in_terrain(face, scene, arrays: ti.template()):
@@ -40,6 +49,16 @@ def posts(scene, arrays: ti.template()):
 
 
 @ti.func
+def post_spacing(scene, arrays: ti.template()):
+    """The lesser of the distances between posts along x and z [m]."""
+    along, across = (
+        terrain_number(TerrainNumber.PER_X, scene, arrays),
+        terrain_number(TerrainNumber.PER_Z, scene, arrays),
+    )
+    return 1.0 / ti.max(along, across)
+
+
+@ti.func
 def raster_cell(x, scene, arrays: ti.template()):
     """The cell i, k of the raster that `x` [m] lies over or under, or the last one on its side."""
     along, across, _, _, _, _ = posts(scene, arrays)
@@ -58,24 +77,30 @@ def cell_code(i, k, scene, arrays: ti.template()):
 
 
 @ti.func
-def height_above(x, scene, arrays: ti.template()):
-    """How far `x` [m] is above the height field [m], and 1 where the triangle there is a listed face, else 0."""
+def triangle_under(x, scene, arrays: ti.template()):
+    """The triangle that `x` [m] lies over or under: its cell i, k, which of the two it is, and the code of the cell."""
     i, k = raster_cell(x, scene, arrays)
-    _, across, first_x, first_z, heights, _ = posts(scene, arrays)
-    code, at = cell_code(i, k, scene, arrays), heights + i * across + k
+    _, _, first_x, first_z, _, _ = posts(scene, arrays)
+    code, half = cell_code(i, k, scene, arrays), 0
     x0, z0 = arrays.terrain[first_x + i], arrays.terrain[first_z + k]
     u = (x[0] - x0) / (arrays.terrain[first_x + i + 1] - x0)
     v = (x[2] - z0) / (arrays.terrain[first_z + k + 1] - z0)
-    a, b = arrays.terrain[at], arrays.terrain[at + across]
-    c, d = arrays.terrain[at + across + 1], arrays.terrain[at + 1]
-    height = a + u * (b - a) + v * (c - b)
     if (code & 1) == 1:
-        height = c + (1.0 - u) * (d - c) + (1.0 - v) * (b - c)
-        if u + v <= 1.0:
-            height = a + u * (b - a) + v * (d - a)
-    elif u < v:
-        height = a + v * (d - a) + u * (c - d)
-    return x[1] - height, code >> 1
+        v = 1.0 - v
+    if v > u and (code & 1) == 0:
+        half = 1
+    if u > v and (code & 1) == 1:
+        half = 1
+    return i, k, half, code
+
+
+@ti.func
+def height_above(x, scene, arrays: ti.template()):
+    """How far `x` [m] is above the height field [m], and 1 where the triangle there is a listed face, else 0."""
+    i, k, half, code = triangle_under(x, scene, arrays)
+    a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+    across = (b - a).cross(c - b)
+    return (x - a).dot(across) / across[1], code >> 1
 
 
 @ti.func
@@ -90,6 +115,8 @@ def column_height(i, k, scene, arrays: ti.template()):
         cell = arrays.settings[scene, Setting.CELL]
         above, _ = height_above(ti.Vector([(i - PADDING) * cell, 0.0 * cell, (k - PADDING) * cell]), scene, arrays)
         height = 0.0 - above
+        if height == 0.0:
+            height += LEVEL
         arrays.column_heights[at] = height
     return height
 
@@ -97,15 +124,16 @@ def column_height(i, k, scene, arrays: ti.template()):
 @ti.func
 def terrain_radius(x, reach, scene, arrays: ti.template()):
     """The distance in plan within which the nearest triangle of those up to `reach` [m] from `x` [m] lies, -1 where
-    there can be none; and a lower bound of the distance of `x` from the others [m].
+    there can be none; a lower bound of the distance of `x` from the others, and one from all of them [m].
     """
     above, listed = height_above(x, scene, arrays)
-    bound, radius = ti.abs(above) * terrain_number(TerrainNumber.NEARNESS, scene, arrays), 0.0 * reach - 1.0
+    nearest = ti.abs(above) * terrain_number(TerrainNumber.NEARNESS, scene, arrays)
+    bound, radius = nearest, 0.0 * reach - 1.0
     if bound < reach:
         bound, radius = reach, reach
         if listed == 0:
             radius = ti.min(ti.abs(above), reach)
-    return radius, bound
+    return radius, bound, nearest
 
 
 @ti.func
@@ -166,13 +194,40 @@ def triangle_corners(i, k, half, code, scene, arrays: ti.template()):
 
 
 @ti.func
-def corner_frictions(face, scene, arrays: ti.template()):
+def corner_frictions(i, k, half, code, scene, arrays: ti.template()):
     """Where the Coulomb coefficients at the corners of a triangle stand in `terrain`, three numbers."""
     _, across, _, _, _, friction = posts(scene, arrays)
     a, b, c = friction, friction, friction
     if arrays.offsets[scene, Offset.TERRAIN_FRICTION] == 1:
-        i, k, half = cell_of_triangle(face, scene, arrays)
-        p, q = corner_posts(cell_code(i, k, scene, arrays), half)
+        p, q = corner_posts(code, half)
         at = friction + i * across + k
         a, b, c = at + p * across, at + q * across + 1, at + across + half
     return a, b, c
+
+
+@ti.func
+def tilt_around(i, k, half, scene, arrays: ti.template()):
+    """tan of the largest angle between the plane of a triangle and those AROUND it [-]; kept once it has been needed.
+
+    UNKNOWN where a listed face or one that is too steep is among these.
+    """
+    along, across, _, _, _, _ = posts(scene, arrays)
+    cell = arrays.offsets[scene, Offset.TERRAIN_CELLS] + i * (across - 1) + k
+    tilt = arrays.terrain_tilts[2 * cell + half]
+    if tilt == 0.0:
+        a, b, c = triangle_corners(i, k, half, cell_code(i, k, scene, arrays), scene, arrays)
+        normal = (b - a).cross(c - b)
+        tilt += LEVEL
+        for other_i in range(ti.max(i - AROUND, 0), ti.min(i + AROUND + 1, along - 1)):
+            for other_k in range(ti.max(k - AROUND, 0), ti.min(k + AROUND + 1, across - 1)):
+                code = cell_code(other_i, other_k, scene, arrays)
+                for other in range(2):
+                    p, q, r = triangle_corners(other_i, other_k, other, code, scene, arrays)
+                    facing = (q - p).cross(r - q)
+                    cosine, sine = normal.dot(facing), normal.cross(facing).norm()
+                    if code < 2 and cosine > STEEP * ti.sqrt(cosine * cosine + sine * sine):
+                        tilt = ti.max(tilt, sine / cosine)
+                    else:
+                        tilt = 0.0 * tilt + UNKNOWN
+        arrays.terrain_tilts[2 * cell + half] = tilt
+    return tilt

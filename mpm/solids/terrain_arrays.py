@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from datasets.errors import require
 from datasets.scene import Scene
 from mpm.arrays.features import Features
-from mpm.arrays.layout import FIRST_FACE, KEPT, KEPT_NUMBERS, Offset, TerrainNumber, Worker, node_shape
+from mpm.arrays.layout import FIRST_FACE, KEPT, KEPT_NODES, KEPT_NUMBERS, Offset, TerrainNumber, Worker, node_shape
 from mpm.solids.obstacles import Obstacles
 
 Array = NDArray[Any]
@@ -50,22 +50,23 @@ def terrain_arrays(obstacles: Obstacles, offsets: NDArray[np.int32], real: np.dt
     return np.concatenate(numbers), np.concatenate(cells)
 
 
-def terrain_slots(
+def terrain_kept(
     scenes: Sequence[Scene], offsets: NDArray[np.int32], workers: Array, features: Features, real: np.dtype[Any]
 ) -> tuple[Array, Array, Array]:
     """Room for what is kept of height fields once it has been needed: their elevation at columns of nodes, and by each
-    worker the holds of nodes, of one for every four particles: which nodes, and these. Places go to the tables.
+    worker the holds of nodes, in groups of KEPT_NODES of a column: which column, and these. Places go to the tables.
+
+    Memory that nothing is written to is none: a worker uses groups by the number of its columns (`terrain_holds`).
     """
     columns = 1
     for scene, offset in zip(scenes, offsets, strict=True):
         if offset[Offset.POSTS_X] > 0:
             offset[Offset.COLUMNS] = columns
             columns += math.prod(node_shape(scene.domain)[::2])
-    slots = 1
+    groups = 1
     for worker in workers if features.terrain and not features.processor.gpu else workers[:0]:
-        count = int(worker[Worker.LAST] - worker[Worker.FIRST]) * features.lanes // 4
-        worker[Worker.SLOT], worker[Worker.SLOTS] = slots, 1 << max(count, 256).bit_length()
-        slots += int(worker[Worker.SLOTS])
-    # Memory that nothing is written to is none.
-    kept = np.zeros((slots, 1 + KEPT * KEPT_NUMBERS), real)
-    return np.zeros(columns, real), np.full((slots, 2), -1, np.int32), kept
+        count = 2 * int(worker[Worker.LAST] - worker[Worker.FIRST]) * features.lanes
+        worker[Worker.KEPT], worker[Worker.GROUPS] = groups, max(count, 256)
+        groups += int(worker[Worker.GROUPS])
+    kept = np.zeros((groups * KEPT_NODES, 2 + KEPT * KEPT_NUMBERS), real)
+    return np.zeros(columns, real), np.zeros(groups, np.int32), kept

@@ -4,13 +4,14 @@ Of the triangles k of the raster, with the distance d_k of the node, the normal 
 
     removed = s(min d) sum_k w_k (v - A_k v) / sum_k w_k,    w_k = (n_k . N_k)_+ (1 - (d_k - min d) / b)_+^2
 
-The weights are those of the place of the node alone. Each thread of a CPU keeps those of as many nodes as its particles
-can reach, in a table of hashes: memory follows the material, not the box.
+The weights are those of the place of the node alone. Each thread of a CPU keeps those of as many columns of nodes as
+its particles need, and then those of others in place of the oldest: memory follows the material, not the box.
 """
 
 import taichi as ti
 
-from mpm.arrays.layout import KEPT, KEPT_NUMBERS, PADDING, Offset, Setting, TerrainNumber, Worker
+from mpm.arrays.access import columns_deep
+from mpm.arrays.layout import KEPT, KEPT_NODES, KEPT_NUMBERS, PADDING, Offset, Setting, Span, TerrainNumber, Worker
 from mpm.physics.boundary import after_contact
 from mpm.solids.face_lookup import foot_on_face, frictions_of, reach_of
 from mpm.solids.obstacles import BLEND, FADE
@@ -25,8 +26,8 @@ from mpm.solids.terrain import (
     triangle_number,
 )
 
-PROBED = 4
-"""Places at which a node's holds are looked for among those that are kept; a power of two."""
+FIRST_HOLD = 2
+"""Where the holds of a node begin in its line, after its place in its column, from 1 on, and their number."""
 
 
 @ti.func
@@ -73,15 +74,14 @@ def removed_by_terrain(v, node, worker, scene, arrays: ti.template()):
     removed = 0.0 * v
     near = may_be_held(node, scene, arrays)
     if ti.static(arrays.features.processor.gpu):
-        slot = 0
         if near:
-            removed = removed_at_once(v, node, scene, arrays)
+            removed = meet_holds(v, 0, node, False, scene, arrays)
     elif near:
         slot, known = slot_of(node, worker, scene, arrays)
         if not known:
-            keep_holds(slot, node, scene, arrays)
-        for hold in range(ti.cast(arrays.kept_holds[slot, 0], ti.i32)):
-            at = 1 + hold * KEPT_NUMBERS
+            meet_holds(v, slot, node, True, scene, arrays)
+        for hold in range(ti.cast(arrays.kept_holds[slot, 1], ti.i32)):
+            at = FIRST_HOLD + hold * KEPT_NUMBERS
             normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))])
             if v.dot(normal) < 0.0:
                 share, friction = arrays.kept_holds[slot, at], arrays.kept_holds[slot, at + 1]
@@ -101,31 +101,35 @@ def may_be_held(node, scene, arrays: ti.template()):
 
 @ti.func
 def slot_of(node, worker, scene, arrays: ti.template()):
-    """Where a worker keeps the holds of a node, and whether it does: in one of PROBED slots, or in place of others."""
-    column = node[0] * (arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1) + node[2]
-    count, first = arrays.workers[worker, Worker.SLOTS], arrays.workers[worker, Worker.SLOT]
-    place = column * 40503 + node[1] * 10007
-    slot, known, empty = first + ((place + (node[1] & (PROBED - 1))) & (count - 1)), False, False
-    for number in range(PROBED):
-        at = first + ((place + number) & (count - 1))
-        if not known:
-            if arrays.kept_nodes[at, 0] == column and arrays.kept_nodes[at, 1] == node[1]:
-                slot, known = at, True
-            elif arrays.kept_nodes[at, 0] < 0 and not empty:
-                slot, empty = at, True
-    if not known:
-        arrays.kept_nodes[slot, 0], arrays.kept_nodes[slot, 1] = column, node[1]
+    """The line of `kept_holds` in which a worker keeps the holds of a node, and whether they are there."""
+    column = node[0] * columns_deep(scene, arrays) + node[2]
+    at = arrays.workers[worker, Worker.COLUMN] + column
+    group = arrays.spans[at, Span.KEPT]
+    if group == 0 or arrays.kept_columns[group] != column:
+        # Twice as many as there are columns, so that those in use stay.
+        number = arrays.workers[worker, Worker.NEXT_GROUP]
+        if number >= ti.min(2 * arrays.workers[worker, Worker.ACTIVE] + 256, arrays.workers[worker, Worker.GROUPS]):
+            number = 0
+        arrays.workers[worker, Worker.NEXT_GROUP] = number + 1
+        group = arrays.workers[worker, Worker.KEPT] + number
+        arrays.kept_columns[group], arrays.spans[at, Span.KEPT] = column, group
+        for k in range(KEPT_NODES):
+            arrays.kept_holds[group * KEPT_NODES + k, 0] = 0.0
+    slot, place = group * KEPT_NODES + (node[1] & (KEPT_NODES - 1)), 1.0 + node[1]
+    known = arrays.kept_holds[slot, 0] == place
+    arrays.kept_holds[slot, 0] = place
     return slot, known
 
 
 @ti.func
-def keep_holds(slot, node, scene, arrays: ti.template()):
-    """Keep the holds of a node: how many, and of each its share [-], friction [-] and normal [-].
+def meet_holds(v, slot, node, kept: ti.template(), scene, arrays: ti.template()):
+    """What the holds of a node take of its velocity `v` [m/s], shape [D]; or, where they are `kept`, how many they are
+    and of each its share [-], friction [-] and normal [-] in the line `slot`.
 
-    Those with one normal and one friction are one; where there are more than KEPT others, so are those whose normals
-    differ least.
+    Of those that are kept, those with one normal and one friction are one; where there are more than KEPT others, so
+    are those whose normals differ least.
     """
-    x, total, count = node_position(node, scene, arrays), 0.0 * arrays.settings[scene, Setting.CELL], 0
+    x, removed, total, count = node_position(node, scene, arrays), 0.0 * v, 0.0 * v[0], 0
     i0, k0, i1, k1 = cells_over(x, scene, arrays)
     blend, limit = BLEND * arrays.settings[scene, Setting.CELL], reach_of(scene, arrays) ** 2
     depth, nearest = 0.0 * blend, limit
@@ -154,15 +158,20 @@ def keep_holds(slot, node, scene, arrays: ti.template()):
                                 face = triangle_number(i, k, half, scene, arrays)
                                 friction = w.dot(frictions_of(face, scene, arrays))
                                 total += weight
-                                count = add_hold(slot, count, weight, friction, normal, arrays)
+                                if ti.static(kept):
+                                    count = add_hold(slot, count, weight, friction, normal, arrays)
+                                elif v.dot(normal) < 0.0:
+                                    removed += weight * (v - after_contact(v, normal, friction))
     share = hold_share(depth, total, scene, arrays)
-    arrays.kept_holds[slot, 0] = count
-    for hold in range(count):
-        at = 1 + hold * KEPT_NUMBERS
-        normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))]).normalized()
-        arrays.kept_holds[slot, at] = share * arrays.kept_holds[slot, at]
-        for k in ti.static(range(3)):
-            arrays.kept_holds[slot, at + 2 + k] = normal[k]
+    if ti.static(kept):
+        arrays.kept_holds[slot, 1] = count
+        for hold in range(count):
+            at = FIRST_HOLD + hold * KEPT_NUMBERS
+            normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))]).normalized()
+            arrays.kept_holds[slot, at] = share * arrays.kept_holds[slot, at]
+            for k in ti.static(range(3)):
+                arrays.kept_holds[slot, at + 2 + k] = normal[k]
+    return share * removed
 
 
 @ti.func
@@ -170,7 +179,7 @@ def add_hold(slot, count, weight, friction, normal, arrays: ti.template()):
     """Add a hold to the `count` that are kept in a slot; how many there are then."""
     closest, alike = -1, 0.0 * weight - 2.0
     for hold in range(count):
-        at = 1 + hold * KEPT_NUMBERS
+        at = FIRST_HOLD + hold * KEPT_NUMBERS
         cosine = 0.0 * weight
         for k in ti.static(range(3)):
             cosine += arrays.kept_holds[slot, at + 2 + k] * normal[k]
@@ -180,7 +189,7 @@ def add_hold(slot, count, weight, friction, normal, arrays: ti.template()):
             closest, alike = hold, cosine
     result = count
     if weight > 0.0 and (alike > 1.0 - 1.0e-14 or count == KEPT):
-        at = 1 + closest * KEPT_NUMBERS
+        at = FIRST_HOLD + closest * KEPT_NUMBERS
         before = arrays.kept_holds[slot, at]
         part = weight / (before + weight)
         arrays.kept_holds[slot, at] = before + weight
@@ -188,46 +197,9 @@ def add_hold(slot, count, weight, friction, normal, arrays: ti.template()):
         for k in ti.static(range(3)):
             arrays.kept_holds[slot, at + 2 + k] += part * (normal[k] - arrays.kept_holds[slot, at + 2 + k])
     elif weight > 0.0:
-        at = 1 + count * KEPT_NUMBERS
+        at = FIRST_HOLD + count * KEPT_NUMBERS
         arrays.kept_holds[slot, at], arrays.kept_holds[slot, at + 1] = weight, friction
         for k in ti.static(range(3)):
             arrays.kept_holds[slot, at + 2 + k] = normal[k]
         result = count + 1
     return result
-
-
-@ti.func
-def removed_at_once(v, node, scene, arrays: ti.template()):
-    """`removed_by_terrain` where nothing is kept."""
-    x, removed, total = node_position(node, scene, arrays), 0.0 * v, 0.0 * v[0]
-    i0, k0, i1, k1 = cells_over(x, scene, arrays)
-    blend, limit = BLEND * arrays.settings[scene, Setting.CELL], reach_of(scene, arrays) ** 2
-    depth, nearest = 0.0 * blend, limit
-    # First the nearest, then all that are nearly as near.
-    for search in range(2):
-        if search == 1:
-            depth = ti.sqrt(nearest)
-            limit = (depth + blend) ** 2
-        for i in range(i0, i1):
-            for k in range(k0, k1):
-                code = cell_code(i, k, scene, arrays)
-                if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < limit:
-                    for half in range(2):
-                        a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-                        across = (b - a).cross(c - b)
-                        height, size = (x - a).dot(across), across.dot(across)
-                        if height < 0.0 and height * height < limit * size:
-                            w, _, from_foot = foot_on_face(x, a, b, c, arrays)
-                            square = from_foot.dot(from_foot)
-                            if search == 0:
-                                nearest = ti.min(nearest, square)
-                                limit = nearest
-                            elif square < limit:
-                                normal = across / ti.sqrt(size)
-                                weight = hold_weight(square, 0.0 - from_foot.dot(normal), depth, blend)
-                                total += weight
-                                if v.dot(normal) < 0.0:
-                                    face = triangle_number(i, k, half, scene, arrays)
-                                    friction = w.dot(frictions_of(face, scene, arrays))
-                                    removed += weight * (v - after_contact(v, normal, friction))
-    return hold_share(depth, total, scene, arrays) * removed

@@ -5,15 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Baffle, Mass, Material, Scene, Trajectory
 from datasets.definitions.definition import Entry, Split
 from datasets.definitions.training import metadata, motion_statistics
 from datasets.files import write_json
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Scene
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 
 
 @pytest.fixture
@@ -78,7 +75,6 @@ def toy_dataset(folder: Path, dimension: int) -> Path:
         if split is Split.TRAIN:
             each = motion_statistics(trajectory.positions, trajectory.scene.frame_dt)
             statistics = each if statistics is None else statistics + each
-    assert statistics is not None
     described = metadata("toy", entries, seed=0, statistics=statistics)
     write_json(folder / "metadata.json", described)
     return folder

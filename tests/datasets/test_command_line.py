@@ -99,7 +99,6 @@ def test_a_child_ends_with_a_killed_parent(platform: str, tmp_path: Path) -> Non
     command = [sys.executable, str(tmp_path / "parent.py")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as parent:
-        assert parent.stdout is not None
         child = psutil.Process(int(parent.stdout.readline()))
         assert child.is_running()
         parent.kill()

@@ -25,7 +25,7 @@ def shifted(flow: Trajectory, by: float) -> Trajectory:
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_shift_is_found_in_every_figure(dimension: int) -> None:
+def test_a_shift_is_found_in_every_figure_and_energies_are_those_of_the_particles(dimension: int) -> None:
     flow = toy(dimension)
     found = compare(flow, shifted(flow, APART))
     one, other = found.figures
@@ -37,6 +37,10 @@ def test_a_shift_is_found_in_every_figure(dimension: int) -> None:
     assert found.apart["thickness"][0] == 0.0
     assert 0.2 < found.apart["overlap"][-1] < found.apart["overlap"][0] == 1.0
     assert one["height"] == pytest.approx(other["height"], rel=1e-6)
+    # The block begins at 1 m/s, its centre 0.04 m above the floor.
+    mass, centre = flow.scene.material.density * flow.volumes.sum(), np.average(flow.positions[0, :, 1])
+    assert one["kinetic"][0] == pytest.approx(0.5 * mass, rel=1e-5)
+    assert one["potential"][0] == pytest.approx(mass * -flow.scene.gravity_vector[1] * centre, rel=1e-5)
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
@@ -52,17 +56,6 @@ def test_heights_are_those_of_the_sand(dimension: int) -> None:
     assert found.apart["thickness"][-1] == pytest.approx(0.08 - half, rel=0.1)
     assert found.apart["transport"][-1] == 0.0
     assert "| overlap in plan [-]" in found.table()
-
-
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_energies_are_those_of_the_particles(dimension: int) -> None:
-    flow = toy(dimension)
-    mass = flow.scene.material.density * flow.volumes.sum()
-    first = {key: own[0] for key, own in compare(flow, flow).figures[0].items()}
-    # The block begins at 1 m/s, its centre 0.04 m above the floor.
-    assert first["kinetic"] == pytest.approx(0.5 * mass, rel=1e-5)
-    centre = float(np.average(flow.positions[0, :, 1], weights=flow.volumes))
-    assert first["potential"] == pytest.approx(mass * -flow.scene.gravity_vector[1] * centre, rel=1e-5)
 
 
 def test_flows_that_have_no_time_in_common_are_compared_where_they_end() -> None:

@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 from filelock import FileLock
 
-from datasets import memory
+from datasets import InputError, memory
 from datasets.command_line import run
-from datasets.errors import InputError
 from datasets.files import PART, remove_own_parts, replacing, write_json, write_text
 from datasets.lock import HOLDER, LOCK, locked
+from tests.refusals import refused
 
 
 def test_a_failing_block_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -111,7 +111,6 @@ def holding(folder: Path) -> Iterator["subprocess.Popen[str]"]:
         [sys.executable, "-c", code, str(folder)],
         cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
-        assert process.stdout is not None
         assert process.stdout.readline() == "held\n"
         yield process
         process.kill()
@@ -194,14 +193,11 @@ def test_more_than_is_free_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         InputError, match="key: expected a thing in the 922 KiB of memory that are free, got 1 MiB: less"
     ):
         memory.require(2**20, "a thing", "less", key="key")
-    with pytest.raises(InputError):
-        memory.require(float("nan"), "a thing", "less")
+    refused(memory.require, float("nan"), "a thing", "less")
 
 
 def test_a_folder_is_no_file_to_write_and_a_file_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="expected the name of a file to write, got a folder"):
-        write_json(tmp_path, {})
+    refused(write_json, tmp_path, {}, said="expected the name of a file to write, got a folder")
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file: expected a folder to write to"):
-        write_json(tmp_path / "file" / "result.json", {})
+    refused(write_json, tmp_path / "file" / "result.json", {}, said="file: expected a folder to write to")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from datasets import Baffle, Trajectory
 from datasets.command_line import run
-from datasets.errors import InputError
-from datasets.flow.trajectory import Trajectory
 from datasets.forces import command, forces_of
-from datasets.scene import Baffle
-from tests.refusals import refused_by
+from tests.refusals import refused, refused_by
 
 TIME = np.array([0.0, 0.01, 0.02, 0.05, 0.06, 0.10])
 BAFFLES = (Baffle(lower=(0.12, 0.0), size=(0.02, 0.03)), Baffle(lower=(0.16, 0.0), size=(0.02, 0.03)))
@@ -77,8 +75,7 @@ def test_frames_after_rest_are_none(flow: Trajectory) -> None:
     ],
 )
 def test_what_cannot_be(flow: Trajectory, changes: dict[str, object], window: float, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        forces_of(dataclasses.replace(flow, **changes), window=window)
+    refused(forces_of, dataclasses.replace(flow, **changes), window=window, said=said)
 
 
 def test_the_command(tmp_path: Path, flow: Trajectory, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,11 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Channel, Domain, Gate, Mass, Scene, Solid
+from datasets import Baffle, Channel, Domain, Gate, Mass, Material, Scene, Solid, Trajectory, read_scene
 from datasets.scene.grid_field import Field
-from datasets.scene.library import read_scene
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from datasets.schema import from_mapping
 

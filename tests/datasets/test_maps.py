@@ -9,15 +9,14 @@ import pytest
 import rasterio
 from shapely.geometry import shape
 
+from datasets import Baffle, Mass, Scene, Solid, Trajectory
 from datasets.command_line import run
-from datasets.flow.trajectory import Trajectory
 from datasets.maps import PlanMaps, command, maps_of, outline, write
-from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.scene.grid_field import Grid
 from datasets.scene.particles import initial_particles
 from tests import scenes
-from tests.flows import flow_of
 from tests.refusals import refused_by
+from tests.scenes import flow_of
 
 
 def scene_of(size: tuple[float, ...], *boxes: tuple[tuple[float, ...], tuple[float, ...]], cell: float = 0.05) -> Scene:
@@ -45,7 +44,6 @@ def test_volume_is_that_of_the_particles(cell: float) -> None:
     maps = maps_of(flow_of(scene, [start.positions, coordinates]), cell)
     assert maps.thickness.sum() * cell**2 == pytest.approx(start.volume.sum(), rel=1e-12)
     assert (maps.volume, maps.left) == (pytest.approx(start.volume.sum(), rel=1e-12), 0.0)
-    assert maps.start is not None
     np.testing.assert_allclose(maps.depth, np.maximum(maps.start, maps.thickness), rtol=1e-12)
 
 
@@ -58,7 +56,6 @@ def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None
     velocities = np.array([speeds, speeds, np.zeros_like(speeds)], np.float32)
     flow = flow_of(scene, [start] * 3, velocities=velocities)
     maps = maps_of(flow, 0.05)
-    assert maps.velocity is not None
     inside = maps.thickness > 0.099
     assert inside.sum() == 4
     np.testing.assert_allclose(maps.velocity[inside], 1.5, rtol=1e-6)
@@ -154,7 +151,7 @@ def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path) -> None:
 def test_the_threshold_is_at_most_half_of_the_thinnest_layer(thickness: object, threshold: float) -> None:
     """A layer of less than a spacing of particles has maps; beside it stands a thick mass."""
     extra = {"origin": (0.4, 0.2), "spacing": (0.2, 0.2)} if isinstance(thickness, tuple) else {}
-    layer = Mass(kind="layer", thickness=thickness, outline=((0.3, 0.1), (0.7, 0.1), (0.7, 0.5), (0.3, 0.5)), **extra)  # type: ignore[arg-type]
+    layer = Mass(kind="layer", thickness=thickness, outline=((0.3, 0.1), (0.7, 0.1), (0.7, 0.5), (0.3, 0.5)), **extra)
     scene = scenes.scene_of(
         layer, Mass(lower=(0.8, 0.0, 0.1), size=(0.1, 0.3, 0.1)), size=(1.0, 0.5, 0.6), cell=0.05, jitter=0.0
     )

@@ -5,15 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 import shapely
 from rasterio.transform import Affine
 
+from datasets import Scene, read_scene
 from datasets.command_line import run
-from datasets.scene import Scene
-from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles, mass_volumes
 from datasets.site import command
+from tests.datasets.exchange.test_scene_files import write_raster
 from tests.datasets.exchange.test_vectors import written
 from tests.refusals import refused_by
 
@@ -28,11 +27,9 @@ def dem(folder: Path, *, hole: bool = False) -> Path:
     rows = np.tile(UP + math.tan(SLOPE) * np.maximum(300.0 - x, 0.0), (40, 1))
     if hole:
         rows[:4, :8] = -9999.0
-    place = {"transform": Affine(5.0, 0.0, EAST, 0.0, -5.0, NORTH + 200.0), "crs": "EPSG:2056", "nodata": -9999.0}
-    path = folder / "dem.tif"
-    with rasterio.open(path, "w", driver="GTiff", count=1, height=40, width=100, dtype="float64", **place) as file:
-        file.write(rows, 1)
-    return path
+    place = Affine(5.0, 0.0, EAST, 0.0, -5.0, NORTH + 200.0)
+    write_raster(folder / "dem.tif", rows, "EPSG:2056", transform=place)
+    return folder / "dem.tif"
 
 
 def made(folder: Path, *flags: str, hole: bool = False, shape: shapely.Geometry = FIELD) -> Scene:
@@ -49,7 +46,6 @@ def test_a_site_is_a_scene_on_the_map(tmp_path: Path, capsys: pytest.CaptureFixt
     assert mass_volumes(found)[0] == pytest.approx(1.5 / math.cos(SLOPE) * 1600.0, rel=1e-3)
     domain = found.domain
     assert domain.crs == "EPSG:2056"
-    assert domain.origin is not None
     start = initial_particles(found).positions + domain.corner
     assert start[:, 0].min() == pytest.approx(EAST + 30.0, abs=1.0)
     assert start[:, 2].max() == pytest.approx(NORTH + 120.0, abs=1.0)
@@ -66,7 +62,6 @@ def test_what_the_flags_say(tmp_path: Path) -> None:
     assert found.domain.cell == 4.0
     assert mass_volumes(found)[0] == pytest.approx(2.0 * 1600.0, rel=1e-6)
     # A steep energy line ends on the slope: the level is not in the box.
-    assert found.domain.origin is not None
     assert found.domain.origin[0] + found.domain.size[0] < EAST + 450.0
 
 

@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import command_line
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass
-from datasets.scene.material import Material
+from datasets import Mass, Material, Trajectory, command_line
 from datasets.scene.particles import initial_particles
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
@@ -19,8 +16,7 @@ from gns.surroundings.initial import conditions_of
 from gns.surroundings.state import Conditions, State
 from gns.surroundings.units import Units
 from gns.train import train
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 
 NORMALISATION = Normalisation(displacement_scale=3e-3, acceleration_scale=7e-4, friction_mean=0.6, friction_std=0.2)
 Cloud = Callable[..., tuple[State, Conditions]]
@@ -75,7 +71,7 @@ def cloud(settings: ModelSettings) -> Cloud:
         jitter = 0.6 * (torch.rand(lattice.shape, generator=generator) - 0.5)
         positions = torch.tensor(lower) + settings.cell * (lattice + jitter)
         velocities = torch.tensor(velocity).expand_as(positions)
-        state = State.moving(positions, velocities, step=settings.step, history=settings.history)
+        state = State.observed(positions[None], velocities, step=settings.step, history=settings.history)
         numbers = {"friction": 0.5, "cohesion": 100.0, "volume": settings.particle_volume}
         each = {name: torch.full((len(positions),), value) for name, value in numbers.items()}
         scene = scene_of(floor_friction=0.4, wall_friction=0.2, damping=0.1)

@@ -72,6 +72,5 @@ def plane(dimension: int, rise: tuple[float, ...] = (0.3, -0.2)) -> Ground:
         *(spacing * torch.arange(round(each / spacing) + 2).double() for each in plan), indexing="ij"
     )
     elevation = 0.1 + sum(slope * grid for slope, grid in zip(rise, grids, strict=False))
-    assert isinstance(elevation, Tensor)
     friction = 0.4 + 0.1 * grids[0]
     return Ground(elevation=elevation[None], friction=friction[None], spacing=spacing)

@@ -10,7 +10,6 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from datasets.errors import InputError
 from gns import checkpoint
 from gns.simulator import Simulator
 from tests.gns.conftest import NORMALISATION
@@ -41,13 +40,10 @@ def test_missing_truncated_and_foreign_files_are_input_errors(file: Path, tmp_pa
     whole = file.read_bytes()
     for content in (whole[: len(whole) // 2], whole[:10], b"", b"not a model"):
         file.write_bytes(content)
-        with pytest.raises(InputError, match=r"model\.safetensors: expected whole weights"):
-            checkpoint.load(file)
-    with pytest.raises(InputError, match="there is none"):
-        checkpoint.load(tmp_path / "absent.safetensors")
+        refused(checkpoint.load, file, said="model.safetensors: expected whole weights")
+    refused(checkpoint.load, tmp_path / "absent.safetensors", said="there is none")
     save_file({"weights": torch.zeros(1)}, file)
-    with pytest.raises(InputError, match=r"model\.safetensors: format: expected a model of format"):
-        checkpoint.load(file)
+    refused(checkpoint.load, file, said="model.safetensors: format: expected a model of format")
 
 
 @pytest.mark.parametrize(
@@ -76,5 +72,4 @@ def test_metadata_that_is_no_table_is_refused(file: Path, text: str) -> None:
     tensors, metadata = checkpoint.read(file)
     for key in ("settings", "provenance"):
         save_file(tensors, file, {**metadata, key: text})
-        with pytest.raises(InputError, match=rf"model\.safetensors: {key}: expected (readable JSON|a JSON object)"):
-            checkpoint.load(file)
+        assert "JSON" in str(refused(checkpoint.load, file, said=f"model.safetensors: {key}: expected"))

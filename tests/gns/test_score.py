@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 import gns
 from datasets import command_line
-from datasets.errors import InputError
 from datasets.flow import measures
 from gns import card, checkpoint
 from gns.score import Score, calibrated, evaluate, score, table, validation_score
@@ -21,7 +20,7 @@ from gns.simulator import Simulator
 from gns.surroundings.state import Conditions, State
 from gns.training.samples import Flow, flows_of
 from tests.gns.conftest import NORMALISATION, spreading
-from tests.refusals import refused_by
+from tests.refusals import refused, refused_by
 from validation.bench.stability.exact_solutions import FreeFlight
 
 
@@ -75,19 +74,12 @@ def model(settings: ModelSettings, dataset: Path, tmp_path: Path) -> Path:
     return path
 
 
-def call(model: Path, *arguments: str | Path) -> int:
-    return command_line.run(score, "python -m gns.score", ["--model", str(model), *map(str, arguments), "--keep"])
-
-
 def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = dataclasses.replace(spreading(30.0).scene, duration=0.1)
-    with pytest.raises(InputError, match=r"model\.json: calibration: expected a calibration"):
-        gns.predict(scene, model=model)
-    assert call(model, dataset) == 0
+    refused(gns.predict, scene, model=model, said="model.json: calibration: expected a calibration")
+    assert command_line.run(score, "score", [str(dataset), "--model", str(model), "--keep"]) == 0
     said, known = capsys.readouterr().out, card.read(model)
-    assert known is not None
     calibration = known.calibration(scene)
-    assert calibration is not None
     assert calibration.flows == 2
     assert known.scores in said
     assert f"{dataset.name}, test" in known.scores
@@ -101,8 +93,7 @@ def test_a_calibrated_model_predicts_a_band(model: Path, dataset: Path, capsys: 
     assert found.profile_error == pytest.approx(calibration.profile["0.8"] * (front - rear))
     assert found.warning is None
     assert "slope_deg 20" in (gns.predict(dataclasses.replace(scene, slope_deg=20.0), model=model).warning or "")
-    with pytest.raises(InputError, match=r"level: expected one of 0\.5, 0\.8, 0\.95, got 0\.9"):
-        gns.predict(scene, model=model, level=0.9)
+    refused(gns.predict, scene, model=model, level=0.9, said="level: expected one of 0.5, 0.8, 0.95, got 0.9")
 
 
 def test_what_cannot_be_calibrated_is_an_input_error(

@@ -1,36 +1,32 @@
 """`inverse.adapt`: flows over a problem's box, a model trained on them, and what is refused in a line."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from datasets import InputError, Trajectory
 from datasets.definitions.definition import Split
-from datasets.errors import InputError
-from datasets.flow.trajectory import Trajectory
 from gns import card, checkpoint
 from gns.checkpoint import Model
 from gns.library import model_path
-from gns.simulator import Simulator
 from gns.surroundings.units import Units
 from gns.training.samples import flows_of, stretch
+from inverse import Parameter
 from inverse.adapt import main
 from inverse.adaptation import DATA, adapt, definition, deposits
-from inverse.parameters import Parameter
-from inverse.problem import Problem
-from tests.refusals import refused_by
+from tests.inverse.flows import problem_of, simulator_of
+from tests.refusals import refused, refused_by
 
-MakeProblem = Callable[..., Problem]
 NAMES = ("friction_deg", "masses[0].velocity_x")
 
 
 @pytest.fixture(scope="module")
-def weights(make_simulator: Callable[..., Simulator], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The file of a tiny model in 2D."""
     path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
-    checkpoint.save(path, make_simulator(2).float(), {})
+    checkpoint.save(path, simulator_of(2).float(), {})
     return path
 
 
@@ -40,10 +36,10 @@ def tiny(weights: Path) -> Model:
 
 
 @pytest.fixture(scope="module")
-def adapted(weights: Path, make_problem: MakeProblem, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def adapted(weights: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a model that was trained for a second on seven flows."""
     out = tmp_path_factory.mktemp("run")
-    adapt(make_problem(2, *NAMES), out, runs=7, minutes=0.01, model=weights, jobs=1)
+    adapt(problem_of(2, *NAMES), out, runs=7, minutes=0.01, model=weights, jobs=1)
     return out
 
 
@@ -52,12 +48,11 @@ def test_the_call_holds_beside_the_command() -> None:
     import inverse
     import inverse.adapt
 
-    with pytest.raises(InputError, match="at least 7 runs"):
-        inverse.adapt("friction-tall-42", "out", runs=1)
+    refused(inverse.adapt, "friction-tall-42", "out", runs=1, said="at least 7 runs")
 
 
-def test_flows_fill_the_box_and_more_begin_with_the_fewer(make_problem: MakeProblem, tiny: Model) -> None:
-    problem, settings = make_problem(2, *NAMES), tiny.simulator.settings
+def test_flows_fill_the_box_and_more_begin_with_the_fewer(tiny: Model) -> None:
+    problem, settings = problem_of(2, *NAMES), tiny.simulator.settings
     entries = definition(problem, 32, settings, seed=3).entries(seed=3)
     assert entries[:8] == definition(problem, 8, settings, seed=3).entries(seed=3)
     values = np.array([[each.read(entry.scene) for each in problem.kinds] for entry in entries])
@@ -70,8 +65,8 @@ def test_flows_fill_the_box_and_more_begin_with_the_fewer(make_problem: MakeProb
     assert ((shares[held_out].min(axis=0) < 0.3) & (shares[held_out].max(axis=0) > 0.7)).all()
 
 
-def test_flows_are_stored_as_a_rollout_runs_them(adapted: Path, make_problem: MakeProblem, tiny: Model) -> None:
-    problem, settings = make_problem(2, *NAMES), tiny.simulator.settings
+def test_flows_are_stored_as_a_rollout_runs_them(adapted: Path, tiny: Model) -> None:
+    problem, settings = problem_of(2, *NAMES), tiny.simulator.settings
     units = Units.of_model(problem.scene, settings)
     assert units.length != 1.0
     flow = flows_of(adapted / DATA, "train", settings)[0]
@@ -86,18 +81,14 @@ def test_flows_are_stored_as_a_rollout_runs_them(adapted: Path, make_problem: Ma
     assert float(sample.conditions.volume.sum()) * flow.units.length**2 == pytest.approx(flow.volume.sum(), rel=1e-5)
 
 
-def test_an_adapted_model_has_its_card_and_its_deposits(
-    adapted: Path, weights: Path, make_problem: MakeProblem
-) -> None:
-    problem = make_problem(2, *NAMES)
+def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, weights: Path) -> None:
+    problem = problem_of(2, *NAMES)
     found = card.read(model_path(adapted))
-    assert found is not None
     low, high = found.ranges["friction_deg"]
     assert problem.box.lower[0] <= low < high <= problem.box.upper[0]
     assert sum(each.scenes for each in found.datasets.values()) == 5
     assert "moving" in found.scores
     band = found.calibration(problem.scene)
-    assert band is not None
     assert band.flows == 2
     runs = deposits(adapted, problem)
     assert len(runs) == len(deposits(model_path(adapted), problem)) == 7
@@ -105,7 +96,7 @@ def test_an_adapted_model_has_its_card_and_its_deposits(
         assert len(flow.time) == 1
         assert flow.time[0] == pytest.approx(problem.scene.duration)
         np.testing.assert_allclose(values, [each.read(flow.scene) for each in problem.kinds])
-    other = make_problem(2, "cohesion")
+    other = problem_of(2, "cohesion")
     assert deposits(adapted, other) == []
     with pytest.raises(InputError, match=r"expected a new folder, or one of small on the same cells, it is of another"):
         adapt(other, adapted, runs=7, model=weights)
@@ -113,13 +104,13 @@ def test_an_adapted_model_has_its_card_and_its_deposits(
 
 @pytest.mark.slow
 def test_the_same_call_again_makes_what_is_missing(
-    adapted: Path, weights: Path, make_problem: MakeProblem, capsys: pytest.CaptureFixture[str]
+    adapted: Path, weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = model_path(adapted).read_bytes()
     lost = next((adapted / DATA / "train").glob("*.npz"))
     there = lost.read_bytes()
     lost.unlink()
-    adapt(make_problem(2, *NAMES), adapted, runs=7, minutes=0.01, model=weights, jobs=2)
+    adapt(problem_of(2, *NAMES), adapted, runs=7, minutes=0.01, model=weights, jobs=2)
     assert lost.read_bytes() == there
     assert model_path(adapted).read_bytes() == before
     assert "1 runs of the MPM" in capsys.readouterr().out
@@ -139,8 +130,8 @@ def test_wrong_input_ends_in_a_line(
     assert expected in refused_by(capsys, main, *arguments, "--out", tmp_path / "run")
 
 
-def test_what_no_surrogate_knows_is_refused(make_problem: MakeProblem, tmp_path: Path, weights: Path) -> None:
+def test_what_no_surrogate_knows_is_refused(tmp_path: Path, weights: Path) -> None:
     young = Parameter(name="young", initial=2e6, lower=1e6, upper=3e6)
-    problem = dataclasses.replace(make_problem(2, "friction_deg"), parameters=(young,))
+    problem = dataclasses.replace(problem_of(2, "friction_deg"), parameters=(young,))
     with pytest.raises(InputError, match=r"unknowns\[0\]: expected an input of the surrogate, young is none"):
         adapt(problem, tmp_path, model=weights)

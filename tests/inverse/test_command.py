@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,52 +12,38 @@ from gns.simulator import Simulator
 from inverse import Parameter, Problem, invert, read_problem
 from inverse.__main__ import main
 from inverse.observations import ToeSettings
+from tests.inverse.flows import simulator_of
 
 SCENE = """
 duration = 0.08
-[domain]
-size = [0.4, 0.2]
-cell = 0.01
-[material]
-friction_deg = 30.0
-[[masses]]
-lower = [0.01, 0.0]
-size = [0.06, 0.04]
-[[baffles]]
-lower = [0.12, 0.0]
-size = [0.03, 0.02]
+domain = { size = [0.4, 0.2], cell = 0.01 }
+material = { friction_deg = 30.0 }
+masses = [{ lower = [0.01, 0.0], size = [0.06, 0.04] }]
+baffles = [{ lower = [0.12, 0.0], size = [0.03, 0.02] }]
 """
 PROBLEM = """
 scene = "scene.toml"
-[[unknowns]]
-name = "masses[0].velocity_x"
-initial = 0.5
-lower = 0.0
-upper = 1.5
-[[unknowns]]
-name = "baffles[0].height"
-initial = 0.02
-lower = 0.01
-upper = 0.05
-[[observations]]
-KIND
-TARGET
+unknowns = [
+  { name = "masses[0].velocity_x", initial = 0.5, lower = 0.0, upper = 1.5 },
+  { name = "baffles[0].height", initial = 0.02, lower = 0.01, upper = 0.05 },
+]
+observations = [{ OBSERVED }]
 """
-PASSED = ('kind = "passed"\nline = 0.1', "value = 0.0")
-TOE = ('kind = "toe"', "values = [0.12, 0.01]")
+PASSED = 'kind = "passed", line = 0.1, value = 0.0'
+TOE = 'kind = "toe", values = [0.12, 0.01]'
 
 
-def files(folder: Path, simulator: Simulator, observed: tuple[str, str]) -> tuple[Path, Path]:
+def files(folder: Path, simulator: Simulator, observed: str) -> tuple[Path, Path]:
     """The problem and the weights, on disk."""
     checkpoint.save(folder / "tiny.safetensors", simulator.float(), {})
     (folder / "scene.toml").write_text(SCENE)
-    (folder / "problem.toml").write_text(PROBLEM.replace("KIND", observed[0]).replace("TARGET", observed[1]))
+    (folder / "problem.toml").write_text(PROBLEM.replace("OBSERVED", observed))
     return folder / "problem.toml", folder / "tiny.safetensors"
 
 
 @pytest.mark.parametrize("observed", [PASSED, TOE])
-def test_an_inversion(tmp_path: Path, make_simulator: Any, observed: tuple[str, str]) -> None:
-    problem, weights = files(tmp_path, make_simulator(2), observed)
+def test_an_inversion(tmp_path: Path, observed: str) -> None:
+    problem, weights = files(tmp_path, simulator_of(2), observed)
     out = tmp_path / "out"
     arguments = [str(problem), "--out", str(out), "--model", str(weights)]
     assert run(main, "inverse", arguments) == 0
@@ -75,13 +60,12 @@ def test_an_inversion(tmp_path: Path, make_simulator: Any, observed: tuple[str, 
 def test_the_mpm_with_its_adjoint_and_without(tmp_path: Path) -> None:
     """Of the velocity of a slide: both find the target's front, and the same velocity within their half-widths."""
     # Of the kernels that test_fields.py needs too.
-    soil = "friction_deg = 30.0\ncohesion = 200.0\ntension_cutoff = 100.0"
-    (tmp_path / "scene.toml").write_text(SCENE.split("[[baffles]]")[0].replace("friction_deg = 30.0", soil))
-    unknowns, rest = PROBLEM.split("[[observations]]")
-    head = unknowns.split("[[unknowns]]")
-    text = "[[unknowns]]".join(head[:2]) + "[[observations]]" + rest
-    text = text.replace("KIND", 'kind = "front"').replace("TARGET", "value = 0.13")
-    (tmp_path / "problem.toml").write_text(text)
+    soil = "friction_deg = 30.0, cohesion = 200.0, tension_cutoff = 100.0"
+    scene, problem = (
+        "\n".join(line for line in text.splitlines() if "baffles" not in line) for text in (SCENE, PROBLEM)
+    )
+    (tmp_path / "scene.toml").write_text(scene.replace("friction_deg = 30.0", soil))
+    (tmp_path / "problem.toml").write_text(problem.replace("OBSERVED", 'kind = "front", value = 0.13'))
     results = []
     for forward in ("adjoint", "mpm"):
         out = tmp_path / forward
@@ -95,9 +79,9 @@ def test_the_mpm_with_its_adjoint_and_without(tmp_path: Path) -> None:
     assert all(each["flows"] < 25 for each in results)
 
 
-def test_a_problem_built_in_python(tmp_path: Path, make_simulator: Any) -> None:
+def test_a_problem_built_in_python(tmp_path: Path) -> None:
     """The call is the command: the same answer, whether the problem was written down or built."""
-    problem, weights = files(tmp_path, make_simulator(2), TOE)
+    problem, weights = files(tmp_path, simulator_of(2), TOE)
     read = read_problem(str(problem))
     built = Problem(
         name="built",

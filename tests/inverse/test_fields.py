@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from scipy.special import gamma, kv
 
+from datasets import read_scene
 from datasets.command_line import run
 from datasets.scene.grid_field import Grid
-from datasets.scene.library import read_scene
+from inverse import invert, read_problem
 from inverse.__main__ import main
 from inverse.answer import Verdict
 from inverse.field_inversion import Objective, WhiteFlow, linear_mean
-from inverse.inversion import invert
 from inverse.parameters.field import BAND, Prior
-from inverse.problem import read_problem
 from inverse.target import read_target
 from mpm import simulate
 from tests.refusals import refused
@@ -26,18 +25,9 @@ duration = 0.1
 frame_dt = 0.005
 floor_friction = 0.3
 step_fraction = 0.9
-[domain]
-size = [0.6, 0.2]
-cell = 0.02
-[material]
-friction_deg = 30.0
-young = 1.0e5
-cohesion = 200.0
-tension_cutoff = 100.0
-[[masses]]
-lower = [0.1, 0.0]
-size = [0.12, 0.04]
-velocity = [0.5, 0.0]
+domain = { size = [0.6, 0.2], cell = 0.02 }
+material = { friction_deg = 30.0, young = 1.0e5, cohesion = 200.0, tension_cutoff = 100.0 }
+masses = [{ lower = [0.1, 0.0], size = [0.12, 0.04], velocity = [0.5, 0.0] }]
 [[fields]]
 quantity = "velocity_x"
 origin = [0.1, 0.0]
@@ -140,7 +130,7 @@ def objective(flow: Linear, target: Any) -> Objective:
     """With dependent errors, of draws that move every combination."""
     root = np.random.default_rng(1).normal(size=(M, M))
     covariance, draws = root @ root.T + 0.6 * np.eye(M), 100.0 * np.random.default_rng(6).normal(size=(60, M))
-    return Objective(flow, target, covariance, draws, range(2))  # type: ignore[arg-type]
+    return Objective(flow, target, covariance, draws, range(2))
 
 
 def test_a_linear_problem_has_the_exact_gaussian_posterior() -> None:

@@ -1,7 +1,6 @@
 """AD through the unrolled surrogate against central differences in double precision: all unknowns, all observations."""
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ import torch
 
 from inverse.forward.gns import GnsForward
 from inverse.observations import KINDS
+from tests.inverse.flows import problem_of, simulator_of
 
 MATERIAL = ("friction_deg", "cohesion", "masses[0].velocity_x")
 BAFFLE = ("baffles[0].x", "baffles[0].length", "baffles[0].height", "baffle_friction")
@@ -23,21 +23,17 @@ STEPS = {"deg": 1e-3, "cohesion": 0.01, "velocity": 1e-6, "baffles": 1e-7, "fric
 """Short, because a profile has a kink wherever a point passes a station."""
 
 
-def step_of(name: str) -> float:
-    return next(step for part, step in STEPS.items() if part in name)
-
-
 @pytest.fixture(scope="module", params=list(NAMES))
-def rollouts(request: pytest.FixtureRequest, make_problem: Any, make_simulator: Any) -> SimpleNamespace:
+def rollouts(request: pytest.FixtureRequest) -> SimpleNamespace:
     """One rollout that autograd looks through, from unknowns with a gradient (`point`), and two beside it for each."""
-    problem = make_problem(request.param, *NAMES[request.param])
+    problem = problem_of(request.param, *NAMES[request.param])
     observation = problem.operators[0]
-    forward = GnsForward(make_simulator(problem.scene.dimension), problem, observation)
+    forward = GnsForward(simulator_of(problem.scene.dimension), problem, observation)
     assert forward.kept_steps >= forward.initial.steps
     assert forward.initial.conditions.units.length != 1.0
     assert forward.initial.times[-1] == pytest.approx(problem.scene.duration)
     point = torch.tensor(problem.initial, requires_grad=True)
-    steps = np.array([step_of(name) for name in problem.names])
+    steps = np.array([next(step for part, step in STEPS.items() if part in name) for name in problem.names])
     return SimpleNamespace(
         problem=problem,
         volumes=forward.initial.conditions.volume,

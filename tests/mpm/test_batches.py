@@ -6,10 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from datasets import Mass, Material, Scene, Trajectory
 from datasets.errors import WorkFailed
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
-from datasets.scene.material import Material
 from datasets.scene.particles import Particles, initial_particles
 from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
 from mpm.arrays.batch import Batch

@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datasets.scene import Scene
+from datasets import Material, Scene
 from datasets.scene.grid_field import Field
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from mpm import LAST, simulate
 from mpm.adjoint.gradient import gradient

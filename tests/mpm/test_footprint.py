@@ -6,16 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Scene, read_scene
 from datasets.command_line import run
-from datasets.errors import InputError
-from datasets.scene import Scene
-from datasets.scene.library import read_scene
 from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Precision, node_room
 from mpm.footprint import FAST, PROCESS, SLOW, SPEED, START, expected, footprint, planned, spoken
 from mpm.run import command
 from tests.breaking import SCENE
+from tests.refusals import refused
 
 COLUMN, BAFFLES = read_scene("column-tall-42"), read_scene("baffles-2")
 
@@ -54,7 +53,7 @@ def test_steps_and_frames_are_those_of_the_run() -> None:
     ("change", "message"),
     [
         ({"frame_dt": 1.0e4, "duration": 1.0e8}, "duration: expected at most 2147483647 steps"),
-        ({"frame_dt": 1.0e-4, "duration": 900.0}, "of memory that are free, got .* fewer particles_per_axis or frames"),
+        ({"frame_dt": 1.0e-4, "duration": 900.0}, "fewer particles_per_axis or frames"),
     ],
 )
 def test_what_no_machine_could_run_is_refused_at_once(
@@ -62,15 +61,13 @@ def test_what_no_machine_could_run_is_refused_at_once(
 ) -> None:
     monkeypatch.setattr("datasets.memory.free", lambda: 2**36)
     scene: Scene = dataclasses.replace(read_scene("column-short-21"), **change)
-    with pytest.raises(InputError, match=message):
-        simulate(scene)
+    refused(simulate, scene, said=message)
 
 
 def test_numbers_that_single_precision_cannot_hold() -> None:
     scene = read_scene("column-short-21")
     thin = dataclasses.replace(scene, gravity=1e-45)
-    with pytest.raises(InputError, match="gravity y of -1e-45; --precision f64 holds more"):
-        simulate(thin)
+    refused(simulate, thin, said="gravity y of -1e-45; --precision f64 holds more")
 
 
 def test_a_range_grows_with_the_work_and_falls_with_the_processors() -> None:

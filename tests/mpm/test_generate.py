@@ -10,15 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.command_line import run
+from datasets import Domain, InputError, Mass, Scene, Trajectory
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split, Storage
-from datasets.errors import InputError, WorkFailed
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Domain, Mass, Scene
+from datasets.errors import WorkFailed
 from mpm.generate import command, generate, thinned
 from tests.breaking import BLOCKS, dataset_files, orphans, start, unfinished
 from tests.pool import pool
+from tests.refusals import refused, refused_by
 
 
 def draw(stream: np.random.Generator, index: int) -> Scene:
@@ -127,9 +126,7 @@ def test_a_broken_run_is_finished_and_what_stands_is_kept(dataset: Path, tmp_pat
 )
 def test_another_dataset_in_the_folder_is_refused(dataset: Path, seed: int, count: int | None, named: str) -> None:
     before = dataset_files(dataset)
-    with pytest.raises(InputError) as caught:
-        generate(TINY, dataset, seed=seed, count=count, jobs=1)
-    assert caught.value.where == str(dataset / named)
+    assert refused(generate, TINY, dataset, seed=seed, count=count, jobs=1).where == str(dataset / named)
     assert dataset_files(dataset) == before
 
 
@@ -160,10 +157,7 @@ def test_a_failing_scene_is_named_and_does_not_stop_the_others(dataset: Path, tm
 def test_wrong_input_is_one_line_and_status_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], line: str
 ) -> None:
-    assert run(command, "generate", [*arguments, "--out", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert line in error
-    assert error.count("\n") == 1
+    assert line in refused_by(capsys, command, *arguments, "--out", tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets.scene import Mass, Scene
-from datasets.scene.material import Material
+from datasets import Mass, Material, Scene
 from mpm import LAST, runtime, simulate
 from mpm.arrays.batch import Batch, put_vectors
 from mpm.kernel import Phase, kernel
@@ -82,7 +81,6 @@ class EndlessLayer:
 def bagnold(scene: Scene, inertial: float) -> Callable[[Floats], Floats]:
     """u(y) = (2/3) (I / d) sqrt(rho g cos(theta) / rho_s) (h^1.5 - (h - y)^1.5) [m/s] (Bagnold 1954; GDR MiDi 2004)."""
     sand = scene.material
-    assert sand.grain_diameter is not None
     weight = -scene.gravity_vector[1] * sand.density / sand.grain_density
     factor = 2.0 / 3.0 * inertial / sand.grain_diameter * math.sqrt(weight)
     return lambda y: factor * (DEPTH**1.5 - np.maximum(DEPTH - y, 0.0) ** 1.5)

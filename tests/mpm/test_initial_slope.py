@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datasets import Baffle, Mass, Material, Scene, Solid
 from datasets.geometry.ground import elevation
-from datasets.scene import Baffle, Mass, Scene, Solid
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from mpm import simulate
 from mpm.initial.slope import begins_as_slope

@@ -5,10 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
+from datasets import Domain, InputError, Mass, Scene, read_scene
 from datasets.geometry.placement import connected, corners
-from datasets.scene import Domain, Mass, Scene
-from datasets.scene.library import read_scene
 from mpm.resolution import (
     Measured,
     Resolution,

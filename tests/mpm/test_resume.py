@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from tqdm import tqdm
 
+from datasets import Baffle, Mass, Scene, Trajectory
 from datasets.command_line import run
-from datasets.errors import InputError
 from datasets.flow.array_files import FrameWriter
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Scene
 from mpm import WITH_FIELDS, Recording, simulate
 from mpm import simulation as solver
 from mpm.arrays.batch import Batch
@@ -24,6 +22,7 @@ from mpm.output.checkpoint import Checkpoint
 from mpm.run import command
 from mpm.simulation import Interrupted, simulate_each
 from tests.breaking import SCENE
+from tests.refusals import refused
 from tests.scenes import COLUMN, box
 
 RECORD = Recording(frames=3, fields=True, wall_forces=True)
@@ -92,22 +91,18 @@ def checkpoint() -> Checkpoint:
 )
 def test_another_run_is_refused(checkpoint: Checkpoint, scene: Scene, options: Any) -> None:
     batch = Batch([scene], **{"precision": "f32", "record": Recording(frames=10)} | options)
-    with pytest.raises(InputError, match="expected the run of the checkpoint"):
-        checkpoint.restore(batch)
+    refused(checkpoint.restore, batch, said="expected the run of the checkpoint")
 
 
 @pytest.mark.parametrize("change", [{"run": None}, {"frame": np.array("{")}])
 def test_a_file_that_is_no_checkpoint(tmp_path: Path, checkpoint: Checkpoint, change: dict[str, Any]) -> None:
     path = tmp_path / "checkpoint.npz"
-    with pytest.raises(InputError, match=r"expected a whole NPZ .*a checkpoint.*, there is none"):
-        Checkpoint.load(path)
+    refused(Checkpoint.load, path, said="expected a whole NPZ of plain arrays (a checkpoint), there is none")
     checkpoint.save(path)
     with np.load(path, allow_pickle=False) as file:
         arrays = {key: value for key, value in (dict(file) | change).items() if value is not None}
     np.savez(path, **arrays)
-    with pytest.raises(InputError) as caught:
-        Checkpoint.load(path)
-    assert caught.value.where == str(path)
+    assert refused(Checkpoint.load, path).where == str(path)
 
 
 LONG = SCENE.replace("duration = 0.25", "duration = 0.4\nframe_dt = 0.005")
@@ -126,7 +121,7 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_command_goes_on(
     flags: list[str],
     end: float,
 ) -> None:
-    class Bar(tqdm):  # type: ignore[type-arg]
+    class Bar(tqdm):
         """Sends the signal after the first launch."""
 
         def update(self, n: float | None = 1) -> bool | None:
@@ -179,8 +174,6 @@ def test_memory_holds_one_frame_of_those_in_a_file(tmp_path: Path) -> None:
         batch = Batch([OPEN], precision="f32", file=file)
         assert batch.record[0]["positions"].size == whole.positions.size / 57
         assert batch.positions.size == 1
-        with pytest.raises(InputError, match="file: expected positions alone"):
-            simulate(OPEN, record=WITH_FIELDS, file=file)
-        with pytest.raises(InputError, match="file: expected one scene"):
-            simulate_each([OPEN, OPEN], file=file)
+        refused(simulate, OPEN, record=WITH_FIELDS, file=file, said="file: expected positions alone")
+        refused(simulate_each, [OPEN, OPEN], file=file, said="file: expected one scene")
     assert footprint(OPEN, in_file=True).bytes <= footprint(OPEN).bytes - whole.positions.nbytes

@@ -89,7 +89,7 @@ MATERIALS = list(materials())
 @pytest.fixture(params=[MATERIALS[::5], pytest.param(MATERIALS, marks=pytest.mark.slow)], ids=["a fifth", "all"])
 def table(request: pytest.FixtureRequest) -> list[Material]:
     """Every fifth material, which has all values of each property; the slow tests have all materials."""
-    return request.param  # type: ignore[no-any-return]
+    return request.param
 
 
 def unit(material: Material) -> float:

@@ -8,10 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
-from datasets.scene import Baffle, Mass, Scene
-from datasets.scene.library import read_scene
-from datasets.scene.material import Material
+from datasets import Baffle, InputError, Mass, Material, Scene, read_scene
 from mpm import WITH_FIELDS, Recording, simulate, simulate_many
 from tests import scenes
 from tests.scenes import SAND, scaled, scene_of
@@ -73,7 +70,6 @@ def test_a_free_body_keeps_its_angular_momentum() -> None:
     bar = Mass(lower=(0.4, 0.4), size=(0.24, 0.12), angular_velocity=10.0)
     scene = box(bar, material=FIRM, gravity=0.0, duration=0.1, volume_correction=False)
     flow = simulate(scene, precision="f64", record=WITH_FIELDS)
-    assert flow.velocities is not None
     x, v = (
         each.astype(np.float64) - each.mean(axis=1, dtype=np.float64, keepdims=True)
         for each in (flow.positions, flow.velocities)
@@ -88,7 +84,6 @@ def test_an_elastic_bar_rings_with_its_period() -> None:
     """Of the lowest mode kinetic and elastic energy are one in the mean over whole periods: omega = rms v / rms u."""
     bar = read_scene(FOLDER / "hard_cases" / "bar-mode.toml")
     flow = simulate(bar, precision="f64", record=WITH_FIELDS)
-    assert flow.velocities is not None
     wave = StandingWave.of_bar(flow)
     whole = flow.time * wave.omega < 2.0 * math.pi * math.floor(bar.duration * wave.omega / (2.0 * math.pi))
     x, v = (each[whole, :, 0].astype(np.float64) for each in (flow.positions, flow.velocities))
@@ -112,7 +107,7 @@ def test_a_layer_settles_under_its_weight_by_one_dimensional_compression() -> No
 def test_a_collapse_never_gains_energy(precision: str) -> None:
     weak = Material(friction_deg=15.0)
     scene = box(TALL, material=weak, floor_friction=0.4, wall_friction=0.1, duration=1.0)
-    total = total_energy(simulate(scene, precision=precision, record=DEPOSIT))  # type: ignore[arg-type]
+    total = total_energy(simulate(scene, precision=precision, record=DEPOSIT))
     assert np.diff(total).max() < 2e-4 * total[0]
     assert total[-1] < 0.8 * total[0]
 
@@ -152,7 +147,6 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         np.testing.assert_allclose(shared.positions, alone.positions, atol=5e-6)
         np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], rtol=1e-3, atol=1e-6)
         if scene.baffles:
-            assert alone.solid_impulse is not None
             # What is open is decided by a threshold (`mpm.physics.volume_correction.LEAST`): 0.16 % of the impulse.
             np.testing.assert_allclose(shared.solid_impulse, alone.solid_impulse, rtol=5e-3, atol=1e-6)
 
@@ -199,7 +193,7 @@ COLUMN = scene_of(TALL, size=(1.6, 0.6), duration=1.0, frame_dt=0.005, floor_fri
 
 def stiffer(young: float = 2.0e6, **changes: object) -> Scene:
     """The column at another Young's modulus [Pa] and with other changes."""
-    return dataclasses.replace(COLUMN, material=dataclasses.replace(SAND, young=young), **changes)  # type: ignore[arg-type]
+    return dataclasses.replace(COLUMN, material=dataclasses.replace(SAND, young=young), **changes)
 
 
 def test_the_front_does_not_depend_on_stiffness_step_or_output_interval() -> None:

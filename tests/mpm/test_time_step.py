@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datasets.scene import Domain, Mass, Scene, Solid
-from datasets.scene.material import Material
+from datasets import Domain, Mass, Material, Scene, Solid
 from datasets.scene.stiffness import greatest_speed
 from mpm import Recording, simulate, simulate_many
 from mpm.output.time_step import limit, spoken

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Mass, Scene, Trajectory
 from datasets.errors import WorkFailed
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
 from mpm import ALL, AT_REST, LAST, Recording, ScenesFailed
 from tests.scenes import scene_of
 from tests.validation.loop.flows import FakeMpm

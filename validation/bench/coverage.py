@@ -30,11 +30,10 @@ from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
 from mpm import simulate_many
 from mpm.cluster import connected, pool
-from validation.bench.keep import Keep, Out, kept
+from validation.bench.page import Keep, Out, Row, emphasised, kept, write_page
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
-from validation.report.page import GNS, MPM, Page, Row, emphasised
-from validation.report.plots import GREY, figure
+from validation.plots import GREY, figure
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}
@@ -149,7 +148,7 @@ def bench(
         }
     found = {family: some for family, some in every.items() if some}
     draw(out / "coverage.png", found)
-    return page(found).write(out)
+    return written(out, found)
 
 
 def read_twin(path: Path) -> Twin | None:
@@ -242,8 +241,8 @@ def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
     )
 
 
-def page(found: Mapping[Family, Sequence[Twin]]) -> Page:
-    """The page of all twins that were solved, by their families."""
+def written(out: Path, found: Mapping[Family, Sequence[Twin]]) -> str:
+    """Write the page of all twins that were solved, by their families, and return its conclusion."""
     every = [each for twins in found.values() for each in twins]
     said = [f"{len(every)} inversions with known parameters, of {len(found)} kinds, test the stated uncertainty."]
     for level, (low, high) in WITHIN.items():
@@ -259,7 +258,7 @@ def page(found: Mapping[Family, Sequence[Twin]]) -> Page:
     flags = "".join(f" --only {name}" for name, family in FAMILIES.items() if family in found)
     flags += " --model RUN" * any(family.adapted for family in found)
     rows = [row(family, twins) for family, twins in found.items()]
-    return Page("coverage", said, flags=flags, packages=MPM | GNS, bins=BINS, twins=rows)
+    return write_page(out, "coverage", said, flags=flags, bins=BINS, twins=rows)
 
 
 def held(found: Sequence[Twin], level: float) -> float:

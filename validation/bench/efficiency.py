@@ -8,7 +8,6 @@ over runs has not. So has that of two baffles in 3D.
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from itertools import product
 
 import numpy as np
@@ -31,8 +30,7 @@ from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import simulate, simulate_many
-from validation.bench.keep import Out
-from validation.report.page import GNS, MPM, Page, Row
+from validation.bench.page import Out, Row, write_page
 
 SCENE = "layers-10"
 CUTS = ((1, 1), (1, 10), (10, 10))
@@ -53,17 +51,14 @@ JITTERS, BAFFLE_JITTERS = 4, 12
 """Jitter seeds over which gradients of the MPM are averaged: by the place of a baffle one adjoint scatters by half."""
 
 
-class Method(StrEnum):
-    SURROGATE = "surrogate"
-    """Reverse mode through the rollout."""
-    ADJOINT = "adjoint of the MPM"
-    DIFFERENCES = "differences of the MPM"
+SURROGATE, ADJOINT, DIFFERENCES = "surrogate", "adjoint of the MPM", "differences of the MPM"
+"""Methods; that of the surrogate is the reverse mode through its rollout."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gradient:
     problem: str
-    method: Method
+    method: str
     unknowns: int
     seconds: float
     columns: int
@@ -143,7 +138,16 @@ def bench(*, out: Out) -> str:
     ]
     network = gns.load("obstacle3d")
     gradients += gradients_of(BAFFLES, read_problem(BAFFLES), BAFFLE_STEP, network, BAFFLE_JITTERS)
-    return page(gradients).write(out)
+    return write_page(
+        out,
+        "efficiency",
+        conclusion(gradients),
+        fraction=FRACTION,
+        columns=MOST_COLUMNS,
+        jitters=JITTERS,
+        baffle_jitters=BAFFLE_JITTERS,
+        gradients=[gradient_row(each) for each in gradients],
+    )
 
 
 def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator, jitters: int) -> list[Gradient]:
@@ -168,16 +172,16 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     own = runs[0].select(target.values)
     differences = [by_runs(each, own, observation.components, start, moves) for each in runs]
     found = {
-        Method.SURROGATE: reverse(GnsForward(simulator, problem, observation)),
-        Method.ADJOINT: reverse(*(AdjointForward(each, observation, simulate_many) for each in seeded)),
-        Method.DIFFERENCES: differences,
+        SURROGATE: reverse(GnsForward(simulator, problem, observation)),
+        ADJOINT: reverse(*(AdjointForward(each, observation, simulate_many) for each in seeded)),
+        DIFFERENCES: differences,
     }
     expected = np.mean([slope for _, slope in differences], axis=0)
     gradients = []
     for method, slopes in found.items():
         mean = np.mean([slope for _, slope in slopes], axis=0)
         length, off = float(np.linalg.norm(mean)), [np.linalg.norm(slope - mean) for _, slope in slopes]
-        run = len(chosen) if method is Method.DIFFERENCES else unknowns
+        run = len(chosen) if method == DIFFERENCES else unknowns
         gradients.append(
             Gradient(
                 problem=name,
@@ -198,7 +202,7 @@ def conclusion(gradients: Sequence[Gradient]) -> list[str]:
     largest = max(each.unknowns for each in gradients)
     shown = [each for each in gradients if each.unknowns == largest]
     prices = ", ".join(f"{each.seconds:.2g} s by {each.method}" for each in shown)
-    cosines = [f"{each.cosine:.2f} by {each.method}" for each in shown if each.method is not Method.DIFFERENCES]
+    cosines = [f"{each.cosine:.2f} by {each.method}" for each in shown if each.method != DIFFERENCES]
     scatter = {each.method: each.scatter for each in gradients if each.problem == BAFFLES}
     said = [
         f"A gradient with respect to {largest} unknown velocities takes {prices}.",
@@ -206,23 +210,10 @@ def conclusion(gradients: Sequence[Gradient]) -> list[str]:
     ]
     if scatter:
         said.append(
-            f"For the places of two baffles, the adjoint of one jitter scatters by {scatter[Method.ADJOINT]:.0%} of the"
-            f" mean gradient, differences over {1000.0 * BAFFLE_STEP:g} mm by {scatter[Method.DIFFERENCES]:.0%}."
+            f"For the places of two baffles, the adjoint of one jitter scatters by {scatter[ADJOINT]:.0%} of the"
+            f" mean gradient, differences over {1000.0 * BAFFLE_STEP:g} mm by {scatter[DIFFERENCES]:.0%}."
         )
     return said
-
-
-def page(gradients: Sequence[Gradient]) -> Page:
-    return Page(
-        "efficiency",
-        conclusion(gradients),
-        packages=MPM | GNS,
-        fraction=FRACTION,
-        columns=MOST_COLUMNS,
-        jitters=JITTERS,
-        baffle_jitters=BAFFLE_JITTERS,
-        gradients=[gradient_row(each) for each in gradients],
-    )
 
 
 def gradient_row(each: Gradient) -> Row:
@@ -233,5 +224,5 @@ def gradient_row(each: Gradient) -> Row:
         "seconds": f"{'≈ ' if each.columns < each.unknowns else ''}{each.seconds:.2f}",
         "cosine": f"{each.cosine:.3f}",
         "length": f"{each.length:.2f}",
-        "scatter of one jitter": "-" if each.method is Method.SURROGATE else f"{each.scatter:.2f}",
+        "scatter of one jitter": "-" if each.method == SURROGATE else f"{each.scatter:.2f}",
     }

@@ -11,7 +11,7 @@ import numpy as np
 
 from datasets.flow.trajectory import Trajectory
 from mpm import AT_REST
-from validation.bench.keep import Keep, Out, kept
+from validation.bench.page import Keep, Out, emphasised, kept, percent, signed, write_page
 from validation.experiments.experiment import (
     FOLDER,
     Angle,
@@ -23,8 +23,7 @@ from validation.experiments.experiment import (
     quantity,
     read_experiments,
 )
-from validation.report.page import Page, emphasised, percent, signed
-from validation.report.plots import BLUE, INK, LIGHT_BLUE, figure
+from validation.plots import BLUE, INK, LIGHT_BLUE, figure
 from validation.runs import Run, RunStore
 
 CLOSE = 2.0
@@ -117,7 +116,7 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     with kept(keep) as folder:
         findings = compute(read_experiments(experiments), RunStore(folder).run)
     draw(out / "experiments.png", findings)
-    return page(findings).write(out)
+    return written(out, findings)
 
 
 def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
@@ -205,7 +204,8 @@ def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float
     return (a + (target - fronts[a]) / (fronts[b] - fronts[a]) * (b - a) if inside else math.nan), slope
 
 
-def page(findings: Findings) -> Page:
+def written(out: Path, findings: Findings) -> str:
+    """Write the page, and return its conclusion."""
     scores = [
         {
             "experiment": each.label,
@@ -234,7 +234,8 @@ def page(findings: Findings) -> Page:
     beyond = [each for each in findings.scores if not each.agrees]
     reasons = [f"- {each.label}: {each.measured.explanation or 'No reason is known.'}" for each in beyond]
     sources = [f"- `{e.name}`: {e.experiment.source} ({e.experiment.licence})." for e in findings.shipped]
-    return Page(
+    return write_page(
+        out,
         "experiments",
         conclusion(findings),
         close=CLOSE,

@@ -12,13 +12,13 @@ from tqdm import tqdm
 
 import gns
 from datasets.errors import InputError
+from datasets.flow import measures
 from datasets.scene import Scene
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from validation.bench.held_out import MOUNDS, SEED, Measured, coarse, creep, deposit_of, held_out, mean, mound, worst
-from validation.bench.keep import Keep, Out, kept
-from validation.report.page import GNS, MPM, Page, Row, rms, signed, tables
-from validation.report.plots import BLUE, INK, ORANGE, figure
+from validation.bench.page import Keep, Out, Row, kept, signed, tables, write_page
+from validation.plots import BLUE, INK, ORANGE, figure
 from validation.runs import Run, RunStore
 
 SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d": 4}}
@@ -67,7 +67,7 @@ class Model:
         return {
             method: (
                 float(np.mean([each.seconds for each in some])),
-                rms([max(abs(each.front), each.profile) for each in some]),
+                measures.rms(np.array([max(abs(each.front), each.profile) for each in some])),
             )
             for method, some in runs.items()
         }
@@ -100,7 +100,7 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     mounds = at_rest([path for path, dimension in paths.items() if dimension == 2])
     draw(out / "gns.png", found)
     flags = "".join(f" --model {path}" for path in model)
-    return page(found, mounds, flags=flags).write(out)
+    return written(out, found, mounds, flags)
 
 
 def measure(
@@ -199,7 +199,8 @@ def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
     return sentences
 
 
-def page(found: Sequence[Model], mounds: Mounds, *, flags: str) -> Page:
+def written(out: Path, found: Sequence[Model], mounds: Mounds, flags: str) -> str:
+    """Write the page, and return its conclusion."""
     kinds = []
     for each in found:
         names = dict.fromkeys(one.kind for one in each.compared)
@@ -223,11 +224,11 @@ def page(found: Sequence[Model], mounds: Mounds, *, flags: str) -> Page:
         if each.held
     ]
     creep = [{"mound": title} | {by: f"{worst(v):+.2g}" for by, v in own.items()} for title, own in mounds.items()]
-    return Page(
+    return write_page(
+        out,
         "gns",
         conclusion(found, mounds),
         flags=flags,
-        packages=GNS | MPM,
         seed=SEED,
         level=LEVEL,
         kinds=tables(kinds),

@@ -4,11 +4,10 @@ from functools import partial
 
 from datasets.errors import InputError
 from datasets.processes import processors
-from validation.bench.keep import Out
+from validation.bench.measuring import Spread, turns
 from validation.bench.network import PER_NODE, network_rows
+from validation.bench.page import Out, between, write_page
 from validation.bench.speed import Case, Mode, rate, rate_rows
-from validation.report.measuring import Spread, turns
-from validation.report.page import GNS, MPM, Page, between
 
 CASES = (
     Case(dimension=2, cells=100, scenes=1, frames=200),
@@ -53,5 +52,5 @@ def bench(*, out: Out, rounds: int = 2) -> str:
         f" {between(on_cpu, '.0f')} µs on one thread.",
     ]
     networks = [row | {f"GPU, {key}": other[key] for key in list(row)[3:]} for row, other in zip(*beside, strict=True)]
-    page = Page("gpu", said, flags=f" --rounds {rounds}", packages=MPM | GNS, rates=rate_rows(rates), networks=networks)
-    return page.write(out)
+    flags, table = f" --rounds {rounds}", rate_rows(rates)
+    return write_page(out, "gpu", said, flags=flags, rates=table, networks=networks)

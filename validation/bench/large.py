@@ -1,6 +1,5 @@
 """One large terrain, from its raster to maps: a section of the page of speeds."""
 
-import json
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets import maps
-from datasets.files import make_folder, write_json
+from datasets.files import make_folder
 from datasets.flow.array_files import FrameWriter
 from datasets.flow.trajectory import open_trajectory
 from datasets.scene import Scene
@@ -16,8 +15,8 @@ from datasets.scene.library import read_scene
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
 from mpm.arrays.layout import node_shape
-from validation.report.measuring import isolated
-from validation.report.page import Row
+from validation.bench.measuring import once
+from validation.bench.page import Row
 from validation.runs import Run
 
 CELL = 0.375
@@ -66,14 +65,10 @@ def mapped(cell: float, folder: Path) -> Found:
 
 def measured(keep: Path) -> dict[str, Found]:
     """Both stages by name, each in a process of its own; what is in `keep` is not done again."""
-    found, folder = {}, keep / f"large-{Run(scene=slide(CELL)).digest}"
+    folder = keep / f"large-{Run(scene=slide(CELL)).digest}"
     make_folder(folder)
-    for name, work in {"flow": flow, "maps": mapped}.items():
-        path = folder / f"{name}.json"
-        if not path.exists():
-            write_json(path, dict(isolated(work, CELL, folder)))
-        found[name] = json.loads(path.read_text())
-    return found
+    stages = {"flow": flow, "maps": mapped}
+    return {name: once(folder / f"{name}.json", work, CELL, folder) for name, work in stages.items()}
 
 
 def rows(found: Mapping[str, Found]) -> list[Row]:

@@ -4,15 +4,14 @@ import csv
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
 
 from datasets.errors import require
-from datasets.files import make_folder, read_json, reading, write_json
+from datasets.exchange.rasters import Raster, read_raster
+from datasets.files import make_folder, reading
 from datasets.flow.array_files import FrameWriter
 from datasets.flow.trajectory import open_trajectory
 from datasets.maps import maps_of
@@ -21,9 +20,8 @@ from datasets.scene.grid_field import Floats
 from datasets.scene.library import scene_from
 from inverse.answer import peak_memory_mib
 from mpm import Recording, simulate
-from validation.bench.keep import Keep, Out, kept
-from validation.report.measuring import isolated
-from validation.report.page import Page, Row, between
+from validation.bench.measuring import once
+from validation.bench.page import Keep, Out, Row, between, kept, write_page
 from validation.runs import Run
 
 CASE = "CoulombOnly"
@@ -43,49 +41,26 @@ EVERY = 2
 """Frames from one that is kept for the maps to the next."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Raster:
-    """Values [X, Z] on square cells, from the lower left corner (easting, northing) on [m]."""
-
-    values: Floats
-    cell: float
-    corner: tuple[float, float]
-
-    @classmethod
-    def read(cls, path: Path) -> "Raster":
-        """Raises InputError."""
-        with reading(path, "a raster of ISeeSnow"), rasterio.open(path) as file:
-            return cls(
-                values=np.nan_to_num(file.read(1).astype(np.float64))[::-1].T,
-                cell=float(file.res[0]),
-                corner=(float(file.bounds.left), float(file.bounds.bottom)),
-            )
-
-    @property
-    def eastings(self) -> Floats:
-        """Of the middles of the cells, shape [X]."""
-        return np.asarray(self.corner[0] + self.cell * (np.arange(len(self.values)) + 0.5))
-
-
 def bed_cosine(ground: Raster) -> Floats:
     """Cosine of the slope, shape [X, Z]: thickness normal to the bed over the vertical one."""
-    along, across = np.gradient(ground.values, ground.cell)
+    along, across = np.gradient(ground.values, *ground.spacing)
     return np.asarray(1.0 / np.sqrt(1.0 + along**2 + across**2))
 
 
 def scene_of(data: Path, cell: float) -> Scene:
     """The slide on cells of this edge [m]."""
-    with reading(data / f"simulationParameterValues_{CASE}.csv", "the parameters of ISeeSnow") as _:
-        (values,) = csv.DictReader((data / f"simulationParameterValues_{CASE}.csv").open(encoding="utf-8"))
-    ground, release = Raster.read(data / f"DEM_{CASE}.asc"), Raster.read(data / "release1HSField5m.tif")
-    vertical = release.values / bed_cosine(ground)
+    parameters = data / f"simulationParameterValues_{CASE}.csv"
+    with reading(parameters, "the parameters of ISeeSnow"):
+        (values,) = csv.DictReader(parameters.open(encoding="utf-8"))
+    ground, release = read_raster(data / f"DEM_{CASE}.asc"), read_raster(data / "release1HSField5m.tif")
+    vertical = np.nan_to_num(release.values) / bed_cosine(ground)
     rows, columns = (np.flatnonzero(vertical.any(axis=axis)) for axis in (1, 0))
     window = vertical[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    west, south = (first + 0.5 * ground.cell for first in ground.corner)
-    first = [west + ground.cell * rows[0], south + ground.cell * columns[0]]
+    west, south, post = float(ground.x[0]), float(ground.z[0]), ground.spacing[0]
+    first = [float(ground.x[rows[0]]), float(ground.z[columns[0]])]
     # The surface of the flow at its highest place, and room for what is thrown up.
     top = float(ground.values.max()) + 20.0
-    lengths = [BOX_END - west, top, ground.cell * (ground.values.shape[1] - 1)]
+    lengths = [BOX_END - west, top, float(ground.z[-1]) - south]
     table = {
         "duration": 120.0,
         "frame_dt": 0.25,
@@ -96,7 +71,7 @@ def scene_of(data: Path, cell: float) -> Scene:
             "origin": [west, 0.0, south],
         },
         "material": {"friction_deg": 30.0, "density": 200.0},
-        "masses": [{"kind": "layer", "thickness": window.tolist(), "origin": first, "spacing": [ground.cell] * 2}],
+        "masses": [{"kind": "layer", "thickness": window.tolist(), "origin": first, "spacing": [post] * 2}],
         "solids": [{"kind": "terrain", "file": f"DEM_{CASE}.asc", "friction": float(values["mu"])}],
     }
     return scene_from(table, data)
@@ -109,15 +84,17 @@ def slid(data: Path, cell: float, folder: Path) -> Mapping[str, Any]:
         flow = simulate(scene, record=Recording(frames=EVERY, until_rest=True), file=file, progress=True)
         file.put(**flow.arrays())
     run = time.perf_counter() - began
-    ground = Raster.read(data / f"DEM_{CASE}.asc")
-    maps = maps_of(open_trajectory(path), ground.cell, threshold=COVERED, progress=True)
+    ground = read_raster(data / f"DEM_{CASE}.asc")
+    maps = maps_of(open_trajectory(path), ground.spacing[0], threshold=COVERED, progress=True)
     assert maps.velocity is not None, "frames beside one another tell it"
-    middles = np.stack(np.meshgrid(*(axis + 0.0 for axis in maps.grid.axes), indexing="ij"), axis=-1) / ground.cell
-    index = np.clip(np.rint(middles).astype(int), 0, np.array(ground.values.shape) - 1)
-    normal = maps.depth * bed_cosine(ground)[index[..., 0], index[..., 1]]
-    speed = Raster(values=maps.velocity, cell=maps.cell, corner=(maps.corner[0], maps.corner[1]))
+    # The post nearest to the middle of each cell.
+    posts = [
+        np.minimum(np.rint(axis / maps.cell).astype(int), last - 1)
+        for axis, last in zip(maps.grid.axes, ground.values.shape, strict=True)
+    ]
+    normal = maps.depth * bed_cosine(ground)[np.ix_(*posts)]
     summary = flow.summary
-    return peaks(speed, float(normal.max())) | {
+    return peaks(maps.corner[0] + maps.grid.axes[0], maps.velocity, float(normal.max())) | {
         "particles": summary["particles"],
         "steps": summary["steps"],
         "before": run - summary["wall_s"] - summary["compile_s"],
@@ -125,20 +102,24 @@ def slid(data: Path, cell: float, folder: Path) -> Mapping[str, Any]:
         "seconds": summary["wall_s"],
         "maps": time.perf_counter() - began - run,
         "memory": peak_memory_mib(),
-        "young": scene.material.young,
     }
 
 
-def peaks(speed: Raster, thickness: float) -> dict[str, Any]:
-    """What codes are compared by."""
-    reached, eastings = (speed.values > MOVES).any(axis=1), speed.eastings
-    across = [float(speed.values[int((x - speed.corner[0]) // speed.cell)].max()) for x in SECTIONS]
+def peaks(eastings: Floats, speed: Floats, thickness: float) -> dict[str, Any]:
+    """What codes are compared by; speed: [m/s], shape [X, Z], on square cells whose middles have `eastings` [m]."""
+    reached, cell = speed > MOVES, float(eastings[1] - eastings[0])
     return {
-        "furthest": float(eastings[np.flatnonzero(reached)[-1]]),
-        "speeds": across,
-        "area": float((speed.values > MOVES).sum()) * speed.cell**2 / 1.0e4,
+        "furthest": float(eastings[np.flatnonzero(reached.any(axis=1))[-1]]),
+        "speeds": [float(speed[int((x - eastings[0]) / cell + 0.5)].max()) for x in SECTIONS],
+        "area": float(reached.sum()) * cell**2 / 1.0e4,
         "thickness": thickness,
     }
+
+
+def peaks_of(data: Path, code: str) -> dict[str, Any]:
+    """Those of another code. Raises InputError."""
+    speed, thickness = (read_raster(data / f"peak-{kind}-{code}.tif") for kind in ("speed", "thickness"))
+    return peaks(speed.x, np.nan_to_num(speed.values), float(np.nanmax(thickness.values)))
 
 
 def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] = (4.0, 2.0)) -> str:
@@ -152,27 +133,17 @@ def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] =
         Edges of the grid's cells [m], coarse ones first.
     """
     require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
-    others = {
-        code: peaks(
-            Raster.read(data / f"peak-speed-{code}.tif"), Raster.read(data / f"peak-thickness-{code}.tif").values.max()
-        )
-        for code in CODES
-    }
-    found: dict[float, Mapping[str, Any]] = {}
+    others, found = {code: peaks_of(data, code) for code in CODES}, {}
     with kept(keep) as folder:
         for cell in cells:
             place = folder / f"mountain-{Run(scene=scene_of(data, cell)).digest}"
             make_folder(place)
-            result = read_json(place / "peaks.json")
-            if result is None:
-                result = dict(isolated(slid, data, cell, place))
-                write_json(place / "peaks.json", result)
-            found[cell] = result
-    return page(found, others).write(out)
+            found[cell] = once(place / "peaks.json", slid, data, cell, place)
+    return written(out, found, others)
 
 
-def page(found: Mapping[float, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> Page:
-    """The page."""
+def written(out: Path, found: Mapping[float, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> str:
+    """Write the page, and return its conclusion."""
     finest = found[min(found)]
     alike = np.array([others[code]["speeds"] for code in ALIKE])
     apart = np.abs(finest["speeds"] / alike.mean(axis=0) - 1.0)
@@ -202,7 +173,8 @@ def page(found: Mapping[float, Mapping[str, Any]], others: Mapping[str, Mapping[
         for cell, each in found.items()
     ]
     flags = f" --data DIR --cells {' --cells '.join(f'{cell:g}' for cell in found)}"
-    return Page("mountain", said, flags=flags, codes=[row(name, each) for name, each in codes.items()], costs=costs)
+    rows = [row(name, each) for name, each in codes.items()]
+    return write_page(out, "mountain", said, flags=flags, codes=rows, costs=costs)
 
 
 def row(name: str, each: Mapping[str, Any]) -> Row:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from datasets.scene import Domain, Mass, Scene
 from datasets.scene.material import Material
-from validation.report.measuring import Spread, seconds_of
+from validation.bench.measuring import Spread, seconds_of
 
 LENGTHS = {2: (0.2, 1.5, 15.0), 3: (0.3, 1.2, 4.8)}
 """Of the body of a network's step [m], by dimension: it costs per node, and a longer one has as many neighbours."""

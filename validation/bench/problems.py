@@ -22,9 +22,8 @@ from gns import library
 from inverse.answer import Verdict
 from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate
-from validation.bench.keep import Keep, Out, kept
-from validation.report.page import GNS, MPM, Page, Row, between, emphasised, tables
-from validation.report.plots import BLUE, GREY, INK, ORANGE, RED, figure
+from validation.bench.page import Keep, Out, Row, between, emphasised, kept, tables, write_page
+from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
 
 RESULT, KEY = "result.json", "made-of.txt"
 """Of a problem: what the loop wrote, and a digest of what it was made of."""
@@ -219,10 +218,10 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
     solved = [ways for problems in found.values() for ways in problems.values()]
     write_csv(out / "problems.csv", [each for ways in solved for each in ways.values()])
     draw(out / "pictures" / "problems.png", solved)
-    conclusion = page(found, pictures).write(out)
+    said = written(out, found, pictures)
     if failed:
         raise WorkFailed(f"could not be run: {', '.join(failed)}")
-    return conclusion
+    return said
 
 
 def made_of(problem: Problem) -> str:
@@ -252,8 +251,8 @@ def ran(problem: Problem, folder: Path) -> bool:
     return True
 
 
-def page(found: Mapping[str, Mapping[str, Outcomes]], pictures: Sequence[str]) -> Page:
-    """The page of all problems that were `found`, by their families' titles."""
+def written(out: Path, found: Mapping[str, Mapping[str, Outcomes]], pictures: Sequence[str]) -> str:
+    """Write the page of all problems that were `found`, by their families' titles, and return its conclusion."""
     families = []
     for title, problems in found.items():
         every = [each for ways in problems.values() for each in ways.values()]
@@ -263,10 +262,10 @@ def page(found: Mapping[str, Mapping[str, Outcomes]], pictures: Sequence[str]) -
         table = [{key: cell for key, cell in row.items() if key in filled} for row in table]
         missed = [f"- `{each.problem.name}`, {each.way}: {'; '.join(each.missed)}" for each in every if each.missed]
         families += [f"## {title}", tables([table]), "\n".join(missed)]
-    return Page(
+    return write_page(
+        out,
         "problems",
         conclusion([ways for problems in found.values() for ways in problems.values()]),
-        packages=MPM | GNS,
         families="\n\n".join(part for part in families if part),
         pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
     )

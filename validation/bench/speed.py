@@ -24,11 +24,10 @@ from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
 from validation.bench import large
-from validation.bench.keep import Keep, Out, kept
+from validation.bench.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
 from validation.bench.network import PER_NODE, network_rows
-from validation.report.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
-from validation.report.page import GNS, MPM, Page, Row, between
-from validation.report.plots import BLUE, ORANGE, figure
+from validation.bench.page import Keep, Out, Row, between, kept, write_page
+from validation.plots import BLUE, ORANGE, figure
 
 CUBE = 0.375
 """Edge of the column in 3D [m]."""
@@ -245,46 +244,34 @@ def bench(*, out: Out, keep: Keep = None, rounds: int = 2) -> str:
     with kept(keep) as folder:
         terrain = large.measured(folder)
     draw(out / "speed.png", rates)
-    return page(rates, solids, first_runs(), prices, networks, terrain, rounds=rounds).write(out)
-
-
-def page(
-    rates: Rates,
-    baffles: Sequence[Row],
-    starts: Sequence[Row],
-    prices: Sequence[Price],
-    networks: Sequence[Mapping[str, str]],
-    terrain: Mapping[str, large.Found],
-    *,
-    rounds: int,
-) -> Page:
-    return Page(
+    return write_page(
+        out,
         "speed",
         [*conclusion(rates, prices, networks), large.sentence(terrain)],
         flags=f" --rounds {rounds}",
-        packages=MPM | GNS,
         large=LARGE,
         rates=rate_rows(rates),
-        baffles=baffles,
-        starts=starts,
+        baffles=solids,
+        starts=first_runs(),
         priced=PRICED,
-        prices=[
-            {
-                "particles": f"{each.particles:,}",
-                "steps": f"{each.steps:,}",
-                "run [s]": f"{each.run:.2f}",
-                "gradient [s]": f"{each.gradient:.2f}",
-                "runs per gradient": f"{each.ratio:.1f}",
-                "memory [MiB]": f"{each.memory / 2**20:.0f}",
-            }
-            for each in prices
-        ],
+        prices=[price_row(each) for each in prices],
         networks=networks,
         cell=large.CELL,
         particles=terrain["flow"]["particles"],
         nodes=terrain["flow"]["nodes"],
         terrain=large.rows(terrain),
     )
+
+
+def price_row(price: Price) -> Row:
+    return {
+        "particles": f"{price.particles:,}",
+        "steps": f"{price.steps:,}",
+        "run [s]": f"{price.run:.2f}",
+        "gradient [s]": f"{price.gradient:.2f}",
+        "runs per gradient": f"{price.ratio:.1f}",
+        "memory [MiB]": f"{price.memory / 2**20:.0f}",
+    }
 
 
 def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping[str, str]]) -> list[str]:

@@ -29,8 +29,7 @@ def main(problem: str, /, *, out: Path, scheduler: str | None = None) -> None:
     from mpm import simulate_many
     from mpm.cluster import connected
     from validation.design.problem import read_design
-    from validation.design.report import summary
-    from validation.design.solve import find_design
+    from validation.design.solve import find_design, summary
 
     asked = read_design(problem)
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:

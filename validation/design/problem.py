@@ -4,30 +4,30 @@ minimise c . d    subject to    P(y(d, u, e) < L) >= p,    u ~ prior or posterio
 """
 
 import zlib
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from scipy import stats
 from scipy.stats import qmc
 
-from datasets.errors import keyed, naming, require
+from datasets.errors import naming, require
 from datasets.files import read_toml
 from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.forces import forces_of
 from datasets.scene import Scene
 from datasets.scene.library import SCENES, find, read_scene, scene_from
-from datasets.schema import Record, from_mapping
+from datasets.schema import Bounds, Record, from_mapping
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, with_kinds
-from inverse.parameters.bounds import check_bounds
-from inverse.parameters.prior import Correlation, JointPrior, Prior
+from inverse.parameters.bounds import check_parameters
+from inverse.parameters.prior import Correlation, JointPrior
 from inverse.posterior import Matrix, Row
-from inverse.problem import Bounds
+from inverse.problem import Box
 from inverse.saving import read_samples
-from inverse.settings import MOST
+from inverse.settings import counted
 
 DESIGNS = Path(__file__).parent / "problems"
 FORCE_SCATTER = 0.1
@@ -37,40 +37,13 @@ ASSURANCE = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variable(Record):
-    """A number that is chosen, one of `inverse.parameters`."""
-
-    name: str
-    lower: float
-    upper: float
-
-    @property
-    def parameter(self) -> Parameter:
-        """The same of an inversion."""
-        return Parameter(name=self.name, lower=self.lower, upper=self.upper, initial=0.5 * (self.lower + self.upper))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Uncertain(Variable):
-    """A number that is not known when the barriers are built."""
-
-    prior: Prior | None = None
-    """Cut off at its bounds; uniform where absent."""
-
-    @property
-    def parameter(self) -> Parameter:
-        """The same of an inversion."""
-        return replace(super().parameter, prior=self.prior)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Limit(Record):
     """What has to stay below which value, and how often."""
 
     quantity: Literal["front", "runout", "impact_force"]
     """Of the deposit [m]; the largest mean force between two frames [N, in 2D N per metre of width]."""
     below: float
-    probability: float = 0.95
+    probability: Annotated[float, Bounds("a probability in [0.5, 1)", ge=0.5, lt=1.0)] = 0.95
     solid: str | None = None
     """Of a force: on which baffle or solid, by its name; the largest on any where absent."""
     window: float = 0.0
@@ -103,7 +76,6 @@ class Limit(Record):
         """Raise InputError for a limit that flows of `scene` cannot have."""
         top = np.inf if self.force else scene.domain.size[0]
         require(0.0 < self.below < top, "limit.below", f"a number in (0, {top:g})", self.below)
-        require(0.5 <= self.probability < 1.0, "limit.probability", "a probability in [0.5, 1)", self.probability)
         plain = self.solid is None and self.window == 0.0
         require(plain or self.force, "limit.quantity", "impact_force beside solid or window", self.quantity)
         require(0.0 <= self.window <= scene.duration, "limit.window", f"up to {scene.duration:g} s", self.window)
@@ -118,11 +90,11 @@ class Limit(Record):
 class Budget(Record):
     """What the MPM may spend."""
 
-    runs: int | None = None
+    runs: Annotated[int | None, counted(1)] = None
     """Runs for the emulator, at most; 20 and 20 for each number, chosen or uncertain, where absent."""
-    checks: int = 100
+    checks: Annotated[int, counted(20)] = 100
     """Runs at the design, each of a fresh draw."""
-    seed: int = 0
+    seed: Annotated[int, counted(0, 2**62)] = 0
     """Of random numbers."""
 
 
@@ -130,10 +102,10 @@ class Budget(Record):
 class _Keys(Record):
     """What a design problem and its file have in common."""
 
-    variables: tuple[Variable, ...]
+    variables: tuple[Parameter, ...]
     """What is chosen: d, K numbers."""
-    uncertain: tuple[Uncertain, ...] = ()
-    """What is not known: u, Q numbers."""
+    uncertain: tuple[Parameter, ...] = ()
+    """What is not known when the barriers are built: u, Q numbers."""
     correlations: tuple[Correlation, ...] = ()
     """Of the priors of pairs of them."""
     limit: Limit
@@ -161,39 +133,36 @@ class DesignProblem(_Keys):
 
     def __post_init__(self) -> None:
         groups = {"variables": self.variables, "uncertain": self.uncertain}
-        by_key = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
-        names = [each.name for each in self.numbers]
         for group, own in groups.items():
             require(len(own) > 0, group, "at least one number", "none")
+        by_key = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
         for key, each in by_key.items():
-            with keyed(key):
-                require(names.count(each.name) == 1, "name", "each number once", f"{each.name!r} twice")
-                each.parameter.check(self.scene)
-        check_bounds(self.scene, {key: each.parameter for key, each in by_key.items()}, "variables")
+            require(each.initial is None, f"{key}.initial", "no start of a search", each.initial)
+            require(not each.is_field, f"{key}.spacing", "a number", "a field")
+        for index, variable in enumerate(self.variables):
+            require(variable.prior is None, f"variables[{index}].prior", "no prior of what is chosen", "one")
+        check_parameters(self.scene, by_key, "variables")
         _ = self.prior
         self.limit.check(self.scene)
-        known = names[: len(self.variables)]
+        known = [each.name for each in self.variables]
         for name in self.cost:
             require(name in known, f"cost.{name}", f"one of the variables {', '.join(known)}", name)
-        budget, fewest = self.budget, 4 * len(names)
-        for key, number, least in (("runs", self.runs, fewest), ("checks", budget.checks, 20)):
-            require(number >= least, f"budget.{key}", f"an integer of at least {least}", number)
-            require(number <= MOST, f"budget.{key}", f"an integer of at most {MOST}", number)
-        require(budget.seed >= 0, "budget.seed", "an integer of at least 0", budget.seed)
+        fewest = 4 * len(self.numbers)
+        require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
 
     @property
-    def numbers(self) -> tuple[Variable, ...]:
+    def numbers(self) -> tuple[Parameter, ...]:
         """Chosen, then uncertain: K + Q."""
         return (*self.variables, *self.uncertain)
 
     @cached_property
     def kinds(self) -> list[Kind]:
-        return [each.parameter.kind for each in self.numbers]
+        return [each.kind for each in self.numbers]
 
     @cached_property
-    def box(self) -> Bounds:
+    def box(self) -> Box:
         """Of all of them."""
-        return Bounds(*np.array([(each.lower, each.upper) for each in self.numbers]).T)
+        return Box(*np.array([each.bounds for each in self.numbers]).T)
 
     @property
     def joint(self) -> int:
@@ -203,7 +172,7 @@ class DesignProblem(_Keys):
     @cached_property
     def prior(self) -> JointPrior | None:
         """Of the uncertain numbers but those of a posterior. Raises InputError, which names the key."""
-        alone = [each.parameter for each in self.uncertain[: len(self.uncertain) - self.joint]]
+        alone = self.uncertain[: len(self.uncertain) - self.joint]
         return JointPrior({each.name: each.marginal for each in alone}, self.correlations) if alone else None
 
     @property
@@ -262,7 +231,7 @@ def read_design(name: str | Path) -> DesignProblem:
     path = find(str(name), DESIGNS, "design problem")
     with naming(path):
         file = from_mapping(DesignFile, read_toml(path))
-        own = {each.name: getattr(file, each.name) for each in fields(file)}
+        own = dict(vars(file))
         if (posterior := own.pop("posterior")) is not None:
             own["samples"], learned = read_posterior(path.parent / posterior)
             own["uncertain"] += learned
@@ -274,8 +243,8 @@ def read_design(name: str | Path) -> DesignProblem:
         return DesignProblem(name=path.stem, **own)
 
 
-def read_posterior(path: Path) -> tuple[Matrix, tuple[Uncertain, ...]]:
+def read_posterior(path: Path) -> tuple[Matrix, tuple[Parameter, ...]]:
     """Samples [S, Q'] of a posterior of `validation.loop` with equal weights, and their numbers."""
     names, samples = read_samples(path)
     ranges = zip(names, samples.min(axis=0), samples.max(axis=0), strict=True)
-    return samples, tuple(Uncertain(name=name, lower=float(low), upper=float(high)) for name, low, high in ranges)
+    return samples, tuple(Parameter(name=name, lower=float(low), upper=float(high)) for name, low, high in ranges)

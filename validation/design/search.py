@@ -17,7 +17,7 @@ from scipy.stats import binomtest
 from inverse.answer import Verdict
 from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
-from inverse.search.waves import ModelRun, WaveSearch, filling
+from inverse.search.waves import ModelRun, WaveSearch, filling, runs_of
 from validation.design.problem import DesignProblem
 from validation.design.reliability import Reliability
 
@@ -96,8 +96,7 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
     began, count = time.perf_counter(), len(problem.numbers)
 
     def run(points: Matrix, first: int) -> list[ModelRun]:
-        both = zip(points, respond(points, first), strict=True)
-        return [ModelRun(point=point, numbers=np.array([response])) for point, response in both]
+        return runs_of(points, respond(points, first)[:, None])
 
     nothing = Reliability(problem=problem, points=np.zeros((0, count)), responses=np.zeros(0))
     search = WaveSearch(model=run, knowledge=nothing, seed=problem.budget.seed, budget=problem.runs)

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +34,6 @@ REPOSE = "repose"
 """Name of the angle at which a flow stops: mu_s of mu(I)."""
 
 
-class Status(StrEnum):
-    """Where a number comes from; one from memory alone is not used."""
-
-    READ = "read"
-    WORKED_OUT = "worked out"
-
-
 class Quantity(StrEnum):
     """What was measured on a deposit."""
 
@@ -62,7 +56,7 @@ class Angle(Record):
     """Smallest value in the sources [deg]."""
     upper_deg: float
     """Largest one [deg]."""
-    status: Status
+    status: Literal["read", "worked out"]
     source: str
 
     def __post_init__(self) -> None:
@@ -122,7 +116,7 @@ class Measured(Record):
     """One unit of its uncertainty [m]; where sources disagree, half of the band between them, `value` its middle."""
     spread_from: str = ""
     """Where the spread comes from."""
-    status: Status
+    status: Literal["read", "worked out"]
     source: str
     explanation: str = ""
     """Why the computation may differ: printed where it does, by more than twice the spread."""

@@ -47,8 +47,7 @@ def main(
 
     from mpm import simulate_many
     from mpm.cluster import connected
-    from validation.forecast.report import summary
-    from validation.forecast.solve import forecast_scene
+    from validation.forecast.solve import forecast_scene, summary
 
     with nullcontext(simulate_many) if scheduler is None else connected(scheduler) as simulate:
         options = {"draws": draws, "model_error": model_error, "threshold": threshold, "pressure": pressure}

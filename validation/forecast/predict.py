@@ -38,7 +38,7 @@ from inverse.parameters import with_parameters
 from inverse.search.waves import jitter_seed
 from mpm import LAST, Recording
 from validation.loop.verdict import OTHER_CELLS
-from validation.runs import RunStore
+from validation.runs import RunStore, caveats
 
 FRAMES = 50
 """Frames of a flow that are kept at most where its peaks are wanted."""
@@ -88,25 +88,15 @@ class Forecast:
             found[name] = np.sort(np.maximum(start + moved * (1.0 + self.model_error * model), least))
         return found
 
-    def quantiles(self, level: float) -> tuple[float, float, float]:
-        """Shares below the lower end, the middle and the upper end of an interval."""
-        return 0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level
-
     def as_json(self) -> dict[str, Any]:
         """`forecast.json`."""
         numbers = {}
         for name, values in self.predicted.items():
-            intervals = {}
-            for key, level in LEVELS.items():
-                low, middle, high = quantile(values, self.quantiles(level))
-                intervals[key] = [low, high]
-            numbers[name] = {
-                "median": middle,
-                **intervals,
-                "cells": self.cells.get(name),
-                "unit": unit(name, self.scene),
-            }
-        low, middle, high = quantile(self.profiles, self.quantiles(LEVELS["interval"]))
+            ends = {key: quantiles(values, level) for key, level in LEVELS.items()}
+            intervals = {key: [low, high] for key, (low, _, high) in ends.items()}
+            about = {"cells": self.cells.get(name), "unit": unit(name, self.scene)}
+            numbers[name] = {"median": ends["interval"][1]} | intervals | about
+        low, middle, high = quantiles(self.profiles, LEVELS["interval"])
         profile = {"x": self.stations, "median": middle, "lower": low, "upper": high}
         return {
             "unknowns": list(self.names),
@@ -124,10 +114,13 @@ def unit(name: str, scene: Scene) -> str:
     return ("N/m" if scene.dimension == 2 else "N") if name.startswith("force ") else "m"
 
 
-def quantile(values: Floats, shares: Sequence[float]) -> list[Any]:
-    """Quantiles of rank p (S + 1) over the first axis: as many floats, or arrays of the other axes."""
-    found = np.quantile(values, shares, axis=0, method="weibull")
-    return [float(each) if each.ndim == 0 else each for each in found]
+def quantiles(values: Floats, level: float) -> list[Any]:
+    """Lower end, median and upper end of an interval of this probability, of rank p (S + 1) over the first axis.
+
+    Floats, or arrays of the other axes.
+    """
+    ends = np.quantile(values, [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0, method="weibull")
+    return [float(each) if each.ndim == 0 else each for each in ends]
 
 
 def predicted(
@@ -236,9 +229,3 @@ def with_maps(
             hit["pressure"] = found.scene.material.density * maps.velocity**2 > pressure
         counts = {name: counts.get(name, 0.0) + where / len(flows) for name, where in hit.items()}
     return replace(found, maps=maps, covered=counts)
-
-
-def caveats(flows: Sequence[Trajectory]) -> list[str]:
-    """What the flows themselves say, each kind once."""
-    said = [line for flow in flows for line in flow.summary.get("remarks", [])[:1]]
-    return [f"{len(said)} of {len(flows)} flows, such as: {said[0]}"] if said else []

@@ -2,15 +2,9 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from datasets.command_line import run
-from datasets.errors import WorkFailed
 from inverse.settings import Surrogate
-
-if TYPE_CHECKING:
-    from inverse.problem import Problem
-    from inverse.result import Result
 
 
 def main(
@@ -56,7 +50,8 @@ def main(
     from mpm import simulate_many
     from mpm.cluster import connected
     from validation.loop.series import require_confirmed, solve_series, summary
-    from validation.loop.solve import solve
+    from validation.loop.solve import print_outcome, solve
+    from validation.loop.surrogate import estimate
 
     asked = read_problem(problem)
     if surrogate is not None:
@@ -71,34 +66,6 @@ def main(
         rows = solve_series(asked, targets, out, model=model, simulate=simulate)
     print(summary(rows, len(rows)))
     require_confirmed(rows, out)
-
-
-def estimate(problem: "Problem", model: Path | None, out: Path) -> str:
-    """What the runs take at least that a loop makes first, and those that check its answer."""
-    from datasets.processes import processors
-    from inverse.posterior.settings import CONSTANTS
-    from mpm.footprint import INVERSION, PROCESS, expected, planned
-    from validation.loop.surrogate import quick, seconds_of_run
-
-    unknowns = len(problem.parameters)
-    alone = problem.surrogate is Surrogate.NONE or (model is None and quick(seconds_of_run(problem)))
-    fill = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns + CONSTANTS.repeats
-    few = fill + CONSTANTS.checks if alone else CONSTANTS.first_checks + CONSTANTS.wave + unknowns
-    runs = min(few, problem.loop.budget(unknowns)) - len(list((out / "mpm").glob("*.npz")))
-    work, size = planned([problem.scene])
-    size = PROCESS + INVERSION + 2 * processors() * (size - PROCESS)
-    runs = max(runs, 0)
-    time = expected(problem.scene, runs * work, memory=size, processors=processors(), least=True)
-    return f"{runs} runs of the MPM or more; {time}"
-
-
-def print_outcome(result: "Result", out: Path) -> None:
-    """Print the outcome. Raises WorkFailed where the MPM did not confirm."""
-    from inverse.report import summary
-
-    print(summary(result))
-    if not result.verdict.confirms:
-        raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from datasets.errors import WorkFailed
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory
 from datasets.lock import locked
@@ -23,6 +24,7 @@ from inverse.posterior.emulator import linear
 from inverse.posterior.information import information, measurements
 from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem, read_problem
+from inverse.report import summary
 from inverse.result import Result
 from inverse.saving import save
 from inverse.search.descent import ROUGH, inverted
@@ -82,6 +84,13 @@ def solve(
         if out is not None:
             save(result, out)
     return result
+
+
+def print_outcome(result: Result, out: Path) -> None:
+    """Print the outcome. Raises WorkFailed where the MPM did not confirm."""
+    print(summary(result))
+    if not result.verdict.confirms:
+        raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")
 
 
 def run(
@@ -160,11 +169,11 @@ def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
     named, box, answers = task.problem.named, task.problem.box, []
     for part, parameters in zip(led.answers, task.at(np.stack([each.point for each in led.answers])), strict=True):
         checks = [each for each in state.runs if np.array_equal(each.parameters, parameters)]
-        seen = [each.observation for each in checks] or state.knowledge.posterior.expected(part.point[None])
+        seen = [each.numbers for each in checks] or state.knowledge.posterior.expected(part.point[None])
         shown = np.mean(seen, axis=0)
         error = {"misfit": task.target.misfit(shown)}
         if checks and math.isfinite(task.target.front):
-            error["front_pct"] = 100.0 * float(np.mean([each.front_error for each in checks]))
+            error["front_pct"] = 100.0 * float(np.mean([task.target.front_error(each.trajectory) for each in checks]))
         interval = dict(zip(task.problem.names, box.at(part.interval).T.tolist(), strict=True))
         answer = {"unknowns": named(parameters), "interval": interval, "weight": part.weight, "mpm_error": error}
         answer["half_widths"] = named(box.range * part.half_widths)
@@ -175,25 +184,15 @@ def of_surrogate(task: Task, led: Inversion, state: Loop) -> dict[str, Any]:
 def statement(state: Loop) -> str:
     """What the posterior is made of, in sentences."""
     found, led = state.knowledge.posterior, state.knowledge.guide is not None
-    prior = prior_of(state.knowledge.problem)
     enough = CONSTANTS.converged_around if state.known or led else CONSTANTS.converged
     more = " **More runs of the MPM (`mpm_runs`) would narrow these.**" if found.emulator_share > enough else ""
     before = f" ({len(state.known)} of them made before)" if state.known else ""
     return (
         f"An emulator of {int(found.near.sum())} of the {len(state.every)} MPM runs{before}, each with its own jitter "
-        f"seed, gives the posterior over the whole box ({prior}). What the emulator does not "
-        f"know is {100.0 * found.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} "
-        f"Two independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
+        "seed, gives the posterior over the whole box. What the emulator does not know is "
+        f"{100.0 * found.emulator_share:.2g} % of the variance, and part of the intervals, at 95 %.{more} Two "
+        f"independent populations of samples differ by {found.samples.difference:.2g} standard deviations."
     )
-
-
-def prior_of(problem: Problem) -> str:
-    """The prior in words."""
-    if problem.prior is None:
-        return "uniform prior between the bounds"
-    stated = [f"`{each.name}` {each.prior.text}" for each in problem.numbers if each.prior is not None]
-    pairs = [f"{' with '.join(each.between)} correlated by {each.coefficient:g}" for each in problem.correlations]
-    return f"prior, cut off at the bounds: {', '.join([*stated, *pairs])}"
 
 
 def further(outcome: Conclusion) -> dict[str, float]:

@@ -32,7 +32,7 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.search.inference import Inversion, further, wave_size
 from inverse.settings import Surrogate
-from mpm.footprint import SPEED
+from mpm.footprint import INVERSION, PROCESS, SPEED, expected, planned
 from mpm.resolution import particle_steps
 from validation.loop.task import Loop, Task
 from validation.loop.verdict import checked
@@ -94,6 +94,19 @@ def seconds_of_run(problem: Problem) -> float:
 def quick(run: float) -> bool:
     """Whether a run of the MPM takes so few seconds that no prediction is cheap beside it."""
     return run < PREDICTIONS * QUICKEST
+
+
+def estimate(problem: Problem, model: Path | None, out: Path) -> str:
+    """What the runs take at least that a loop makes first, and those that check its answer."""
+    unknowns = len(problem.parameters)
+    alone = problem.surrogate is Surrogate.NONE or (model is None and quick(seconds_of_run(problem)))
+    fill = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns + CONSTANTS.repeats
+    few = fill + CONSTANTS.checks if alone else CONSTANTS.first_checks + CONSTANTS.wave + unknowns
+    runs = max(min(few, problem.loop.budget(unknowns)) - len(list((out / "mpm").glob("*.npz"))), 0)
+    work, size = planned([problem.scene])
+    size = PROCESS + INVERSION + 2 * processors() * (size - PROCESS)
+    spoken = expected(problem.scene, runs * work, memory=size, processors=processors(), least=True)
+    return f"{runs} runs of the MPM or more; {spoken}"
 
 
 def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forward | None, str]:

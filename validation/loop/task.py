@@ -18,17 +18,11 @@ from inverse.parameters import Vector
 from inverse.posterior import Matrix
 from inverse.problem import Problem
 from inverse.search.inference import Inference
-from inverse.search.waves import ModelRun, WaveSearch, jitter_seed
+from inverse.search.waves import WaveSearch, jitter_seed
 from mpm import ALL, LAST, simulate_many
 from validation.runs import SHARE, RunStore
 
-
-@dataclass(frozen=True, kw_only=True)
-class LoopRun(ModelRun, MpmRun):
-    """A run of the MPM in a search."""
-
-
-Loop = WaveSearch[LoopRun, Inference]
+Loop = WaveSearch[MpmRun, Inference]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,13 +49,13 @@ class Task:
             for row in box.at(points)
         ]
 
-    def __call__(self, points: Matrix, first: int, *, purpose: Purpose = Purpose.WAVE) -> tuple[LoopRun, ...]:
+    def __call__(self, points: Matrix, first: int, *, purpose: Purpose = Purpose.WAVE) -> tuple[MpmRun, ...]:
         """Runs at points [S, U] of the unit box, each with a jitter seed of its own; first: number of the first."""
         locations, seed = self.at(points), self.problem.scene.seed
         scenes = [self.problem.scene_at(each, jitter_seed(seed, first + index)) for index, each in enumerate(locations)]
         return self.compared(locations, scenes, purpose)
 
-    def compared(self, locations: Sequence[Vector], scenes: Sequence[Scene], purpose: Purpose) -> tuple[LoopRun, ...]:
+    def compared(self, locations: Sequence[Vector], scenes: Sequence[Scene], purpose: Purpose) -> tuple[MpmRun, ...]:
         """Runs of `scenes`, which have the parameters `locations`, compared with the target."""
         store = RunStore(self.folder, self.simulate, label=f"{purpose}-")
         # The last frame, unless the observation is one over time.
@@ -70,15 +64,14 @@ class Task:
         files = [f"{self.folder.name}/{store.file(each, record).name}" for each in flows]
         return tuple(self.run(*each, purpose) for each in zip(locations, flows, files, strict=True))
 
-    def run(self, location: Vector, flow: Trajectory, file: str = "", purpose: Purpose = Purpose.KNOWN) -> LoopRun:
+    def run(self, location: Vector, flow: Trajectory, file: str = "", purpose: Purpose = Purpose.KNOWN) -> MpmRun:
         """A flow with the parameters `location` [U], compared with the target; file: where it is stored."""
-        return LoopRun(
+        return MpmRun(
             purpose=purpose,
             parameters=location,
             point=self.problem.box.shares(location),
             numbers=self.target.observation.observe(flow),
             trajectory=flow,
-            target=self.target,
             seconds=float(flow.summary.get(SHARE, 0.0)) if file else 0.0,
             file=file,
         )
@@ -89,7 +82,7 @@ class Task:
             raise InputError("expected no deposit, whose particles are others on other cells", key="observations")
         return scene.with_cell(factor * scene.domain.cell)
 
-    def search(self, known: tuple[LoopRun, ...] = (), runs: tuple[LoopRun, ...] = ()) -> Loop:
+    def search(self, known: tuple[MpmRun, ...] = (), runs: tuple[MpmRun, ...] = ()) -> Loop:
         """The search by runs of the MPM; known: from other targets, `runs`: those that there are already."""
         unknowns = len(self.problem.parameters)
         return WaveSearch(

@@ -18,7 +18,7 @@ from inverse.posterior.answers import Part
 from inverse.posterior.posterior import Posterior, Region
 from inverse.posterior.settings import CONSTANTS
 from inverse.search.inference import narrowed, parts_of
-from validation.loop.task import Loop, LoopRun, Task
+from validation.loop.task import Loop, Task
 
 CLOSE = 0.35
 """Of a half-width: checks this close to an answer are checks of it."""
@@ -55,7 +55,7 @@ def concluded(task: Task, state: Loop, *, moves: int = CONSTANTS.moves) -> Concl
         # The error grows as the cell (Roache 1994): nature has none, a twin on other cells that of its own.
         own, other = (each[0].trajectory.scene.domain.cell for each in (found[0].checks, cells))
         share = (own - (task.target.cell or 0.0)) / (own - other)
-        change = share * (found[0].observation - np.mean([each.observation for each in cells], axis=0))
+        change = share * (found[0].observation - np.mean([each.numbers for each in cells], axis=0))
         beyond = 1.0 if share <= 0.0 else max(0.0, 1.0 - 1.0 / share)
         state, found = checked(reopened(state, discretisation=change, extrapolated=beyond), moves=moves)
     for _ in range(CONSTANTS.rounds):
@@ -151,13 +151,13 @@ def is_certain(answer: Answer) -> bool:
     return fit.scatter**2 / len(answer.checks) < NEGLIGIBLE * total
 
 
-def distances(runs: Sequence[LoopRun], part: Part) -> Values:
+def distances(runs: Sequence[MpmRun], part: Part) -> Values:
     """Distance of runs from the point of a part: root mean square over the parameters, in half-widths, shape [n]."""
     off = (np.stack([each.point for each in runs]) - part.point) / np.maximum(part.half_widths, 1e-6)
     return np.asarray(np.sqrt((off**2).mean(axis=1)))
 
 
-def checks_of(state: Loop, part: Part) -> list[LoopRun]:
+def checks_of(state: Loop, part: Part) -> list[MpmRun]:
     """The checks of a part: those at the place, among all in it that were checked, that is nearest to its point."""
     made = [each for each in state.runs if each.purpose is Purpose.CHECK]
     if not made:
@@ -209,7 +209,7 @@ def fitted(state: Loop, checks: Sequence[MpmRun], point: Vector) -> Fit:
         scatter = Scatter.of_runs(state.points, numbers, known.scatter)
     place, step = known.box.shares(checks[0].parameters), 1e-3 * np.eye(len(point))
     there, here = known.posterior.expected(np.stack([point, place]))
-    shown = np.stack([each.observation for each in checks]) + (there - here)
+    shown = np.stack([each.numbers for each in checks]) + (there - here)
     slopes: Matrix | None = None
     if shown.shape[1] <= MAX_NUMBERS:
         # Derivatives by parameters in fractions of their ranges, by the emulator, shape [U, M].

@@ -12,16 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from datasets import Baffle, Mass, Scene, read_scene
 from datasets.definitions import NAMES, read_definition
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.definitions.flow2d import FLOW2D
 from datasets.definitions.held_out import ASPECTS, is_held_out, neighbours
 from datasets.definitions.obstacle3d import OBSTACLE3D
 from datasets.definitions.paper_families import BAFFLES3D, COLUMNS2D
-from datasets.errors import InputError
 from datasets.geometry.placement import overlaps
-from datasets.scene import Baffle, Mass, Scene
-from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles
 from datasets.schema import changed
 from tests.refusals import refused
@@ -49,8 +47,7 @@ def test_seed_and_index_decide_and_a_smaller_dataset_is_a_prefix(definition: Def
     own = {definition.stream(index): entry for index, entry in enumerate(whole)}.values()
     assert len({entry.scene.seed for entry in own}) == len({entry.scene.masses for entry in own}) == len(own)
     for count, seed, key in ((0, 0, str(definition.size)), (1201, 0, str(definition.size)), (1, -1, "seed")):
-        with pytest.raises(InputError, match=key):
-            definition.entries(seed=seed, count=count)
+        refused(definition.entries, seed=seed, count=count, said=key)
 
 
 DRAWN = {
@@ -158,14 +155,10 @@ PAGE = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="u
 TEXT = """
 [scene]
 duration = 0.01
-[scene.domain]
-size = [0.4, 0.2]
-cell = 0.02
+domain = { size = [0.4, 0.2], cell = 0.02 }
+masses = [{ lower = [0.1, 0.0], size = [0.1, 0.1] }]
 [scene.material]
 friction_deg = {friction}
-[[scene.masses]]
-lower = [{lower}, 0.0]
-size = [0.1, 0.1]
 """
 
 
@@ -206,28 +199,20 @@ def test_the_definition_on_the_page(tmp_path: Path) -> None:
     [
         ("{friction}", "{ uniform = [1.0] }", "scene.material.friction_deg.uniform: expected two numbers"),
         ("{friction}", "{ normal = [30, 2], step = 1 }", "no other key beside it than it, got step"),
-        (
-            "{friction}",
-            "30.0\ncohesoin = 1.0",
-            "scene.material.cohesoin: expected a known key, did you mean 'cohesion'",
-        ),
+        ("{friction}", "30.0\ncohesoin = 1", "scene.material.cohesoin: expected a known key, did you mean 'cohesion'"),
         ("{friction}", "{ uniform = [91, 95] }", "(in each of 1000 draws)"),
         ("{friction}", "{ variable = [30.0] }", "expected one of the variables [], got [30.0]"),
-        (
-            "{friction}",
-            "{ variable = 'a', factor = 2 }\n[variables]\na = 'x'",
-            "expected numbers, variable, factor and",
-        ),
+        ("{friction}", "{ variable = 'a', factor = 2 }\n[variables]\na = 'x'", "expected numbers, variable, factor"),
         ("[scene]", "count = 1000000000000\n[scene]", "count: expected at least 1, at most 1000000 scenes"),
     ],
 )
 def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected: str) -> None:
-    text = TEXT.replace(old, new).replace("{friction}", "30.0").replace("{lower}", "0.1")
+    text = TEXT.replace(old, new).replace("{friction}", "30.0")
     assert refused(definition, tmp_path, text, said=expected).where == str(tmp_path / "steps.toml")
 
 
 def test_many_bodies_are_drawn_less_often(tmp_path: Path) -> None:
     """A draw of 200 bodies takes ten times as long as one of 20: 1000 of them would take minutes."""
     baffles = "[[scene.baffles]]\ncount = 199\nlower = [{ uniform = [0.3, 0.5] }, 0.0]\nsize = [0.1, 0.1]\n"
-    text = TEXT.replace("{friction}", "30.0").replace("{lower}", "0.1") + baffles
+    text = TEXT.replace("{friction}", "30.0") + baffles
     refused(definition, tmp_path, text, said="(in each of 100 draws)")

@@ -7,10 +7,8 @@ from operator import add
 import numpy as np
 import pytest
 
+from datasets import InputError, Mass, Material, Scene, Solid
 from datasets.definitions.training import MOVING_SPEED, MotionStatistics, motion_statistics, thin
-from datasets.errors import InputError
-from datasets.scene import Mass, Scene, Solid
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles, observed_cohesion
 from tests.scenes import scene_of
 

@@ -14,11 +14,10 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
-from datasets import InputError, read_scene, read_trajectory
+from datasets import InputError, Trajectory, read_scene, read_trajectory
 from datasets.exchange import geoelements
 from datasets.exchange.spreadsheet import read_columns
 from datasets.files import read_toml
-from datasets.flow.trajectory import Trajectory
 from datasets.scene.library import SCENES, scene_from
 from datasets.scene.particles import initial_particles
 from tests.datasets.conftest import toy
@@ -152,16 +151,3 @@ def test_line_breaks_leave_one_line() -> None:
     assert str(error) == "a b.toml: key: expected a name, got a b"
     with pytest.raises(InputError, match=r"^no scene: expected the path of a scene"):
         read_scene("no\nscene")
-
-
-@pytest.mark.parametrize("solid", ["baffles", "solids"])
-@pytest.mark.parametrize("lower", [[0.0, 0.0], [0.3, 0.1]])
-def test_a_solid_without_thickness_is_one_line(solid: str, lower: list[float]) -> None:
-    data = {
-        "domain": {"size": [1.0, 0.4], "cell": 0.02},
-        "material": {"friction_deg": 30.0},
-        "masses": [{"lower": [0.5, 0.0], "size": [0.1, 0.1]}],
-        solid: [{"lower": lower, "size": [5.0e-13, 0.1]}],
-    }
-    with pytest.raises(InputError, match=rf"{solid}\[0\].*: expected .* 1e-09"):
-        scene_from(data, Path())

@@ -16,7 +16,7 @@ from datasets.files import write_json
 from datasets.flow.trajectory import Trajectory
 from tests.breaking import dataset_files
 from tests.datasets.conftest import FRAMES, toy, toy_dataset, toy_scene
-from tests.datasets.flow.test_array_files import OBJECTS, npy, with_member
+from tests.datasets.flow.test_array_files import OBJECTS, Calls, npy, with_member
 from tests.refusals import refused, refused_by
 
 TO, FROM = ("--to", "geoelements"), ("--from", "geoelements")
@@ -145,16 +145,6 @@ POSITIONS = np.random.default_rng(0).random((4, 5, 2))
 TYPES = np.array([6, 3, 6, 6, 3])
 
 
-class Calls:
-    """Pickles as a call of `function`."""
-
-    def __init__(self, function: Any, *arguments: Any) -> None:
-        self.made = (function, arguments)
-
-    def __reduce__(self) -> Any:
-        return self.made
-
-
 def stored(path: Path, content: bytes, count: int = 1) -> Path:
     """An NPZ of one object array, pickled so."""
     return with_member(path, npy(OBJECTS.replace("(1,)", f"({count},)"), content))
@@ -184,11 +174,7 @@ def test_pickles_of_the_older_numpy(tmp_path: Path) -> None:
         (objects(POSITIONS, TYPES, np.array(["a"] * 5)), 3, "material properties as numbers"),
         (b"", 1, "positions, particle types"),
         (pickle.dumps([1, 2]), 1, "positions as numbers"),
-        (
-            pickle.dumps(Calls(os.mkdir, "/nowhere/else")),
-            1,
-            f"expected arrays and nothing else, found the name '{os.name}",
-        ),
+        (pickle.dumps(Calls(os.mkdir, "/nowhere/else")), 1, f"arrays and nothing else, found the name '{os.name}"),
     ],
 )
 def test_what_is_no_trajectory_or_hostile(tmp_path: Path, content: bytes, count: int, expected: str) -> None:

@@ -10,15 +10,15 @@ import pyvista
 import rasterio
 from rasterio.transform import Affine
 
+from datasets import Scene, Trajectory, read_scene, write_scene
 from datasets.compare import compare
 from datasets.exchange.vtk import write_vtk
-from datasets.flow.trajectory import Trajectory
 from datasets.maps import maps_of, write
-from datasets.scene import Scene
-from datasets.scene.library import read_scene, write_scene
 from datasets.scene.particles import initial_particles, mass_volumes
-from tests.flows import flow_of
+from tests.datasets.exchange.test_scene_files import scene as read
+from tests.datasets.exchange.test_scene_files import write_raster
 from tests.refusals import refused
+from tests.scenes import flow_of
 
 PLACE = (2_600_000.0, 2_000.0, 1_200_000.0)
 """Easting, elevation and northing of the box, as in the middle of Switzerland."""
@@ -95,11 +95,6 @@ file = "line.csv"
 """
 
 
-def read(folder: Path, text: str) -> Scene:
-    (folder / "scene.toml").write_text(text)
-    return read_scene(folder / "scene.toml")
-
-
 def on_map(scene: Scene, crs: str | None = None) -> Scene:
     """A scene with its box at the place."""
     origin = PLACE[: scene.dimension]
@@ -131,10 +126,7 @@ def test_a_scene_in_2d_and_its_csv(tmp_path: Path) -> None:
 
 def raster(path: Path, values: np.ndarray, east: float, north: float, crs: str | None) -> None:
     """Cells of 0.5 m from a lower left corner on."""
-    place = {"transform": Affine(0.5, 0.0, east, 0.0, -0.5, north + 0.5 * len(values)), "crs": crs}
-    driver, (height, width) = "GTiff" if path.suffix == ".tif" else "AAIGrid", values.shape
-    with rasterio.open(path, "w", driver=driver, count=1, height=height, width=width, dtype="float64", **place) as file:
-        file.write(values, 1)
+    write_raster(path, values, crs, transform=Affine(0.5, 0.0, east, 0.0, -0.5, north + 0.5 * len(values)))
 
 
 RASTERS = """\

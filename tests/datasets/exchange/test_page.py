@@ -16,13 +16,11 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets import Material, Solid, Trajectory
 from datasets.exchange import page as view
 from datasets.exchange.page import Observed, write_view
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Solid
-from datasets.scene.material import Material
 from tests.datasets.conftest import toy
+from tests.refusals import refused
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 HOSTILE = "</script><img src=x onerror=alert(1)>"
@@ -120,8 +118,7 @@ def test_two_flows_have_a_distance_and_one_set_of_materials(tmp_path: Path) -> N
     np.testing.assert_allclose(apart[:, 0], [0.0] * 5 + [0.02], atol=2e-4)
     assert head["fields"]["material"]["ticks"]["ticktext"] == ["30°", "40°"]
     assert [numbers(data, run["fields"]["material"]).max() for run in head["runs"]] == [0.0, 1.0]
-    with pytest.raises(InputError, match="expected a 2D flow"):
-        write_view(page, flow, toy(3))
+    refused(write_view, page, flow, toy(3), said="expected a 2D flow")
 
 
 def test_solids_are_those_of_both_and_the_ground_lies_over_the_box(tmp_path: Path) -> None:

@@ -13,29 +13,26 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rasterio.transform import Affine
 
+from datasets import Scene, read_scene
 from datasets.exchange.meshes import read_mesh, write_surface
 from datasets.exchange.rasters import read_raster
 from datasets.geometry.nearest import nearest
 from datasets.geometry.shells import manifold, outward
-from datasets.scene import Scene
 from datasets.scene.checks import warn_if_unlikely
-from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles, mass_volumes
 from tests.datasets.geometry.solids import CUBE, QUADS, sphere, surface
 from tests.refusals import refused
 
 PLANE = """\
 duration = 0.1
-[domain]
-size = [2.0, 1.0]
-cell = 0.05
-[material]
-friction_deg = 30.0
+domain = { size = [2.0, 1.0], cell = 0.05 }
+material = { friction_deg = 30.0 }
 """
 SPACE = PLANE.replace("[2.0, 1.0]", "[2.0, 1.0, 1.0]")
 BODY = "[[masses]]\nlower = [1.7, 0.8]\nsize = [0.2, 0.1]\n"
 BODY_3D = "[[masses]]\nlower = [1.7, 0.8, 0.4]\nsize = [0.2, 0.1, 0.2]\n"
 TERRAIN = '[[solids]]\nkind = "terrain"\n'
+LAYER = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
 
 
 def scene(folder: Path, text: str) -> Scene:
@@ -91,23 +88,7 @@ def test_a_height_field(tmp_path: Path, name: str) -> None:
     assert Scene.from_json(found.to_json()) == found
 
 
-def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path) -> None:
-    write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2))
-    # 0.4 x 0.3 m of release, 1.0 and 0.5 m from the corner.
-    transform = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
-    write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), transform=transform)
-    layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
-    found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + layer)
-    # The raster's cells whole.
-    assert mass_volumes(found)[0] == pytest.approx(0.4 * 0.3 * 0.1, rel=1e-9)
-    particles = initial_particles(found).positions
-    np.testing.assert_allclose(particles.min(axis=0), (1.0, 0.2, 0.5), atol=0.025)
-    np.testing.assert_allclose(particles.max(axis=0), (1.4, 0.3, 0.8), atol=0.025)
-
-
 NONE = -9999.0
-
-
 HEIGHTS = st.sampled_from((NONE, 0.0)) | st.floats(0.05, 0.3)
 RINGED = np.pad(np.full((3, 3), 0.2), 2, constant_values=NONE)
 
@@ -139,8 +120,7 @@ def test_a_release_has_the_volume_of_its_cells(
 
 def test_a_layer_that_the_box_cuts_is_said(tmp_path: Path) -> None:
     write_raster(tmp_path / "release.tif", np.full((2, 4), 0.2))
-    layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\nat = [1.9, 0.2]\n'
-    found = scene(tmp_path, SPACE + layer)
+    found = scene(tmp_path, SPACE + LAYER + "at = [1.9, 0.2]\n")
     assert mass_volumes(found)[0] == pytest.approx(0.1 * 0.2 * 0.2, rel=1e-9)
     with pytest.warns(UserWarning, match=r"masses\[0\]: 0.75 of the layer lies beyond the sides"):
         warn_if_unlikely(found)
@@ -201,27 +181,18 @@ def test_scale_and_offset_of_a_raster_are_applied(tmp_path: Path) -> None:
     np.testing.assert_allclose(ground(found, [(1.0, 0.3, 0.5)]), 0.1, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("crs", "east", "same"),
-    [
-        ("EPSG:32632", 5e5, True),
-        ("EPSG:25832", 5e5, True),
-        (None, 5e5, True),
-        ("EPSG:31287", 4e5, False),
-        ("EPSG:4647", 4e5, False),
-    ],
-)
-def test_reference_systems_of_one_scene(tmp_path: Path, crs: str | None, east: float, same: bool) -> None:
-    """UTM of ETRS89 and of WGS 84 lie on each other, Austria's Lambert does not; UTM with a zone has no such place."""
-    place = Affine(0.1, 0.0, east, 0.0, -0.1, 10.0 * east + 1.0 if same else east)
+@pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:25832", None])
+def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path, crs: str | None) -> None:
+    """0.4 x 0.3 m, 1.0 and 0.5 m from its corner, by the same map: UTM of ETRS89 and of WGS 84 lie on each other."""
+    place = Affine(0.1, 0.0, 500001.0, 0.0, -0.1, 5000000.0 + 0.5 + 0.3)
     write_raster(tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:32632")
     write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), crs, transform=place)
-    text = SPACE + TERRAIN + 'file = "dem.tif"\n' + '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
-    if same:
-        assert mass_volumes(scene(tmp_path, text))[0] == pytest.approx(0.012, rel=1e-9)
-    else:
-        found = refused(scene, tmp_path, text, said="expected the reference system of the scene's other raster")
-        assert found.key == "masses[0].thickness"
+    found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER)
+    # The raster's cells whole.
+    assert mass_volumes(found)[0] == pytest.approx(0.4 * 0.3 * 0.1, rel=1e-9)
+    particles = initial_particles(found).positions
+    np.testing.assert_allclose(particles.min(axis=0), (1.0, 0.2, 0.5), atol=0.025)
+    np.testing.assert_allclose(particles.max(axis=0), (1.4, 0.3, 0.8), atol=0.025)
 
 
 @pytest.mark.parametrize("name", ["ball.stl", "ball.obj", "ball.msh"])
@@ -247,18 +218,17 @@ def test_a_mesh_in_millimetres_is_not_filled(tmp_path: Path) -> None:
     assert mass_volumes(scene(tmp_path, text + "scale = 0.001\n"))[0] == pytest.approx(0.125, rel=1e-6)
 
 
-def test_a_map_with_scale_holes_and_rows_from_the_south(tmp_path: Path) -> None:
-    """An int16 raster in millimetres of y = 0.1 + 0.2 z, and one of a release with a hole it does not declare."""
-    heights = np.round(1000.0 * (0.1 + 0.2 * (0.05 + 0.1 * np.arange(10)))).astype(np.int16)
+def test_a_map_with_scale_offset_holes_and_rows_from_the_south(tmp_path: Path) -> None:
+    """An int16 raster in millimetres of 9.8 + 0.1 + 0.2 z, and one of a release with a hole it does not declare."""
+    heights = np.round(1000.0 * (9.9 + 0.2 * (0.05 + 0.1 * np.arange(10)))).astype(np.int16)
     thickness = np.array([[200, 200, 200], [200, -32768, 200]], np.int16)
     for name, values in (("dem.tif", np.repeat(heights[:, None], 20, axis=1)), ("release.tif", thickness)):
         upwards = Affine(0.1, 0.0, 500000.0, 0.0, 0.1, 5000000.0)
         write_raster(tmp_path / name, values, "EPSG:25832+5783", dtype="int16", nodata=None, transform=upwards)
         with rasterio.open(tmp_path / name, "r+") as file:
-            file.scales = (0.001,)
-    layer = '[[masses]]\nkind = "layer"\nthickness = "release.tif"\nat = [0.4, 0.2]\n'
+            file.scales, file.offsets = (0.001,), (-9.8 if name == "dem.tif" else 0.0,)
     with pytest.warns(UserWarning, match="release.tif: 1 values such as -32768 are taken as no data"):
-        found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + layer)
+        found = scene(tmp_path, SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER + "at = [0.4, 0.2]\n")
     np.testing.assert_allclose(ground(found, [(1.0, 0.4, 0.5), (1.0, 0.4, 0.9)]), [0.19612, 0.11767], atol=1e-4)
     assert mass_volumes(found)[0] == pytest.approx(5 * 0.1**2 * 0.2, rel=1e-9)
 
@@ -270,15 +240,16 @@ def holes(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("release", "words"), [("EPSG:25832", "31287"), ("EPSG:3857", "metres are metres on the ground")]
+    ("release", "words"),
+    [("EPSG:25832", "31287"), ("EPSG:4647", "31287"), ("EPSG:3857", "metres are metres on the ground")],
 )
 def test_a_release_of_another_map_is_refused(tmp_path: Path, release: str, words: str) -> None:
-    """Beside a DEM of Austria's Lambert one in UTM at its own place, and one of Web Mercator."""
+    """Beside a DEM of Austria's Lambert: UTM at its place, where UTM with a zone has none, and Web Mercator."""
     write_raster(
         tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:31287", transform=Affine(0.1, 0, 4e5, 0, -0.1, 4e5)
     )
     write_raster(tmp_path / "release.tif", np.full((3, 4), 0.1), release)
-    text = SPACE + TERRAIN + 'file = "dem.tif"\n' + '[[masses]]\nkind = "layer"\nthickness = "release.tif"\n'
+    text = SPACE + TERRAIN + 'file = "dem.tif"\n' + LAYER
     assert refused(scene, tmp_path, text, said=words).key == "masses[0].thickness"
 
 

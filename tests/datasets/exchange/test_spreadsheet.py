@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from datasets.exchange.spreadsheet import SEPARATORS, read_columns
-from inverse.observations.settings import LengthUnit
-from inverse.observations.settings import read_columns as read_observed
 from tests.refusals import refused
 
 X, HEIGHT = [0.105, -0.25, 1200.0], [0.021, 0.0, 1.5e-3]
@@ -48,9 +46,9 @@ def test_a_unit_of_the_file_comes_before_that_of_the_problem(tmp_path: Path) -> 
     """What has its own unit is returned in that of the problem, whose factor makes metres of it."""
     path = tmp_path / "table.csv"
     path.write_text("x [m],height\n1.0,20\n2.0,30\n")
-    table = read_observed(path, ("x", "height"), unit=LengthUnit.CENTIMETRE)
-    np.testing.assert_allclose(table["x"] * LengthUnit.CENTIMETRE.metres, [1.0, 2.0])
-    np.testing.assert_allclose(table["height"] * LengthUnit.CENTIMETRE.metres, [0.2, 0.3])
+    table = read_columns(path, ("x", "height"), metres=0.01)
+    np.testing.assert_allclose(table["x"] * 0.01, [1.0, 2.0])
+    np.testing.assert_allclose(table["height"] * 0.01, [0.2, 0.3])
 
 
 @pytest.mark.parametrize(

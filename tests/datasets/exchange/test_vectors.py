@@ -24,10 +24,6 @@ def written(path: Path, shape: shapely.Geometry, crs: str | None = SWISS, thickn
     return path
 
 
-def in_degrees(shape: shapely.Geometry) -> shapely.Geometry:
-    return shapely.transform(shape, lambda rows: np.stack(transform(SWISS, "EPSG:4326", *rows.T), axis=1))
-
-
 @pytest.mark.parametrize("name", ["field.shp", "field.gpkg", "field.geojson"])
 def test_each_format_has_the_polygons_and_their_attributes(tmp_path: Path, name: str) -> None:
     found = read_polygons(written(tmp_path / name, PAIR), SWISS)
@@ -38,7 +34,8 @@ def test_each_format_has_the_polygons_and_their_attributes(tmp_path: Path, name:
 
 @pytest.mark.parametrize("name", ["field.geojson", "field.kml"])
 def test_degrees_come_into_the_system_of_the_map(tmp_path: Path, name: str) -> None:
-    (found,) = read_polygons(written(tmp_path / name, in_degrees(FIELD), "EPSG:4326"), SWISS)
+    degrees = shapely.transform(FIELD, lambda rows: np.stack(transform(SWISS, "EPSG:4326", *rows.T), axis=1))
+    (found,) = read_polygons(written(tmp_path / name, degrees, "EPSG:4326"), SWISS)
     # GDAL writes degrees to 1 cm.
     assert found.polygon.symmetric_difference(FIELD).area < 2.0
     if name.endswith("kml"):

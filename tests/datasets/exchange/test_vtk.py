@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 import pyvista
 
+from datasets import Baffle, Mass, Material, Solid, Trajectory
 from datasets.errors import WorkFailed
 from datasets.exchange import vtk
 from datasets.exchange.vtk import write_vtk
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Solid
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from tests.datasets.conftest import toy
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 
 LEFT, RIGHT = Material(friction_deg=30.0), Material(friction_deg=40.0)
 START = np.array([[0.02, 0.01, 0.05], [0.06, 0.03, 0.05], [0.03, 0.02, 0.04], [0.07, 0.01, 0.06]])

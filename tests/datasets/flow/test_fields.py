@@ -30,7 +30,6 @@ def test_a_thinned_flow_has_the_particles_of_the_whole_one() -> None:
         mass=np.zeros(len(chosen), np.int32),
     )
     found = pairs(FlowFields(flow), FlowFields(thin))
-    assert found is not None
     np.testing.assert_array_equal(found[0], chosen)
     np.testing.assert_array_equal(found[1], np.arange(len(chosen)))
     assert compare(flow, thin).apart["positions"][-1] == 0.0

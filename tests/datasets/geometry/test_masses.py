@@ -32,7 +32,7 @@ def scene_of(*masses: Mass, solids: tuple[Solid, ...] = (), dimension: int = 2, 
 def ball(centre: tuple[float, float, float], radius: float) -> Mass:
     """A ball of material as a mesh."""
     vertices, triangles = sphere(centre, radius, 32)
-    return Mass(kind="mesh", vertices=as_rows(vertices), triangles=as_rows(triangles))  # type: ignore[arg-type]
+    return Mass(kind="mesh", vertices=as_rows(vertices), triangles=as_rows(triangles))
 
 
 def polygon(*vertices: tuple[float, float]) -> Mass:
@@ -89,7 +89,7 @@ def test_a_layer_on_a_height_field(outline: tuple[tuple[float, float], ...] | No
         (0.1, {}, 0.1 * area),
         (rows, {"origin": (0.0, 0.0), "spacing": (0.2, 0.2)}, (0.1 + 0.1 * mean_x) * area),
     ):
-        mass = Mass(kind="layer", thickness=thickness, outline=outline, **extra)  # type: ignore[arg-type]
+        mass = Mass(kind="layer", thickness=thickness, outline=outline, **extra)
         scene = scene_of(mass, solids=(VALLEY,), dimension=3)
         particles = initial_particles(scene)
         x, y, z = particles.positions.T

@@ -97,16 +97,10 @@ def random_positions(count: int, low: tuple[float, ...], high: tuple[float, ...]
     return np.random.default_rng(7).uniform(low, high, (count, len(low)))
 
 
-def box_distance(points: Floats, centre: Floats, half: Floats) -> Floats:
-    """Signed distance from a box (closed form)."""
-    off = np.abs(points - centre) - half
-    return np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(off.max(axis=1), 0.0)
-
-
 def consistent(points: Floats, found: object) -> None:
     """The foot, the normal and the distance say the same."""
-    np.testing.assert_allclose(found.foot + found.distance[:, None] * found.normal, points, atol=1e-9)  # type: ignore[attr-defined]
-    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-9)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(found.foot + found.distance[:, None] * found.normal, points, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("turned_deg", [0.0, 30.0, -101.0])
@@ -120,8 +114,9 @@ def test_a_box(dimension: int, turned_deg: float) -> None:
     c, s = math.cos(math.radians(turned_deg)), math.sin(math.radians(turned_deg))
     local = points.copy()
     local[:, plane] = (points - centre)[:, plane] @ np.array([[c, -s], [s, c]]) + centre[plane]
-    found = nearest(surface(scene), points)
-    np.testing.assert_allclose(found.distance, box_distance(local, centre, half), atol=1e-12)
+    found, off = nearest(surface(scene), points), np.abs(local - centre) - half
+    exact = np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(off.max(axis=1), 0.0)
+    np.testing.assert_allclose(found.distance, exact, atol=1e-12)
     consistent(points, found)
 
 

@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from datasets.scene import Mass, Scene
+from datasets import Mass, Material, Scene
 from datasets.scene.grid_field import Field, Grid
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles, particle_count, particle_volumes, warn_if_unresolved
 from tests.refusals import refused
 from tests.scenes import scene_of
@@ -120,7 +119,6 @@ def test_linear_fields_are_exact_inside_and_constant_beyond(grid: Grid) -> None:
 def test_particles_have_it_at_their_positions() -> None:
     particles = initial_particles(dataclasses.replace(SCENE, fields=(FRICTION,)))
     x, y = particles.positions.T
-    assert particles.friction_deg is not None
     np.testing.assert_allclose(particles.friction_deg, 20.0 + 20.0 * x + 20.0 * y, rtol=1e-12)
     np.testing.assert_allclose(particles.friction, np.tan(np.radians(20.0 + 20.0 * x + 20.0 * y)), rtol=1e-6)
     assert np.unique(particles.velocities[:, 0]).tolist() == [0.0, 1.0]
@@ -129,7 +127,6 @@ def test_particles_have_it_at_their_positions() -> None:
 def test_a_field_of_one_mass_leaves_the_others() -> None:
     still = dataclasses.replace(FRICTION, quantity="velocity_y", values=(-1.0,) * 4, mass=1)
     particles = initial_particles(dataclasses.replace(SCENE, fields=(dataclasses.replace(FRICTION, mass=0), still)))
-    assert particles.friction_deg is not None
     assert set(particles.friction_deg[particles.mass == 1]) == {30.0}
     assert set(particles.velocities[particles.mass == 0, 1]) == {0.0}
     np.testing.assert_allclose(particles.velocities[particles.mass == 1, 1], -1.0, rtol=1e-12)

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from datasets.scene import Mass, Scene, Solid
-from datasets.scene.library import read_scene, write_scene
-from datasets.scene.material import USUAL_YOUNG, Material
+from datasets import Mass, Material, Scene, Solid, read_scene, write_scene
+from datasets.scene.material import USUAL_YOUNG
 from datasets.scene.stiffness import greatest_speed
 from tests.scenes import SAND, box, scene_of
 
@@ -18,7 +17,7 @@ PLANE = Solid(kind="terrain", points=((0.0, 116.0), (200.0, 16.0)), friction=0.2
 
 
 def sheet(thickness: float, **changes: object) -> Mass:
-    return Mass(kind="layer", thickness=thickness, outline=((10.0,), (30.0,)), **changes)  # type: ignore[arg-type]
+    return Mass(kind="layer", thickness=thickness, outline=((10.0,), (30.0,)), **changes)
 
 
 def on_plane(mass: Mass, **changes: object) -> Scene:

@@ -118,8 +118,7 @@ def test_where_a_move_ends(
     dimension: int, start: tuple[float, float], end: tuple[float, float], expected: object
 ) -> None:
     before, after, stopped = (
-        torch.tensor([[*position, 0.35]], dtype=torch.float64)[:, :dimension]  # type: ignore[misc]
-        for position in (start, end, expected)
+        torch.tensor([[*position, 0.35]], dtype=torch.float64)[:, :dimension] for position in (start, end, expected)
     )
     got = keep_out(after, before, conditions(1, boxes(PADDING, BOX, dimension=dimension)))
     torch.testing.assert_close(got, stopped, atol=1.01 * SKIN, rtol=0.0)

@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import command_line
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Domain, Solid
+from datasets import Baffle, Domain, Solid, Trajectory, command_line
 from gns import card, checkpoint
 from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
@@ -134,7 +132,6 @@ def test_a_gradient_that_is_not_finite_ends_the_run_and_leaves_an_older_file(
     assert "the gradient of update 3 is not finite; last.pt is older and whole" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before
     found = card.read(tmp_path / "best.safetensors")
-    assert found is not None
     assert found.training.updates == 2
 
 
@@ -144,7 +141,6 @@ def test_a_training_leaves_a_model_with_its_card(
     assert run(dataset, tmp_path, "--updates", "1") == 0
     assert "1 updates in all" in capsys.readouterr().out
     found, best = card.read(tmp_path / "best.safetensors"), checkpoint.load(tmp_path / "best.safetensors")
-    assert found is not None
     assert (found.datasets[dataset.name].scenes, found.training.updates) == (4, 1)
     assert found.ranges["friction_deg"] == (20.0, 44.0)
     assert "released at rest" in (tmp_path / "scores.md").read_text() == found.scores

@@ -13,11 +13,8 @@ import pytest
 import torch
 from torch.nn.parallel import DistributedDataParallel
 
-from datasets.errors import InputError
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Solid
+from datasets import Baffle, InputError, Mass, Material, Solid, Trajectory
 from datasets.scene.grid_field import Field
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from gns.network.features import Inputs
 from gns.settings import ModelSettings, TrainingSettings
@@ -27,7 +24,7 @@ from gns.surroundings.state import Ground, State, in_model_units
 from gns.surroundings.units import Units
 from gns.training.loop import LAST, joined, rank
 from gns.training.losses import UnrolledLoss
-from gns.training.samples import Batch, Flow, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
+from gns.training.samples import Batch, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
 from tests.gns.conftest import TINY, rows, spreading
 from tests.scenes import scene_of
 
@@ -117,20 +114,11 @@ def test_a_stretch_gives_the_past_that_there_is(
     assert few.conditions.volume.sum() == pytest.approx(flow.volume.sum())
 
 
-def test_a_flow_over_terrain_has_its_ground_and_other_solids_are_refused(tmp_path: Path) -> None:
-    def over(solid: Solid, cell: float = 0.01) -> Flow:
-        flow = spreading(30.0)
-        dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(solid,))).save(tmp_path / "a.npz")
-        return Flows([tmp_path / "a.npz"], ModelSettings(cell=cell))[0]
-
-    ramp = Solid(kind="terrain", points=((0.0, 0.0), (0.4, 0.0), (0.6, 0.1)), friction=0.5)
-    ground = over(ramp, 0.1).conditions.ground
-    assert ground is not None
-    assert ground.spacing == 0.1
-    np.testing.assert_allclose(ground.elevation[0], [0.0] * 5 + [0.05, 0.1], atol=1e-7)
-    np.testing.assert_array_equal(ground.friction[0], [0.5] * 7)
+def test_solids_other_than_terrain_are_refused(tmp_path: Path) -> None:
+    flow, solid = spreading(30.0), Solid(lower=(0.45, 0.0), size=(0.02, 0.05))
+    dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(solid,))).save(tmp_path / "a.npz")
     with pytest.raises(InputError, match=r"a\.npz: solids\[0\].kind: expected baffles and terrain"):
-        over(Solid(lower=(0.45, 0.0), size=(0.02, 0.05)))
+        Flows([tmp_path / "a.npz"], ModelSettings())[0]
 
 
 def test_flows_are_opened_when_they_are_asked_for(tmp_path: Path, settings: ModelSettings) -> None:
@@ -275,8 +263,6 @@ def test_a_mirror_turns_its_axes_and_twice_changes_nothing(deep: Batch, axis: in
             for points, around, axes in ((own, before, order), (there, after, [0, 1, 2]))
         ]
         torch.testing.assert_close(*gaps, atol=1e-6, rtol=0.0)
-    assert before.ground is not None
-    assert after.ground is not None
     for there, here in (
         (after.ground.elevation, before.ground.elevation),
         (after.ground.friction, before.ground.friction),

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from datasets.scene import Mass
+from datasets import Mass
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator, unroll
+from inverse import Parameter, Problem, TargetSettings, read_problem
 from inverse.forward.gns import GnsForward
 from inverse.observations import FrontSettings, GaugesSettings, Rollout
-from inverse.parameters import Parameter
-from inverse.problem import Problem, read_problem
-from inverse.settings import TargetSettings
 from tests.scenes import scaled, scene_of
 
 

@@ -6,17 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
+from datasets import InputError, Mass, Solid
 from datasets.flow.measures import height_profile
-from datasets.scene import Mass, Solid
 from datasets.scene.particles import initial_particles
+from inverse import Problem, TargetSettings, read_problem
 from inverse.observations import ProfileSettings
 from inverse.observations.measured_profile import Heights
 from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile
-from inverse.observations.settings import LengthUnit
 from inverse.observations.target import Target
-from inverse.problem import Problem, read_problem
-from inverse.settings import TargetSettings
 from inverse.target import read_target
 from tests.inverse.observations.test_joint import never
 from tests.scenes import scene_of
@@ -32,10 +29,7 @@ def measured(folder: Path, x: np.ndarray = X, height: np.ndarray = HEIGHT, **set
     (folder / "profile.csv").write_text("x,height\n" + rows)
     problem = read_problem("friction-tall-42")
     return dataclasses.replace(
-        problem,
-        observations=(ProfileSettings(csv="profile.csv", **settings),),  # type: ignore[arg-type]
-        folder=folder,
-        target=TargetSettings(),
+        problem, observations=(ProfileSettings(csv="profile.csv", **settings),), folder=folder, target=TargetSettings()
     )
 
 
@@ -43,18 +37,11 @@ def target_of(problem: Problem) -> Target:
     return read_target(problem, never)
 
 
-def operator_of(problem: Problem) -> Profile:
-    """The operator of a measured profile."""
-    operator = problem.operators[0]
-    assert isinstance(operator, Profile)
-    return operator
-
-
 @pytest.mark.parametrize(
     ("x", "height", "settings"),
     [
-        (100.0 * X, 100.0 * HEIGHT, {"unit": LengthUnit.CENTIMETRE}),
-        (X / 0.3048, HEIGHT / 0.3048 - 3.0, {"unit": LengthUnit.FOOT, "datum": -3.0}),
+        (100.0 * X, 100.0 * HEIGHT, {"unit": "cm"}),
+        (X / 0.3048, HEIGHT / 0.3048 - 3.0, {"unit": "ft", "datum": -3.0}),
         (X[:21], HEIGHT[:21], {}),
         (X, HEIGHT, {"heights": Heights.SURFACE}),
     ],
@@ -94,7 +81,7 @@ def test_what_is_no_profile_of_this_flow_is_refused_with_the_reason(
 def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> None:
     """Deposits whose heights are drawn with it, and with the error of representation, scatter as the target says."""
     problem = measured(tmp_path, noise="3%")
-    observation = operator_of(problem)
+    observation = problem.operators[0]
     target = target_of(problem)
     rng = np.random.default_rng(7)
     deviation = np.where(X < 0.43, np.hypot(0.03 * HEIGHT, REPRESENTATION * problem.scene.domain.cell), 0.0)
@@ -109,7 +96,7 @@ def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> Non
 
 def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None:
     """A deposit that lies looser where it is thin: its surface is not in proportion to its equivalent height."""
-    observation = operator_of(measured(tmp_path, heights=Heights.SURFACE))
+    observation = measured(tmp_path, heights=Heights.SURFACE).operators[0]
     assert isinstance(observation, SurfaceProfile)
     rng = np.random.default_rng(6)
     x = 0.42 * (1.0 - np.sqrt(1.0 - rng.random(40_000)))
@@ -139,8 +126,8 @@ def test_elevations_over_terrain_are_heights_above_it(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     deposit = np.stack([0.4 * rng.random(20_000), 0.05 * rng.random(20_000)], axis=1)
     moved = deposit + np.stack([np.zeros(20_000), 0.3 - 0.2 * deposit[:, 0]], axis=1)
-    seen = operator_of(over).exact(moved)
-    np.testing.assert_allclose(seen, operator_of(plain).exact(deposit), atol=1e-6)
+    seen = over.operators[0].exact(moved)
+    np.testing.assert_allclose(seen, plain.operators[0].exact(deposit), atol=1e-6)
 
 
 @pytest.mark.parametrize("heights", list(Heights))
@@ -156,6 +143,5 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights) -> No
     np.savetxt(tmp_path / "profile.csv", rows, delimiter=",", header="x,height", comments="")
     settings = ProfileSettings(csv="profile.csv", heights=heights)
     profile = settings.read(scene, tmp_path, 0.08).profile
-    assert profile is not None
     np.testing.assert_allclose(profile.at(stations), thickness, rtol=1e-8, atol=1e-9)
     assert np.trapezoid(profile.height, profile.x) == pytest.approx(0.08, rel=1e-8)

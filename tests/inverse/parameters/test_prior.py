@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,15 +10,15 @@ import torch
 from scipy import stats
 
 from datasets.schema import changed, from_mapping
-from inverse import Correlation, Parameter, Prior
+from inverse import Correlation, Parameter, Prior, Problem, read_problem
 from inverse.answer import Answer, Combination, unidentified
 from inverse.observations.errors import Covariance
 from inverse.parameters.prior import JointPrior
 from inverse.posterior import Matrix
 from inverse.posterior.posterior import posterior
 from inverse.posterior.sampling import Samples, sample
-from inverse.problem import Problem, read_problem
 from inverse.search.descent import inverted
+from tests.inverse.flows import problem_of
 from tests.inverse.posterior.test_posterior import SCATTER, SLOPES, target_of
 from tests.inverse.search.test_descent import NAMES, Formula, WithGradient
 from tests.refusals import refused
@@ -39,7 +38,7 @@ EXACT: dict[str, Callable[[Matrix], Matrix]] = {
 
 
 def number(prior: Prior | None, name: str = "friction_deg", **bounds: float) -> Parameter:
-    return Parameter(name=name, prior=prior, **({"lower": LOWER, "upper": UPPER} | bounds))  # type: ignore[arg-type]
+    return Parameter(name=name, prior=prior, **({"lower": LOWER, "upper": UPPER} | bounds))
 
 
 def joint(first: float = 0.15, second: float = 0.2, coefficient: float = -0.5) -> JointPrior:
@@ -225,9 +224,9 @@ def test_a_lognormal_velocity_below_0_and_pairs_that_contradict_each_other_are_r
 
 
 @pytest.mark.parametrize("made", [Formula, WithGradient])
-def test_the_gradient_ends_at_the_most_probable_parameters(make_problem: Any, made: type[Formula]) -> None:
+def test_the_gradient_ends_at_the_most_probable_parameters(made: type[Formula]) -> None:
     """Numbers that are linear in one parameter, as precise together as its prior: the mean of both."""
-    free = make_problem(2, NAMES[0])
+    free = problem_of(2, NAMES[0])
     (known,), low, width = free.parameters, free.box.lower[0], free.box.range[0]
     prior = Prior(kind="normal", mean=low + 0.6 * width, deviation=0.05 * width)
     problem = dataclasses.replace(free, parameters=(dataclasses.replace(known, prior=prior),))

@@ -32,7 +32,7 @@ def inferred(*, truth: tuple[float, float] = (0.4, 0.7), seed: int = 0, **change
         points = region.low + (region.high - region.low) * points
     numbers = points @ SLOPES + SCATTER * rng.standard_normal((60, 4))
     target = target_of(np.array(truth) @ SLOPES + SCATTER * rng.standard_normal(4))
-    return posterior(points, numbers, target, scatter=np.full(4, SCATTER), rng=rng, **changes)  # type: ignore[arg-type]
+    return posterior(points, numbers, target, scatter=np.full(4, SCATTER), rng=rng, **changes)
 
 
 def exact_deviations() -> Matrix:
@@ -164,19 +164,14 @@ def jumping(points: Matrix) -> Matrix:
     return np.where(points[:, 0] < EDGE, points[:, 1], fallen)[:, None] * np.array([[1.0, 0.7]])
 
 
-def inferred_across(truth: tuple[float, float], seed: int = 0) -> Posterior:
+@pytest.mark.parametrize("seed", range(4))
+def test_a_column_that_stands_may_have_all_parameters_at_which_it_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = rng.random((40, 2))
     numbers = jumping(points) + ROUGHNESS * rng.standard_normal((40, 2))
-    values = jumping(np.array([truth]))[0] + ROUGHNESS * rng.standard_normal(2)
-    return posterior(points, numbers, target_of(values), scatter=np.full(2, ROUGHNESS), rng=rng)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_column_that_stands_may_have_all_parameters_at_which_it_does(seed: int) -> None:
-    found = inferred_across((0.3, 0.4), seed)
+    values = jumping(np.array([[0.3, 0.4]]))[0] + ROUGHNESS * rng.standard_normal(2)
+    found = posterior(points, numbers, target_of(values), scatter=np.full(2, ROUGHNESS), rng=rng)
     regime = found.likelihood.regime
-    assert regime is not None
     assert np.all(regime.inside[:, 0] < EDGE)
     assert np.all(regime.outside[:, 0] > EDGE)
     samples = found.samples

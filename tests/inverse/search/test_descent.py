@@ -1,7 +1,6 @@
 """The inversion by one forward model, on one that is a formula: with its gradient, and without."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from inverse.observations.target import Target
 from inverse.problem import Problem
 from inverse.search.descent import inverted
 from inverse.search.inference import Inversion
+from tests.inverse.flows import problem_of
 
 NAMES = ("friction_deg", "masses[0].velocity_x")
 
@@ -64,8 +64,8 @@ def inversion(problem: Problem, forward: Formula, truth: Floats) -> Inversion:
 
 @pytest.mark.parametrize("made", [Formula, WithGradient, WithOneSlope])
 @pytest.mark.parametrize("share", [(0.2, 0.9), (0.7, 0.05)])
-def test_the_truth_in_few_runs(make_problem: Any, made: type[Formula], share: tuple[float, float]) -> None:
-    problem = make_problem(2, *NAMES)
+def test_the_truth_in_few_runs(made: type[Formula], share: tuple[float, float]) -> None:
+    problem = problem_of(2, *NAMES)
     truth = problem.box.lower + np.array(share) * problem.box.range
     forward = made(problem)
     found = inversion(problem, forward, truth)
@@ -76,7 +76,7 @@ def test_the_truth_in_few_runs(make_problem: Any, made: type[Formula], share: tu
     assert forward.runs == len(found.runs) < 24
 
 
-def test_both_roots_of_an_even_formula_are_answers(make_problem: Any) -> None:
+def test_both_roots_of_an_even_formula_are_answers() -> None:
     """y = (v - 1/2)^2 of one parameter."""
 
     class Even(Formula):
@@ -84,13 +84,13 @@ def test_both_roots_of_an_even_formula_are_answers(make_problem: Any) -> None:
             share = (parameters - torch.from_numpy(self.box.lower)) / torch.from_numpy(self.box.range)
             return (share - 0.5) ** 2 * torch.ones(4, dtype=torch.float64)
 
-    problem = make_problem(2, NAMES[0])
+    problem = problem_of(2, NAMES[0])
     found = inversion(problem, Even(problem), problem.box.lower + 0.25 * problem.box.range)
     assert sorted(round(float(each.point[0]), 2) for each in found.answers) == pytest.approx([0.25, 0.75], abs=0.02)
 
 
-def test_parameters_beyond_the_bounds_end_on_them(make_problem: Any) -> None:
-    problem = make_problem(2, *NAMES)
+def test_parameters_beyond_the_bounds_end_on_them() -> None:
+    problem = problem_of(2, *NAMES)
     forward = Formula(problem, curvature=0.0)
     found = inversion(problem, forward, problem.box.upper + 0.2 * problem.box.range)
     best = found.minima[int(np.argmin(found.misfits(found.minima)))]

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import Domain, Mass, Scene
-from datasets.scene.material import Material
+from datasets import Mass, Material, Scene
 from datasets.scene.particles import Particles, initial_particles
 from mpm.adjoint.gradient import Gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape
+from tests.scenes import scene_of
 
 Floats = NDArray[np.float64]
 Change = Callable[[Particles], Particles]
@@ -20,21 +20,23 @@ SOIL = Material(friction_deg=30.0, cohesion=500.0, tension_cutoff=300.0)
 """Carries enough tension for a start without stress to be inside the yield surface, where the flow is smooth."""
 
 
-def plane(material: Material = SOIL, **changes: Any) -> Scene:
+SLIDING = (
+    Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
+    Mass(lower=(0.2, 0.0), size=(0.1, 0.2), velocity=(0.5, -0.3)),
+)
+OBLIQUE = (Mass(lower=(0.0, 0.0, 0.12), size=(0.2, 0.2, 0.16), velocity=(1.0, 0.0, 0.2)),)
+ROUGH = {"floor_friction": 0.3, "wall_friction": 0.2}
+
+
+def plane(material: Material = SOIL, masses: tuple[Mass, ...] = SLIDING, **changes: Any) -> Scene:
     """Two bodies side by side in 2D that slide on a rough floor: 104 steps in 8 frames, unless changed."""
-    masses = (
-        Mass(lower=(0.0, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
-        Mass(lower=(0.2, 0.0), size=(0.1, 0.2), velocity=(0.5, -0.3)),
-    )
-    settings: dict[str, Any] = {"masses": masses, "duration": 0.02, "floor_friction": 0.3, "wall_friction": 0.2}
-    return Scene(domain=Domain(size=(1.0, 1.0), cell=0.02), material=material, **(settings | changes))
+    return scene_of(*masses, material=material, **{"duration": 0.02, **ROUGH, **changes})
 
 
-def room(material: Material = SOIL, **changes: Any) -> Scene:
+def room(material: Material = SOIL, masses: tuple[Mass, ...] = OBLIQUE, **changes: Any) -> Scene:
     """A body in 3D, thrown obliquely along a rough floor: 28 steps in 4 frames, unless changed."""
-    masses = (Mass(lower=(0.0, 0.0, 0.12), size=(0.2, 0.2, 0.16), velocity=(1.0, 0.0, 0.2)),)
-    settings: dict[str, Any] = {"masses": masses, "duration": 0.01, "floor_friction": 0.3, "wall_friction": 0.2}
-    return Scene(domain=Domain(size=(0.8, 0.8, 0.8), cell=0.04), material=material, **(settings | changes))
+    size = (0.8, 0.8, 0.8)
+    return scene_of(*masses, size=size, cell=0.04, material=material, **{"duration": 0.01, **ROUGH, **changes})
 
 
 class Weighted:

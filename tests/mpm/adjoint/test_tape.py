@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.errors import InputError, WorkFailed
-from datasets.scene import Gate, Scene
-from datasets.scene.library import read_scene
+from datasets import InputError, Scene, read_scene
+from datasets.errors import WorkFailed
 from mpm import simulate
 from mpm.adjoint.gradient import gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, steady
@@ -114,13 +113,6 @@ def test_scenes_side_by_side_are_as_alone() -> None:
         _, alone = gradient(scene, objective, threads=1)
         np.testing.assert_array_equal(ours.velocities, alone.velocities)
         np.testing.assert_array_equal(ours.settings, alone.settings)
-
-
-def test_what_has_no_reverse_is_refused() -> None:
-    scene = FLAT
-    gated = tuple(dataclasses.replace(mass, velocity=None, release=0.01, gate=Gate(speed=1.0)) for mass in scene.masses)
-    with pytest.raises(InputError, match="a gate"):
-        Tape([dataclasses.replace(scene, masses=gated)], [8], threads=1)
 
 
 def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,18 +2,13 @@
 
 import dataclasses
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from datasets.definitions.training import check_known
-from datasets.errors import InputError
-from datasets.scene import Mass, Scene
+from datasets import InputError, Mass, Material, Scene
 from datasets.scene.grid_field import Field
-from datasets.scene.library import read_scene, write_scene
-from datasets.scene.material import Material
 from datasets.scene.particles import initial_particles
 from datasets.schema import from_mapping
 from mpm import LAST, safety_factor, simulate
@@ -23,6 +18,7 @@ from mpm.arrays.layout import Precision
 from mpm.initial.stress import initial_tractions
 from mpm.safety import reduced
 from tests.mpm.element import XX, follow_controlled, follow_states, tensor
+from tests.refusals import refused
 from tests.scenes import COLUMN, SAND, box, scene_of
 
 Vector = np.ndarray[Any, np.dtype[np.float64]]
@@ -104,9 +100,7 @@ def test_wrong_keys_are_named(said: str, changes: dict[str, Any]) -> None:
     given = {key: value for key, value in (TABLE | changes).items() if value is not None}
     table = {"domain": {"size": [1.0, 1.0], "cell": 0.05}, "material": given}
     masses = [{"lower": [0.0, 0.0], "size": [0.2, 0.2]}]
-    with pytest.raises(InputError) as caught:
-        features_of([from_mapping(Scene, table | {"masses": masses})], "f32")
-    assert str(caught.value).startswith(said)
+    refused(lambda: features_of([from_mapping(Scene, table | {"masses": masses})], "f32"), said=said)
 
 
 def test_what_the_law_does_not_go_with() -> None:
@@ -118,22 +112,6 @@ def test_what_the_law_does_not_go_with() -> None:
         features_of([box(material=CLAY, volume_correction=True)], "f32")
     with pytest.raises(InputError, match=r"^fields: expected no field of friction beside law = 'von-mises'"):
         simulate(box(material=CLAY, fields=(field,)), record=LAST)
-    with pytest.raises(InputError, match=r"^material\.law: expected 'mohr-coulomb', the model knows no other"):
-        check_known(box(material=CLAY), "the model")
-
-
-def test_a_scene_reads_as_it_was_written(tmp_path: Path) -> None:
-    scene = from_mapping(
-        Scene,
-        {
-            "domain": {"size": [1.0, 1.0], "cell": 0.05},
-            "material": TABLE,
-            "masses": [{"lower": [0.0, 0.0], "size": [0.2, 0.2]}],
-        },
-    )
-    assert scene.material == CLAY
-    write_scene(scene, tmp_path / "clay.toml")
-    assert read_scene(tmp_path / "clay.toml") == Scene.from_json(scene.to_json()) == scene
 
 
 def test_it_is_compiled_where_a_scene_has_it() -> None:

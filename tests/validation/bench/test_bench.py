@@ -12,13 +12,12 @@ from datasets.scene.particles import particle_count
 from tests.commands import found_at
 from validation.bench import efficiency
 from validation.bench import gns as bench_gns
+from validation.bench import page as pages
 from validation.bench.__main__ import PAGES, main
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.keep import kept
 from validation.bench.large import CELL, slide
+from validation.bench.page import kept, write_page
 from validation.bench.speed import CASES, column, mean_x, modes
-from validation.report import page as pages
-from validation.report.page import Page
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -44,16 +43,16 @@ def test_a_page_is_its_template_with_its_parts(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(pages, "TEMPLATES", tmp_path)
     (tmp_path / "it.md").write_text("# Title\n\n{conclusion}\n\n{made}\n\nOf {count:g}:\n\n{rows}\n")
     rows = [{"x [m]": "0.12", "who": "us"}, {"x [m]": "", "who": "them"}]
-    page = Page("it", ["a = 1", "b = 2"], flags=" --flag", count=2.0, rows=rows)
-    assert page.write(tmp_path / "out") == "- a = 1\n- b = 2"
+    said = write_page(tmp_path / "out", "it", ["a = 1", "b = 2"], flags=" --flag", count=2.0, rows=rows)
+    assert said == "- a = 1\n- b = 2"
     text = (tmp_path / "out" / "it.md").read_text(encoding="utf-8")
     assert text.startswith("# Title\n\n- a = 1\n- b = 2\n\n`python -m validation.bench it --flag --out docs`, ")
     assert "Of 2:\n\n| x [m]   | who" in text
     assert "| 0.12 " in text
     with pytest.raises(ValueError, match="conclusion"):
-        Page("it", ["one"] * 6, count=2.0, rows=rows)
+        write_page(tmp_path, "it", ["one"] * 6, count=2.0, rows=rows)
     with pytest.raises(KeyError, match="count"):
-        Page("it", ["one"])
+        write_page(tmp_path, "it", ["one"])
 
 
 @pytest.mark.slow

@@ -1,8 +1,5 @@
 """`python -m validation.bench coverage`: twins are solved once, counted right, and uneven ranks are named."""
 
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mpm.cluster import Workers
+from tests.pool import pool
 from tests.validation.loop.flows import FakeMpm, wedge
 from validation.bench import coverage
 from validation.bench.__main__ import main
@@ -25,13 +22,6 @@ def mpm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeMpm:
     monkeypatch.setattr(coverage, "read_problem", lambda name: case.problem)
     monkeypatch.setattr(coverage, "simulate_many", lambda scenes, *, threads, **options: case.mpm(scenes, **options))
     return case.mpm
-
-
-@contextmanager
-def here(jobs: int) -> Iterator[Workers]:
-    """In place of processes: a thread of this one."""
-    with ThreadPoolExecutor(1) as executor:
-        yield Workers(executor=executor, width=lambda: jobs)
 
 
 def test_truths_are_drawn_from_the_prior(mpm: FakeMpm) -> None:
@@ -79,7 +69,7 @@ def test_truths_of_stated_priors_are_drawn_from_them() -> None:
 def test_the_command(
     mpm: FakeMpm, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(coverage, "pool", here)
+    monkeypatch.setattr(coverage, "pool", pool)
     arguments = ["coverage", "--out", str(tmp_path), "--keep", str(tmp_path / "keep"), "--only", "front"]
     assert main([*arguments, "--twins", "2"]) == 0
     assert "2 inversions with known parameters, of 1 kinds" in capsys.readouterr().out

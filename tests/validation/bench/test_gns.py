@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
+from datasets import Mass, Scene, Trajectory
 from datasets.scene.particles import initial_particles, released_volume
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 from validation.bench.gns import AGAIN, Compared, Model, mpm_seconds
 from validation.bench.held_out import MOUNDS, Measured, creep, deposit_of, mound
 

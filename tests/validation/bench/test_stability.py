@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.errors import InputError, WorkFailed
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle, Mass, Scene
+from datasets import Baffle, InputError, Mass, Scene, Trajectory
+from datasets.errors import WorkFailed
 from datasets.scene.particles import initial_particles
 from tests import scenes
-from tests.flows import flow_of
+from tests.scenes import flow_of
 from validation.bench.__main__ import main
 from validation.bench.stability import invariants
 from validation.bench.stability.bench import FOLDER, QUANTITIES, Check, Row, read_rows, run, verdict

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from datasets.errors import InputError
+from datasets import Baffle, Mass, write_scene
 from datasets.forces import forces_of
-from datasets.scene import Baffle, Mass
+from inverse import Correlation, Parameter, Prior
 from inverse.answer import Verdict
-from inverse.parameters.prior import Correlation, Prior
 from inverse.posterior import Matrix, Row
 from mpm import simulate
+from tests.refusals import refused
 from tests.scenes import scene_of
 from validation import find_design
 from validation.design.__main__ import main
-from validation.design.problem import Budget, DesignProblem, Limit, Uncertain, Variable, read_design
+from validation.design.problem import Budget, DesignProblem, Limit, read_design
 from validation.design.search import designed
 
 SCENE = scene_of(
@@ -29,9 +29,9 @@ SCENE = scene_of(
     frame_dt=0.005,
     step_fraction=0.9,
 )
-HEIGHTS = tuple(Variable(name=f"baffles[{index}].height", lower=0.04, upper=0.24) for index in (0, 1))
-FRICTION = Uncertain(name="friction_deg", lower=18.0, upper=42.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
-FLOOR = Uncertain(name="floor_friction", lower=0.3, upper=0.5)
+HEIGHTS = tuple(Parameter(name=f"baffles[{index}].height", lower=0.04, upper=0.24) for index in (0, 1))
+FRICTION = Parameter(name="friction_deg", lower=18.0, upper=42.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
+FLOOR = Parameter(name="floor_friction", lower=0.3, upper=0.5)
 SCATTER, PRICES = 0.005, {"baffles[0].height": 1.0, "baffles[1].height": 2.0}
 SEEDS = range(3)
 
@@ -39,7 +39,7 @@ SEEDS = range(3)
 def problem_of(**changes: object) -> DesignProblem:
     """Two heights under an uncertain angle; the front is to stay below 0.7 m in 95 % of the flows."""
     own = {"variables": HEIGHTS, "uncertain": (FRICTION,), "limit": Limit(quantity="front", below=0.7), "cost": PRICES}
-    return DesignProblem(**{"name": "known", "scene": SCENE, **own, **changes})  # type: ignore[arg-type]
+    return DesignProblem(**{"name": "known", "scene": SCENE, **own, **changes})
 
 
 class Known:
@@ -69,7 +69,7 @@ def test_the_cheapest_design_of_a_known_response_is_found(seed: int) -> None:
 
 
 def test_the_most_reliable_design_is_found_where_nothing_has_a_cost() -> None:
-    problem = problem_of(cost={}, variables=(Variable(name="baffles[0].height", lower=0.04, upper=0.24),))
+    problem = problem_of(cost={}, variables=(Parameter(name="baffles[0].height", lower=0.04, upper=0.24),))
 
     def respond(points: Matrix, first: int) -> Row:
         height, angle = problem.box.at(points).T
@@ -109,13 +109,10 @@ def test_flows_of_a_failed_check_inform_a_second_design() -> None:
 def test_draws_are_those_of_the_prior() -> None:
     lognormal = Prior(kind="lognormal", mean=0.4, deviation=0.05)
     floor = replace(FLOOR, lower=0.05, upper=2.0, prior=lognormal)
-    problem = problem_of(uncertain=(FRICTION, floor, Uncertain(name="wall_friction", lower=0.1, upper=0.3)))
+    problem = problem_of(uncertain=(FRICTION, floor, Parameter(name="wall_friction", lower=0.1, upper=0.3)))
     drawn = problem.box.lower[2:] + problem.box.range[2:] * problem.draws(4000, np.random.default_rng(0))
     np.testing.assert_allclose(drawn.mean(axis=0), [30.0, 0.4, 0.2], rtol=2e-3)
     np.testing.assert_allclose(drawn.std(axis=0), [3.0, 0.05, 0.2 / np.sqrt(12.0)], rtol=1e-2)
-    narrow = replace(FRICTION, lower=29.0, upper=33.0)
-    cut = narrow.parameter.marginal.at(np.linspace(0.0, 1.0, 5))
-    assert (cut[0], cut[-1]) == (29.0, 33.0)
     pair = Correlation(between=("friction_deg", "floor_friction"), coefficient=-0.6)
     pairs = problem_of(uncertain=(FRICTION, floor), correlations=(pair,)).draws(4000, np.random.default_rng(0))
     assert np.corrcoef(pairs.T)[0, 1] == pytest.approx(-0.6, abs=0.04)
@@ -123,21 +120,17 @@ def test_draws_are_those_of_the_prior() -> None:
 
 PROBLEM = """
 scene = "scene.toml"
-
 [[variables]]
 name = "baffles[0].height"
 lower = 0.04
 upper = 0.24
-
 [[uncertain]]
 name = "floor_friction"
 lower = 0.3
 upper = 0.5
-
 [limit]
 quantity = "front"
 below = 0.7
-
 [cost]
 "baffles[0].height" = 1.0
 """
@@ -146,8 +139,6 @@ below = 0.7
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     """A problem as a file."""
-    from datasets.scene.library import write_scene
-
     write_scene(SCENE, tmp_path / "scene.toml")
     path = tmp_path / "problem.toml"
     path.write_text(PROBLEM)
@@ -174,9 +165,11 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
     [
         ('"baffles[0].height"\nl', '"baffles[5].height"\nl', "variables[0].name: expected an index below 2"),
         ("lower = 0.04", "lower = 0.4", "variables[0].upper: expected a value above 0.4"),
+        ("lower = 0.04", "lower = 0.04\ninitial = 0.1", "variables[0].initial: expected no start"),
+        ("lower = 0.04", "lower = 0.04\nprior = { kind = 'uniform' }", "variables[0].prior: expected no prior"),
+        ("upper = 0.5", "upper = 0.5\nspacing = [0.1, 0.1]", "uncertain[0].spacing: expected a number"),
         ('name = "floor_friction"', 'name = "baffles[0].height"', "variables[0].name: expected each number once"),
         ("upper = 0.5", "upper = 0.5\nprior = { kind = 'normal', mean = 0.4 }", "uncertain[0].prior.deviation"),
-        ("upper = 0.5", "upper = 0.5\nprior = { mean = 0.4 }", "uncertain[0].prior.kind: expected"),
         ("upper = 0.5", "upper = 0.5\nprior = { kind = 'beta' }", "uncertain[0].prior.kind: expected"),
         ('quantity = "front"', 'quantity = "force"', "limit.quantity: expected 'front', 'runout' or 'impact_force'"),
         ("below = 0.7", "below = 1.7", "limit.below: expected a number in (0, 1)"),
@@ -184,9 +177,8 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
         ("below = 0.7", "below = 0.7\nwindow = 0.1", "limit.quantity: expected impact_force beside solid"),
         ('"front"', '"impact_force"\nsolid = "wall"', "limit.solid: expected one of baffles[0], baffles[1]"),
         ('"baffles[0].height" = 1.0', 'height = 1.0', "cost.height: expected one of the variables baffles[0].height"),
-        ("[cost]", "[budget]\nchecks = 5\n[cost]", "budget.checks: expected an integer of at least 20, got 5"),
-        ("[cost]", "[budget]\nchecks = 1000000000000000000\n[cost]", "checks: expected an integer of at most 1000000"),
-        ("[cost]", "[price]", "price: expected a known key"),
+        ("[cost]", "[budget]\nchecks = 5\n[cost]", "budget.checks: expected an integer from 20 to 1000000, got 5"),
+        ("[cost]", "[budget]\nchecks = 1000000000000000000\n[cost]", "checks: expected an integer from 20 to 1000000"),
         ("scene =", 'posterior = "none.npz"\nscene =', "none.npz: expected"),
         ("upper = 0.24", "upper = 1.4", "variables[0].upper: expected a scene that can be simulated"),
     ],
@@ -194,10 +186,7 @@ def test_a_posterior_is_uncertain_jointly(file: Path) -> None:
 def test_a_mistake_is_one_line(file: Path, old: str, new: str, line: str) -> None:
     assert old in PROBLEM
     file.write_text(PROBLEM.replace(old, new, 1))
-    with pytest.raises(InputError) as caught:
-        read_design(file)
-    assert line in str(caught.value)
-    assert str(file.parent) in str(caught.value)
+    assert str(file.parent) in str(refused(read_design, file, said=line))
 
 
 def test_the_shipped_problem_is_read() -> None:

@@ -11,12 +11,10 @@ import pytest
 import rasterio
 from scipy.stats import norm
 
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
+from datasets import Mass, Scene, Trajectory
 from mpm import LAST
-from tests.flows import flow_of
 from tests.refusals import refused, refused_by
-from tests.scenes import room, scene_of
+from tests.scenes import flow_of, room, scene_of
 from validation import forecast_scene
 from validation.forecast.__main__ import main
 from validation.forecast.predict import predicted

@@ -10,21 +10,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from datasets import Mass, Material, Scene, Trajectory
 from datasets.flow.measures import front
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
-from datasets.scene.material import Material
 from datasets.scene.particles import particle_count
+from inverse import Parameter, Problem, Result, TargetSettings
 from inverse.observations import KINDS, DepositSettings, Observation, Values
 from inverse.observations.target import Target
-from inverse.parameters import Parameter, Vector
-from inverse.problem import Problem
-from inverse.result import Result
-from inverse.settings import Surrogate, TargetSettings
+from inverse.parameters import Vector
+from inverse.settings import Surrogate
 from inverse.target import read_target
 from mpm import ALL, Recording
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 from validation.loop.solve import run
 from validation.loop.task import Task
 
@@ -255,17 +251,12 @@ def wedge(
     return Case(problem=problem, target=read, mpm=mpm)
 
 
-def true_velocities(count: int) -> Vector:
-    """Of the layers [m/s], shape [count]."""
-    return np.linspace(1.5, 0.15, count)
-
-
 def layers(folder: Path, *, count: int = 2, scatter: float = 0.0, bend: float = 0.0, seed: int = 3) -> Case:
-    """The velocities of layers."""
+    """The velocities of layers, from 1.5 m/s at the lowest to 0.15 at the highest."""
     masses = tuple(Mass(lower=(0.0, 0.2 * row), size=(0.5, 0.2), velocity=(9.0, 0.0)) for row in range(count))
     scene = scene_of(*masses, size=(2.0, 4.0), cell=0.05)
     names = [f"masses[{row}].velocity_x" for row in range(count)]
-    truth = dict(zip(names, true_velocities(count).tolist(), strict=True))
+    truth = dict(zip(names, np.linspace(1.5, 0.15, count).tolist(), strict=True))
     problem = Problem(
         name="layers",
         folder=folder,

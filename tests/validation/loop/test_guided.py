@@ -10,18 +10,16 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from datasets.errors import InputError
-from datasets.scene import Domain, Solid
+from datasets import Domain, InputError, Solid
 from gns import card, checkpoint
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
+from inverse import Parameter, TargetSettings, read_problem
 from inverse.answer import Purpose, Verdict
 from inverse.forward.gns import GnsForward
 from inverse.observations import FrontSettings
-from inverse.parameters import Parameter
-from inverse.problem import read_problem
 from inverse.search.inference import begun
-from inverse.settings import LoopSettings, Surrogate, TargetSettings
+from inverse.settings import LoopSettings, Surrogate
 from inverse.target import read_target
 from tests.validation.loop.flows import (
     Case,
@@ -30,7 +28,6 @@ from tests.validation.loop.flows import (
     Folded,
     FoldedFormula,
     Formula,
-    Layers,
     LayersFormula,
     layers,
     length,
@@ -50,7 +47,6 @@ def test_the_mpm_corrects_an_answer_within_the_band_by_few_runs(tmp_path: Path, 
     result = case.led(Formula(case.target.observation, factor)).solve(tmp_path / "out")
     assert result.verdict is Verdict.CONFIRMED
     assert len(result.mpm_runs) <= 10
-    assert result.surrogate is not None
     own, width = (result.surrogate[key]["friction_deg"] for key in ("unknowns", "half_widths"))
     # Its own answer is off by its error, 16 mm a degree, and by no more than its band.
     assert own - 24.0 == pytest.approx((factor - 1.0) * length(24.0) / 0.0164, abs=0.5)
@@ -95,7 +91,6 @@ def test_many_parameters_take_few_runs_and_more_than_the_band_hides_none(
     tmp_path: Path, factor: float, band: float
 ) -> None:
     case = layers(tmp_path, count=7, scatter=0.001, bend=0.05)
-    assert isinstance(case.mpm, Layers)
     result = case.led(LayersFormula(case.target.observation, factor, band=band, mpm=case.mpm)).solve(tmp_path)
     assert result.verdict in (Verdict.CONFIRMED, Verdict.AMBIGUOUS)
     assert len(result.mpm_runs) <= 26
@@ -108,7 +103,6 @@ def test_each_of_two_answers_is_checked(tmp_path: Path) -> None:
     assert result.verdict is Verdict.AMBIGUOUS
     found = sorted(float(answer.parameters[0]) for answer in result.answers)
     assert found == pytest.approx([22.0, 38.0], abs=1.0)
-    assert result.surrogate is not None
     assert len(result.surrogate["answers"]) == 2
     assert len(result.mpm_runs) <= 24
 
@@ -134,7 +128,6 @@ def test_of_two_answers_that_the_mpm_refuses_the_nearer_stands(misfit: Case, tmp
         (2.0, Verdict.UNREACHABLE, "whole"),
     ):
         (answer, *_), fit = found.answers, found.answers[0].fit
-        assert fit is not None
         fit = replace(fit, ratio=ratio * fit.ratio)
         whole = replace(found, answers=(replace(answer, fit=fit),), verdict=verdict)
         assert (nearer(found.search, whole) is whole) == (nearest == "whole")
@@ -144,7 +137,6 @@ def test_an_answer_just_inside_a_bound(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=12.5, scatter=0.002)
     result = case.led(Formula(case.target.observation, 0.97)).solve(tmp_path)
     assert result.verdict is Verdict.CONFIRMED
-    assert result.surrogate is not None
     assert result.surrogate["unknowns"]["friction_deg"] == 12.0
     assert abs(result.unknowns["friction_deg"] - 12.5) < 0.5
 
@@ -254,7 +246,6 @@ def test_runs_on_larger_cells_lead_to_few_on_those_of_the_scene(tmp_path: Path) 
     case = replace(case, problem=replace(case.problem, loop=loop))
     result = run(task(case, tmp_path, Surrogate.COARSE))
     assert result.verdict is Verdict.CONFIRMED
-    assert result.surrogate is not None
     # Cells of 20 mm shorten a deposit by 2 % more than those of 10 mm do: 1 degree.
     own, corrected = result.surrogate["unknowns"]["friction_deg"], result.unknowns["friction_deg"]
     assert 0.5 < 24.0 - own < 1.5

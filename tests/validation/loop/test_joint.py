@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.scene import Mass
+from datasets import Mass
+from inverse import Parameter, Problem, Result, TargetSettings
 from inverse.answer import Verdict
 from inverse.observations import FrontSettings, ObservationSettings, PassedSettings, ProfileSettings
-from inverse.parameters import Parameter
-from inverse.problem import Problem
-from inverse.result import Result
-from inverse.settings import Surrogate, TargetSettings
+from inverse.settings import Surrogate
 from tests.validation.loop.flows import FRONT, Case, FakeMpm, TwinAngles, length, wedge
 from validation.loop.solve import solve
 

@@ -8,20 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Mass, Scene, Trajectory
 from datasets.flow.measures import front
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Mass, Scene
 from datasets.scene.grid_field import Floats
+from inverse import Parameter, Problem, TargetSettings
 from inverse.answer import Verdict
 from inverse.observations import FrontSettings
-from inverse.parameters import Parameter
-from inverse.problem import Problem
 from inverse.report import summary
-from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import ALL, Recording
-from tests.flows import flow_of
-from tests.scenes import scene_of
+from tests.scenes import flow_of, scene_of
 from validation.loop.solve import run
 from validation.loop.task import Task
 
@@ -54,7 +50,6 @@ def slide(
     block[:, 0] += 0.3 - front(block)
     time, flows = np.linspace(0.0, 1.2, 61), []
     for scene in scenes:
-        assert scene.masses[0].velocity is not None
         speed, friction = np.array(scene.masses[0].velocity[0]), np.array(scene.floor_friction)
         shift = moved(time, speed, friction) - cells(time, scene.domain.cell)
         positions = [block + np.array([x, 0.0]) for x in shift]
@@ -105,7 +100,6 @@ def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
     target = read_target(problem, lambda asked: slide([asked])[0])
     found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=slide))
     fit, (birge, quantiles) = found.answers[0].fit, exact(values, unknowns)
-    assert fit is not None
     assert found.verdict is Verdict.UNCONFIRMED
     assert fit.applied == pytest.approx(birge, rel=0.05)
     shown = np.stack([found.answers[0].interval[0], found.answer, found.answers[0].interval[1]])
@@ -130,7 +124,6 @@ def test_errors_of_the_cells_hide_no_late_clock_and_no_outlier(
     target = read_target(problem, lambda asked: coarse([asked])[0])
     found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=coarse))
     fit, said = found.answers[0].fit, summary(found)
-    assert fit is not None
     assert fit.cells > 4.0 * fit.noise
     assert list(fit.outliers) == outliers
     assert fit.inside is not bool(outliers)

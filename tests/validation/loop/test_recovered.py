@@ -11,12 +11,8 @@ from validation.loop.solve import solve
 BOX = """
 floor_friction = 0.4
 step_fraction = 0.9
-[domain]
-size = [1.0, 0.3]
-cell = 0.02
-[material]
-friction_deg = 30.0
-young = 5.0e5
+domain = { size = [1.0, 0.3], cell = 0.02 }
+material = { friction_deg = 30.0, young = 5.0e5 }
 """
 LAYERS = (0.9, 0.6, 0.3)
 """Velocity of each [m/s]."""
@@ -31,7 +27,6 @@ def recovered(folder: Path, scene: str, unknowns: str, rest: str) -> Result:
     result = solve(str(folder / "problem.toml"))
     assert result.verdict is Verdict.CONFIRMED
     truth = result.target.truth
-    assert truth is not None
     for name, value in truth.items():
         assert abs(result.unknowns[name] - value) < 2.0 * result.certainty[name], name
     return result

@@ -8,19 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datasets import Trajectory
 from datasets.errors import WorkFailed
-from datasets.flow.trajectory import Trajectory
 from datasets.lock import locked
-from inverse import plot, save
+from inverse import Problem, plot, save
 from inverse.answer import Purpose, Verdict
 from inverse.posterior.settings import CONSTANTS
-from inverse.problem import Problem
 from inverse.search.inference import begun, narrowed
 from tests.inverse.test_fields import files
 from tests.validation.loop.flows import FRONT, WIDTH, Coarse, Folded, Uneven, layers, length, wedge
 from validation.loop import verdict
-from validation.loop.__main__ import print_outcome
-from validation.loop.solve import solve
+from validation.loop.solve import print_outcome, solve
 
 
 @pytest.mark.parametrize(("kind", "truth"), [("front", 13.0), ("front", 42.0), ("profile", 24.0)])
@@ -167,7 +165,7 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
     for each in found.mpm_runs:
         trajectory = Trajectory.load(out / each.file)
         assert trajectory.scene.material.friction_deg == each.parameters[0]
-        np.testing.assert_allclose(case.target.observation.observe(trajectory), each.observation)
+        np.testing.assert_allclose(case.target.observation.observe(trajectory), each.numbers)
         assert len(trajectory.time) == 1
     assert {run.purpose for run in found.mpm_runs} == {Purpose.WAVE, Purpose.CHECK}
     assert result["remarks"] == ["the sand still moves"]

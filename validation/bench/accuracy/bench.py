@@ -23,9 +23,8 @@ from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measur
 from mpm.runtime import Arch
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.bench.held_out import deposit_of
-from validation.bench.keep import Keep, Out, kept
-from validation.report.page import Page, emphasised, percent, tables
-from validation.report.plots import BLUE, GREY, ORANGE, figure
+from validation.bench.page import Keep, Out, emphasised, kept, percent, tables, write_page
+from validation.plots import BLUE, GREY, ORANGE, figure
 from validation.runs import SHARE, Run, RunStore
 
 TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)
@@ -199,12 +198,8 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
             tried = list(dict.fromkeys(each.resolution for each in chosen))
             trials[dimension] = errors_of(read_flows(dimension, unseen=True), tried, reference, (SEED,), store)
     draw(out / "accuracy.png", trials, known)
-    return page(trials, known).write(out)
-
-
-def page(trials: Mapping[int, Errors], known: Sequence[Measured]) -> Page:
     limits = {dimension: promises(dimension, known) for dimension in trials}
-    chosen = [
+    selections = [
         {
             "": f"{d}D",
             "`--tolerance`": percent(tolerance),
@@ -218,11 +213,12 @@ def page(trials: Mapping[int, Errors], known: Sequence[Measured]) -> Page:
         for tolerance in TOLERANCES
         if (each := selected(d, tolerance, known)) is not None and (r := each.resolution)
     ]
-    return Page(
+    return write_page(
+        out,
         "accuracy",
         conclusion(trials, limits),
         coverage=COVERAGE * 10.0,
-        selected=chosen,
+        selected=selections,
         references=" and ".join(f"{cells:g} cells in {dimension}D" for dimension, cells in REFERENCE.items()),
         trials=tables(trial_rows(dimension, found, limits[dimension]) for dimension, found in trials.items()),
     )

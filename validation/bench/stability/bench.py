@@ -20,11 +20,10 @@ from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
 from mpm.arrays.layout import Precision
 from mpm.resolution import Resolution, with_resolution
 from validation.bench.accuracy.flows import Flow
-from validation.bench.keep import Out
+from validation.bench.page import Out, emphasised, percent, write_page
+from validation.bench.page import Row as TableRow
 from validation.bench.stability import quantities, slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
-from validation.report.page import Page, emphasised, percent
-from validation.report.page import Row as TableRow
 
 FOLDER = Path(__file__).parent
 COLUMNS = {
@@ -51,8 +50,8 @@ class Quantity(Record):
 
     name: str
     unit: str = ""
-    minimum: float | None = None
-    maximum: float | None = None
+    minimum: float = -math.inf
+    maximum: float = math.inf
 
 
 ROWS = read_toml(FOLDER / "rows.toml")
@@ -68,16 +67,10 @@ class Check(Record):
     maximum: float | None = None
 
     def finding(self, flow: Trajectory) -> Finding:
-        usual = QUANTITIES[self.quantity]
+        usual, value = QUANTITIES[self.quantity], getattr(quantities, self.quantity)(flow)
         low = usual.minimum if self.minimum is None else self.minimum
         high = usual.maximum if self.maximum is None else self.maximum
-        return Finding(
-            check=usual.name,
-            value=getattr(quantities, self.quantity)(flow),
-            unit=usual.unit,
-            minimum=-math.inf if low is None else low,
-            maximum=math.inf if high is None else high,
-        )
+        return Finding(check=usual.name, value=value, unit=usual.unit, minimum=low, maximum=high)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,14 +194,8 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
     chosen, found, safety = read_rows(rows), fronts(), slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION)
     flows = run(chosen, precision)
     verdicts = [verdict(row, flows[row.name], flows.get(row.over)) for row in chosen]
-    conclusion = page(verdicts, found, safety, precision=precision).write(out)
-    if red := [f"{each.row.name}: {'; '.join(each.failures)}" for each in verdicts if each.failures]:
-        raise WorkFailed("red rows: " + ". ".join(red))
-    return conclusion
-
-
-def page(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, precision: str) -> Page:
-    return Page(
+    said = write_page(
+        out,
         "stability",
         conclusion(verdicts, found, safety),
         flags=f" --precision {precision}",
@@ -223,6 +210,9 @@ def page(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors, *, 
             for dimension, stiffness, step in dict.fromkeys((d, s, t) for d, _, s, t in found)
         ],
     )
+    if red := [f"{each.row.name}: {'; '.join(each.failures)}" for each in verdicts if each.failures]:
+        raise WorkFailed("red rows: " + ". ".join(red))
+    return said
 
 
 def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors) -> list[str]:

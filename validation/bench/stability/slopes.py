@@ -10,7 +10,7 @@ from datasets.scene import Domain, Mass, Scene
 from datasets.scene.material import Material
 from datasets.schema import Record, from_mapping
 from mpm.safety import Safety, safety_factor
-from validation.report.page import Row, percent
+from validation.bench.page import Row, percent
 
 HEIGHT, DENSITY = 10.0, 2000.0
 WEIGHT = DENSITY * 9.81 * HEIGHT

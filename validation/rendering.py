@@ -99,11 +99,6 @@ class Picture:
         """What the colours show at `frame`, in the unit of the colour bar, shape [N]."""
         return SCALES[self.colour].scaled(self.meshes.fields.at_frame(frame)[self.colour])
 
-    @property
-    def spacing(self) -> float:
-        """Distance between neighbouring particles at the start [m]."""
-        return float(np.mean(self.trajectory.volumes) ** (1.0 / self.trajectory.scene.dimension))
-
     def _look(self, eye: Floats, right: Floats) -> None:
         """Parallel projection along `eye`, the flow a little left of the middle, where the colour bar is."""
         camera, depth = self.plotter.camera, 2.0 * float(np.linalg.norm(self.upper - self.lower))
@@ -170,7 +165,7 @@ class Picture:
             annotations=names,
             style="points",
             render_points_as_spheres=True,
-            point_size=max(2.0, DIAMETER * self.spacing * self.scale),
+            point_size=max(2.0, DIAMETER * self.meshes.fields.spacing * self.scale),
             # Shaded, but not so much that the colours could not be read.
             ambient=0.35,
             diffuse=0.75,
@@ -201,7 +196,7 @@ class Picture:
         flat, step = self.trajectory.scene.dimension == 2, self.step
         lower, upper = self.lower.copy(), self.upper.copy()
         if flat:
-            lower[2] = upper[2] = -self.spacing
+            lower[2] = upper[2] = -self.meshes.fields.spacing
         counts = dict(
             zip(("n_xlabels", "n_ylabels", "n_zlabels"), np.rint((upper - lower) / step).astype(int) + 1, strict=True)
         )

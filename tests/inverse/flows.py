@@ -1,21 +1,17 @@
 """A tiny random model, small flows against baffles in 2D and 3D, and one over terrain."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
 import torch
 
-from datasets.scene import Baffle, Mass, Scene, Solid
-from datasets.scene.material import Material
+from datasets import Baffle, Mass, Material, Scene, Solid
 from gns.settings import ModelSettings
 from gns.simulator import Normalisation, Simulator
-from inverse.observations import KINDS
-from inverse.parameters import Parameter, kind
-from inverse.problem import Problem
-from inverse.settings import TargetSettings
+from inverse import Parameter, Problem, TargetSettings
+from inverse.observations import DepositSettings
+from inverse.parameters import kind
 from tests.scenes import scene_of
 
 SAND = Material(friction_deg=30.0, cohesion=100.0, tension_cutoff=50.0)
@@ -53,7 +49,7 @@ WIDE = {"deg": 8.0, "Pa": 50.0, "m/s": 0.5, "m": 0.005, "-": 0.08}
 """Half of the range between a parameter's bounds, by its unit."""
 
 
-def simulator(dimension: int) -> Simulator:
+def simulator_of(dimension: int) -> Simulator:
     """A model that takes milliseconds and whose output matters, in double precision; its units are not a flow's."""
     torch.manual_seed(0)
     cell = 0.01 if dimension == 2 else 0.03125
@@ -78,7 +74,7 @@ def simulator(dimension: int) -> Simulator:
     return made.double().requires_grad_(False)
 
 
-def problem_of(flow: int | str, *names: str, observed: str = "deposit") -> Problem:
+def problem_of(flow: int | str, *names: str) -> Problem:
     """The small flow with these parameters, each between bounds around the scene's own value."""
     scene = FLOWS[flow]
     parameters = []
@@ -90,18 +86,6 @@ def problem_of(flow: int | str, *names: str, observed: str = "deposit") -> Probl
         folder=Path(),
         scene=scene,
         parameters=tuple(parameters),
-        observations=(KINDS[observed](**({"line": 0.15} if observed == "passed" else {})),),
+        observations=(DepositSettings(),),
         target=TargetSettings(twin=True),
     )
-
-
-@pytest.fixture(scope="session")
-def make_problem() -> Callable[..., Problem]:
-    """`problem_of`."""
-    return problem_of
-
-
-@pytest.fixture(scope="session")
-def make_simulator() -> Callable[..., Simulator]:
-    """`simulator`."""
-    return simulator

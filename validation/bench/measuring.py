@@ -10,12 +10,13 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import psutil
 from tqdm import tqdm
 
 from datasets.errors import WorkFailed
+from datasets.files import read_json, write_json
 from datasets.processes import end_with_parent
 
 P = ParamSpec("P")
@@ -70,6 +71,14 @@ def isolated(work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwargs) -> 
             return pool.submit(work, *args, **kwargs).result()
         except BrokenProcessPool:
             raise WorkFailed("killed, out of memory") from None
+
+
+def once(path: Path, work: Callable[P, Mapping[str, Any]], /, *args: P.args, **kwargs: P.kwargs) -> dict[str, Any]:
+    """What `isolated` work came to, as it stands in `path`, where it is kept when it was not done yet."""
+    if (found := read_json(path)) is None:
+        found = dict(isolated(work, *args, **kwargs))
+        write_json(path, found)
+    return found
 
 
 def resident() -> int:

@@ -1,0 +1,105 @@
+"""Pages of figures in Markdown: templates with a conclusion, the command, the machine and tables filled in.
+
+Also the flags that all pages share, and where finished work of a page stays.
+"""
+
+import math
+import os
+import platform
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import date
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+from cyclopts import Parameter
+from tabulate import tabulate
+
+from datasets.files import write_text
+from datasets.lock import locked
+
+Out = Annotated[Path, Parameter(help="Folder of the page and its pictures.")]
+Keep = Annotated[
+    Path | None, Parameter(help="Folder of finished work, which is not done again; temporary if not given.")
+]
+TEMPLATES = Path(__file__).parent / "pages"
+CONCLUSION = 5
+"""Most sentences of a conclusion."""
+PACKAGES = {"Taichi": "taichi", "NumPy": "numpy", "PyTorch": "torch", "Numba": "numba"}
+"""What Talus computes with, by name."""
+CPUINFO = Path("/proc/cpuinfo")
+
+Row = Mapping[str, object]
+"""A row of a table: its cells by column heading."""
+
+
+@contextmanager
+def kept(folder: Path | None) -> Iterator[Path]:
+    """The folder of finished work, held for this process, or a temporary one."""
+    with TemporaryDirectory() if folder is None else locked(folder) as found:
+        yield Path(found)
+
+
+def percent(fraction: float) -> str:
+    """0.0213 as 2.1 %; nan as -."""
+    return "-" if math.isnan(fraction) else f"{100.0 * fraction:.2g} %"
+
+
+def signed(fraction: float) -> str:
+    """0.0213 as +2.1 %; nan as -."""
+    return "-" if math.isnan(fraction) else f"{100.0 * fraction:+.1f} %"
+
+
+def between(values: Collection[float], form: str) -> str:
+    """From the smallest to the largest of some numbers."""
+    low, high = format(min(values), form), format(max(values), form)
+    return low if low == high else f"{low} to {high}"
+
+
+def emphasised(text: str, ok: bool) -> str:
+    """Bold where it is not."""
+    return text if ok else f"**{text}**"
+
+
+def tables(many: Iterable[Sequence[Row]]) -> str:
+    """Tables one after the other, each with the headings of its first row; none without rows."""
+    return "\n\n".join(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True) for rows in many if rows)
+
+
+def write_page(
+    out: Path, name: str, conclusion: Sequence[str], *, flags: str = "", **parts: Sequence[Row] | str | float
+) -> str:
+    """Write `out`/NAME.md, its template with the parts that it names, and return its conclusion, for the terminal.
+
+    Every sentence of the conclusion is made from the numbers of the page, never from a constant of its writer. flags:
+    with which the page was measured, today and here; parts: rows are written as a table.
+    """
+    if not 0 < len(conclusion) <= CONCLUSION:
+        raise ValueError(f"expected one to {CONCLUSION} sentences of conclusion, got {len(conclusion)}")
+    command, day = f"python -m validation.bench {name}{flags} --out docs", date.today().isoformat()
+    written = {key: part if isinstance(part, (str, float, int)) else tables([part]) for key, part in parts.items()}
+    written["conclusion"] = "\n".join(f"- {sentence}" for sentence in conclusion)
+    written["made"] = f"`{command}`, {day}, on {machine()}."
+    filled = (TEMPLATES / f"{name}.md").read_text(encoding="utf-8").format_map(written)
+    # A part may be empty.
+    write_text(out / f"{name}.md", re.sub(r"\n{3,}", "\n\n", filled).strip() + "\n")
+    return str(written["conclusion"])
+
+
+def machine() -> str:
+    """Processor, cores and versions in a line: what a figure was measured on."""
+    features = " with AVX-512" if "avx512f" in cpuinfo("flags").split() else ""
+    processor = cpuinfo("model name") or platform.processor() or platform.machine()
+    versions = ", ".join(f"{name} {version(package)}" for name, package in PACKAGES.items())
+    return f"{processor}{features}, {os.cpu_count()} cores; Python {platform.python_version()}, {versions}"
+
+
+def cpuinfo(key: str) -> str:
+    """The first value of `key` in Linux's description of its processors, empty elsewhere."""
+    if not CPUINFO.exists():
+        return ""
+    lines = (line.partition(":") for line in CPUINFO.read_text(encoding="utf-8").splitlines())
+    return next((value.strip() for name, _, value in lines if name.strip() == key), "")
