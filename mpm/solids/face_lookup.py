@@ -298,7 +298,8 @@ def nearest_face(x, last, entry, scene, arrays: ti.template()):
     # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
     side = offset[1]
     if ti.static(arrays.features.terrain):
-        normal = normal.normalized()
+        # None where nothing is near.
+        normal = normal / ti.max(normal.norm(), TINY)
     if ti.static(arrays.features.listed):
         if not in_terrain(face, scene, arrays):
             column = arrays.features.face.normal + ti.max(feature, 0) * arrays.features.dimension

@@ -8,7 +8,7 @@ import pytest
 from datasets.geometry.nearest import nearest
 from datasets.scene import Baffle, Mass, Scene, Solid
 from datasets.scene.material import Material
-from mpm import LAST, runtime
+from mpm import LAST, runtime, simulate
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Contact, Offset, node_shape
 from mpm.kernel import Phase, kernel
@@ -75,3 +75,17 @@ def test_nothing_of_a_height_field_is_listed() -> None:
     assert batch.offsets[0, Offset.POSTS_X] >= 13
     assert batch.offsets[0, Offset.POSTS_Z] >= 7
     assert batch.column_heights.size == 1 + np.prod(node_shape(scene.domain)[::2])
+
+
+def test_sand_that_flies_away_from_a_terrain_keeps_its_parabola_beside_sand_that_lies_there() -> None:
+    """It has flown farther than the ground was away at first, so that it is searched for, and not there."""
+    level = tuple((0.1,) * 5 for _ in range(9))
+    ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.1, 0.1), heights=level, friction=0.4)
+    thrown = Mass(lower=(0.2, 0.2, 0.2), size=(0.05, 0.05, 0.05), velocity=(1.0, 4.0, 0.0))
+    lying = Mass(lower=(0.2, 0.1, 0.2), size=(0.1, 0.05, 0.05))
+    flow = simulate(scene_of(thrown, lying, solids=(ground,), size=(0.8, 1.2, 0.4), cell=CELL, duration=0.3))
+    assert len(flow.positions[0]) < 32, "one block"
+    flying = flow.positions[0, :, 1] > 0.2
+    moved = (flow.positions[-1] - flow.positions[0])[flying].mean(axis=0)
+    # A step of 5 ms takes g t dt / 2 off a parabola.
+    assert moved == pytest.approx([0.3, 1.2 - 0.5 * 9.81 * 0.09, 0.0], abs=0.01)
