@@ -36,7 +36,7 @@ STEP = named(
     LANES="lanes scratch_lanes impulse_lanes",
     NODES="grid",
     REAL="cell_distance terrain terrain_tilts column_heights",
-    REAL_TABLE="settings properties faces holds kept_holds",
+    REAL_TABLE="settings properties faces holds kept_holds drags",
     INTEGER="cell_faces near_faces node_holds covered terrain_cells kept_columns arrivals bases",
     INTEGER_TABLE="offsets workers spans barriers retained",
     DOUBLE_TABLE="settling",
@@ -53,7 +53,7 @@ ADJOINT = named(
     REAL="impulse_adjoints",
     REAL_TABLE="cuts step_times",
     INTEGER="step_counts",
-    DOUBLE_TABLE="face_adjoints hold_adjoints terrain_adjoints sums",
+    DOUBLE_TABLE="face_adjoints hold_adjoints terrain_adjoints drag_adjoints sums",
 )
 """What the adjoint reads and writes besides `STEP`; `mpm.adjoint.tape` makes them."""
 VIEWS = {
