@@ -256,8 +256,8 @@ class Tape:
 
         flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
         settings of each scene (`settings`), faces (`face_adjoints`), holds of nodes (`hold_adjoints`) and the friction
-        in `terrain` of each scene (`terrain_adjoints`), g / xi of its solids (`drag_adjoints`), and the share of the bars
-        of each scene that were cut (`cut`).
+        in `terrain` of each scene (`terrain_adjoints`), g / xi of its solids (`drag_adjoints`), and the share of the
+        bars of each scene that were cut (`cut`).
         Raises WorkFailed where a gradient grows without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout

@@ -252,7 +252,7 @@ def features_of(
 
 def drags_of(scene: Scene) -> list[float]:
     """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 of those without `turbulence`."""
-    coefficients = [solid.turbulence for solid in (*scene.baffles, *scene.solids)]
+    coefficients = [baffle.turbulence for baffle in scene.baffles] + [solid.turbulence for solid in scene.solids]
     return [0.0 if each is None else scene.gravity / each for each in coefficients]
 
 
