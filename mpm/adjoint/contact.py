@@ -1,8 +1,8 @@
 """The reverse of `mpm.physics.contact`: of the traction of solids, its friction, and the places of faces.
 
 Backwards from what a step leaves: the contact that is found at the new position (delta, d, n, the turned q), the
-particle kept out of the solid, Coulomb's bound on q, q itself, the strain of contact, and last the force on the nodes.
-Where contact is found follows in `mpm.adjoint.faces`.
+particle kept out of the solid, the bound on q, q itself, the strain of contact, and last the force on the nodes.
+Where contact is found follows in `mpm.adjoint.faces`. The bound has a bar of rho, and of g / xi of the nearest solid.
 
 **Impulses.** What contact takes of the flow's momentum in a step is added to the impulse I of its solid, whose bar I'
 is that of all later frames together. It joins the bars of the force on the nodes and of velocities before a surface:

@@ -99,7 +99,7 @@ def kernel_of(
     node = ti.types.vector(NODE, real)
     elements = {"block": block, "lane": real, "node": node, "real": real, "i32": ti.i32, "f32": ti.f32, "f64": ti.f64}
     # Taichi 1.7.4 reads a kernel's parameters in its source, refuses *args, and takes no NumPy array inside another:
-    # a plain signature would name each of these 33 and 40 parameters three times.
+    # a plain signature would name each of these 37 and 46 parameters three times.
     # `ti.static` makes the object while the kernel is compiled.
     source = (
         f"def run({', '.join(arrays)}, first, last, phase):\n"

@@ -33,10 +33,10 @@ shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma
 
 The traction is per area of the bed and delta's integral is 1, so a layer of thickness h that moves as a block on an
 incline has the speed v with dv/dt = g (sin a - mu cos a) - g v^2 / (xi h). The second term acts on all that is within
-the width of the contact, whether it presses at the moment or not: a mean of pressure is the weight also of sand that
-bounces, but a flow over small bumps that was braked where it presses alone would be braked for a part of the time. The
-holds of deep nodes and the stop of a particle that meets a face take mu of an impulse, as without turbulence: the drag
-is no share of an impulse, and their particles and nodes have contact besides.
+the width of the contact, whether it presses at the moment or not: a flow over small bumps presses for a part of the
+time, with a mean pressure that bears its weight, and a drag of that part alone would be too small. The holds of deep
+nodes and the stop of a particle that meets a face take mu of an impulse, as without turbulence: the drag is no share of
+an impulse, and the delta gives all of it.
 
 **Deep nodes.** A node deep in a solid is in the support of the first row alone, which could not keep it in balance.
 It is held like a node behind a wall of the box (`mpm.physics.boundary`), by each face k that it lies behind in part:
