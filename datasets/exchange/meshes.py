@@ -1,6 +1,10 @@
 """Meshes of triangles: read by pyvista, written by meshio."""
 
 import io
+import os
+import subprocess
+import sys
+import tempfile
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -8,13 +12,19 @@ from pathlib import Path
 import numpy as np
 
 from datasets.errors import InputError, require
+from datasets.exchange.obj import read_obj
 from datasets.files import file_size, reading, replacing
 from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import surface_of
+from datasets.processes import end_with_parent
 from datasets.scene import Scene
 
 MESHES = (".stl", ".obj", ".ply", ".off", ".msh", ".vtk", ".vtu")
 """Endings of meshes: those that hold all they need and name no other file."""
+IN_PROCESS = (".stl", ".obj")
+"""Those whose readers survive any file."""
+REFUSED = 2
+"""Exit status of a process that says what is wrong with a mesh."""
 LARGEST = 2**30
 """Bytes of a file."""
 SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
@@ -26,14 +36,19 @@ def read_mesh(path: Path) -> tuple[Floats, Integers]:
 
     Vertices further apart are one where the surface is open without. Raises InputError, which names the file.
     """
-    import pyvista
-
     file_size(path, "a mesh", most=LARGEST)
     if path.suffix.lower() not in MESHES:
         raise InputError(f"expected a mesh, a file that ends in {' '.join(MESHES)}", where=str(path))
+    with reading(path, "a readable mesh"):
+        return triangles_in(path) if path.suffix.lower() in IN_PROCESS else read_apart(path)
+
+
+def triangles_in(path: Path) -> tuple[Floats, Integers]:
+    """What `read_mesh` returns. Raises InputError, and whatever the libraries raise."""
+    import pyvista
+
     output = io.StringIO()
     with (
-        reading(path, "a readable mesh"),
         # Readers warn of normals that are none of a vertex's, and print what they leave out.
         warnings.catch_warnings(),
         redirect_stdout(output),
@@ -41,7 +56,7 @@ def read_mesh(path: Path) -> tuple[Floats, Integers]:
         pyvista.vtk_verbosity("off"),
     ):
         warnings.simplefilter("ignore")
-        mesh = pyvista.read(path)
+        mesh = pyvista.PolyData(*read_obj(path)) if path.suffix.lower() == ".obj" else pyvista.read(path)
         require(isinstance(mesh, pyvista.DataSet), "", "one mesh", type(mesh).__name__)
         mesh.clear_data()
         require(bool(np.isfinite(mesh.points).all()), "", "vertices of finite coordinates", "others")
@@ -52,6 +67,41 @@ def read_mesh(path: Path) -> tuple[Floats, Integers]:
                 break
         require(merged.n_cells > 0, "", "a mesh with triangles", "none")
         return np.asarray(merged.points, np.float64), np.asarray(merged.regular_faces, np.int64)
+
+
+def read_apart(path: Path) -> tuple[Floats, Integers]:
+    """`triangles_in` in a process of its own, which a damaged file may end: VTK trusts the numbers in it."""
+    with tempfile.TemporaryDirectory() as folder:
+        kept = Path(folder) / "mesh.npz"
+        command = [
+            sys.executable,
+            "-P",
+            "-c",
+            "from datasets.exchange.meshes import leave; leave()",
+            str(path),
+            str(kept),
+        ]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, errors="replace", check=False)
+        if done.returncode == REFUSED:
+            raise InputError(done.stderr.splitlines()[-1])
+        if done.returncode != 0 or not kept.exists():
+            raise InputError("expected a readable mesh, its reader broke off")
+        with np.load(kept, allow_pickle=False) as arrays:
+            return arrays["vertices"], arrays["triangles"]
+
+
+def leave() -> None:
+    """Write what `triangles_in` returns of the first argument of this process to the second, for `read_apart`."""
+    end_with_parent()
+    source, target = map(Path, sys.argv[1:])
+    try:
+        with reading(Path(), "a readable mesh"):
+            vertices, triangles = triangles_in(source)
+    except InputError as error:
+        print(error.message, file=sys.stderr)
+        sys.exit(REFUSED)
+    np.savez(target, vertices=vertices, triangles=triangles)
 
 
 def write_surface(scene: Scene, path: Path) -> None:

@@ -1,14 +1,18 @@
 """Rasters by rasterio: elevations and thicknesses read, maps written."""
 
+import codecs
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import rasterio
+from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
+from rasterio.io import MemoryFile
 from rasterio.warp import transform as reprojected
 
 from datasets.errors import WorkFailed, require, shortened
@@ -25,6 +29,10 @@ METRES = ("", "m", "metre", "metres", "meter", "meters")
 """What a raster may call the unit of its values."""
 UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)
 """Values that stand for no data by custom, as they are in the file."""
+CLIFF, STEEP = 500.0, 10.0
+"""Height of a step [m], and over the cell, beyond which values without any between are no ground: -999, 9999, 0."""
+MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+"""What text begins with that says how it is encoded."""
 NO_ELEVATION = 2.0e4
 """Elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38."""
 LENGTH, EARTH = 100.0, 6.371e6
@@ -59,14 +67,9 @@ def read_raster(path: Path) -> Raster:
     does not say so, which a warning then does.
     """
     file_size(path, "a raster", most=LARGEST)
-    with path.open("rb") as raw:
-        head = raw.read(2)
     with reading(path, "a readable raster"), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        # A path without a scheme, and one of two drivers: others open what a file names, on this machine or elsewhere.
-        # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
-        as_ = {"driver": "GTiff"} if head in (b"II", b"MM") else {"driver": "AAIGrid", "DATATYPE": "Float64"}
-        with rasterio.open(path.resolve(), **as_) as file:
+        with opened(path) as file:
             require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
             georeferenced = not file.transform.is_identity
             transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
@@ -85,6 +88,7 @@ def read_raster(path: Path) -> Raster:
     raw_values = masked.filled(np.nan)
     values = scale * raw_values + offset
     none = np.isfinite(values) & (np.isin(raw_values, UNDECLARED) | (np.abs(values) >= NO_ELEVATION))
+    none |= beyond_cliffs(np.where(none, np.nan, values), max(CLIFF, STEEP * max(transform.a, abs(transform.e))))
     if none.any():
         which = f"{int(none.sum())} values such as {raw_values[none][0]:g}"
         warnings.warn(f"{path}: {which} are taken as no data, which the file does not declare", stacklevel=2)
@@ -107,15 +111,50 @@ def read_raster(path: Path) -> Raster:
     )
 
 
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """A raster as rasterio has it, of one of two drivers: others open what a file names, here or elsewhere."""
+    with path.open("rb") as raw:
+        head = raw.read(max(map(len, MARKS)))
+    # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
+    text: dict[str, Any] = {"driver": "AAIGrid", "DATATYPE": "Float64"}
+    encoding = next((name for mark, name in MARKS.items() if head.startswith(mark)), None)
+    if encoding is not None:
+        # The driver knows plain text alone.
+        plain = path.read_bytes().decode(encoding).encode()
+        with MemoryFile(plain, ext=".asc") as memory, memory.open(**text) as file:
+            yield file
+    elif head[:2] in (b"II", b"MM"):
+        with rasterio.open(path.resolve(), driver="GTiff") as file:
+            yield file
+    else:
+        with rasterio.open(path.resolve(), **text) as file:
+            yield file
+
+
+def beyond_cliffs(values: Floats, step: float) -> NDArray[np.bool_]:
+    """Which values lie further than `step` [m] above or below most of them, with none between; NaN counts as none."""
+    finite = values[np.isfinite(values)]
+    beyond = np.zeros(values.shape, bool)
+    if finite.size == 0 or np.ptp(finite) <= step:
+        return beyond
+    # A gap of a step leaves a class of half a step empty.
+    counts, edges = np.histogram(finite, bins=int(np.ptp(finite) / (0.5 * step)) + 1)
+    middle = float(np.median(finite))
+    for edge in edges[:-1][counts == 0]:
+        below, above = finite[finite < edge].max(), finite[finite >= edge].min()
+        if above - below > step:
+            beyond |= values <= below if middle > below else values >= above
+    return beyond
+
+
 def check_lengths(crs: Any, east: float, north: float) -> None:
     """Raise InputError where a metre of the map at a place is not one on the ground, such as in Web Mercator."""
     steps = [(0.0, 0.0), (LENGTH, 0.0), (0.0, LENGTH)]
-    try:
-        longitude, latitude = np.radians(
-            reprojected(crs, "EPSG:4326", [east + step for step, _ in steps], [north + step for _, step in steps])
-        )
-    except RasterioError:
+    places = carried(crs, "EPSG:4326", [east + step for step, _ in steps], [north + step for _, step in steps])
+    if places is None:
         return  # a system of its own, without a place on the earth
+    longitude, latitude = np.radians(places)
     ground = EARTH * np.hypot(np.cos(latitude[0]) * (longitude[1:] - longitude[0]), latitude[1:] - latitude[0]) / LENGTH
     require(
         bool((np.abs(ground - 1.0) <= DISTORTED).all()),
@@ -141,11 +180,17 @@ def same_system(name: str | None, raster: Raster) -> bool:
     """Whether a raster's corner lies at one place by its own reference system and by another, or either is none."""
     if name is None or raster.crs is None or name == raster.crs:
         return True
+    east, north = raster.corner
+    there = carried(raster.crs, name, [east], [north])
+    return there is not None and bool(np.hypot(*(there[:, 0] - raster.corner)) <= SAME_PLACE)
+
+
+def carried(source: Any, target: Any, east: Sequence[float], north: Sequence[float]) -> Floats | None:
+    """Places of one reference system in another one, [2, N]; None where it has none there."""
     try:
-        (east,), (north,) = reprojected(raster.crs, name, *([each] for each in raster.corner))
-    except RasterioError:
-        return False
-    return bool(np.hypot(east - raster.corner[0], north - raster.corner[1]) <= SAME_PLACE)
+        return np.array(reprojected(source, target, east, north))
+    except Exception:  # PROJ's own errors are of no public class
+        return None
 
 
 def write_raster(

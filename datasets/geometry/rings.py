@@ -10,7 +10,7 @@ from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
 from datasets.errors import InputError, require
-from datasets.geometry.closed import STEEPEST, Body, meet, outside_of_box, ring, snapped
+from datasets.geometry.closed import NEARLY, POINTED, STEEPEST, Body, meet, outside_of_box, ring, snapped
 from datasets.geometry.ground import TOUCHING, Floats, Integers
 
 
@@ -87,7 +87,9 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
     distance = np.stack([shapely.distance(middle, shapely.linearrings(body.vertices)) for body in bodies])
     # Faces that coincide go to the first of their solids.
     owner = np.argmax(distance <= distance.min(axis=0) + 10.0 * gap, axis=0).astype(np.int32)
-    check_corners(vertices, owner, [body.key for body in bodies], 100.0 * gap)
+    shapes = [Polygon(body.vertices) for body in bodies]
+    check_corners(vertices, owner, shapes, [body.key for body in bodies], gap)
+    check_near_corners(shapes, [body.key for body in bodies], NEARLY * gap)
     friction = np.zeros(faces.shape)
     for number, body in enumerate(bodies):
         mine = faces[owner == number]
@@ -96,15 +98,36 @@ def union_of_rings(bodies: list[Body], gap: float) -> tuple[Floats, Integers, Fl
     return vertices, faces, friction, owner
 
 
-def check_corners(vertices: Floats, owner: NDArray[np.int32], keys: list[str], tolerance: float) -> None:
-    """Raise InputError where solids in 2D meet in a point alone.
+def check_corners(
+    vertices: Floats, owner: NDArray[np.int32], shapes: list[Polygon], keys: list[str], gap: float
+) -> None:
+    """Raise InputError where solids in 2D meet in a point alone, but for what `gap` [m] on either side closes.
 
     There the boundary of their union has two corners in one place [m], [V, 2]; owner: the solid of each, [V].
     """
-    pairs = cKDTree(vertices).query_pairs(tolerance, output_type="ndarray")
+    pairs = cKDTree(vertices).query_pairs(100.0 * gap, output_type="ndarray")
     for first, second in sorted({(min(pair), max(pair)) for pair in owner[pairs].tolist()}):
-        if first != second:
+        if first != second and shapes[first].distance(shapes[second]) <= 2.0 * gap:
             raise meet(keys[first], keys[second], "an edge", "in a point")
+
+
+def check_near_corners(shapes: list[Polygon], keys: list[str], near: float) -> None:
+    """Raise InputError where solids in 2D come within `near` [m] of each other in a point alone, as rounded corners do.
+
+    They do where the boundary of one is close to the other over less than `POINTED` times that; a third may cover it.
+    """
+    pairs = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=near)
+    for first, second in pairs.T[pairs[0] < pairs[1]].tolist():
+        one, other = shapes[first], shapes[second]
+        apart = one.distance(other)
+        beside = other.buffer(apart + 0.5 * near)
+        if apart == 0.0 or one.boundary.intersection(beside).length > POINTED * near:
+            continue
+        between = shapely.shortest_line(one, other).centroid
+        thirds = (shape for number, shape in enumerate(shapes) if number not in (first, second))
+        if not any(third.intersects(between) for third in thirds):
+            where = f"in a point but for {apart:.2g} m"
+            raise meet(keys[first], keys[second], "an edge", where)
 
 
 def friction_at(body: Body, positions: Floats) -> Floats:

@@ -1,6 +1,7 @@
 """Closed surfaces in three dimensions, triangles, by manifold3d: turned outwards, cut, continued, united, cut level."""
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -10,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from datasets.errors import InputError, require
-from datasets.geometry.closed import Body, meet, outside_of_box, pseudonormals
+from datasets.geometry.closed import NEARLY, POINTED, Body, meet, outside_of_box, pseudonormals
 from datasets.geometry.ground import Floats, Integers
 
 SHARED = 1.0e-6
@@ -118,6 +119,7 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
         parts.append(part)
         numbers[part.original_id()] = number
     check_lines(parts, [body.key for body in bodies], gap)
+    check_near_lines(bodies, parts, gap)
     mesh = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add).to_mesh64()
     values, triangles = np.array(mesh.vert_properties), np.array(mesh.tri_verts, np.int64)
     owner = np.zeros(len(triangles), np.int32)
@@ -134,24 +136,57 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
 def check_lines(parts: list[manifold3d.Manifold], keys: list[str], gap: float) -> None:
     """Raise InputError where solids in 3D meet in a point or along a line alone, which no third solid covers.
 
-    parts: the solids, each grown by `gap` [m]. Two that share a face of width w then have a layer of the surface
-    2 w L in common, with L the length of its diagonal; of an edge it is 8 gap L.
+    parts: the solids, each grown by `gap` [m].
     """
+    for first, second in near_pairs(parts, 0.0):
+        others = [part for number, part in enumerate(parts) if number not in (first, second)]
+        where = line_shared(parts[first], parts[second], others, gap, NARROW)
+        if where:
+            raise meet(keys[first], keys[second], "a face", where)
+
+
+def check_near_lines(bodies: list[Body], parts: list[manifold3d.Manifold], gap: float) -> None:
+    """The same of solids that come within NEARLY gaps of each other without touching, as with rounded vertices."""
+    near = NEARLY * gap
+    for first, second in near_pairs(parts, near):
+        chosen = bodies[first], bodies[second]
+        if not all(body.grows for body in chosen) or not (parts[first] ^ parts[second]).is_empty():
+            continue
+        one, other = (manifold(grown(body, 0.5 * near), body.faces) for body in chosen)
+        if one.status() == other.status() == manifold3d.Error.NoError:
+            others = [part for number, part in enumerate(parts) if number not in (first, second)]
+            where = line_shared(one, other, others, 0.5 * near, 2.0 * POINTED)
+            if where:
+                apart = f"{where} but for {parts[first].min_gap(parts[second], near):.2g} m"
+                raise meet(chosen[0].key, chosen[1].key, "a face", apart)
+
+
+def line_shared(
+    one: manifold3d.Manifold, other: manifold3d.Manifold, others: list[manifold3d.Manifold], gap: float, narrow: float
+) -> str:
+    """Where two solids, grown by `gap` [m], share less than a face that is `narrow` gaps wide; empty where nowhere.
+
+    Those that share a face of width w then have a layer of the surface 2 w L in common, with L the length of its
+    diagonal; of an edge it is 8 gap L. What others cover by half does not count.
+    """
+    for shared in (one ^ other).decompose():
+        low, high = np.array(shared.bounding_box()).reshape(2, 3)
+        length = float(np.linalg.norm(high - low))
+        if shared.surface_area() > narrow * gap * length:
+            continue
+        left = manifold3d.Manifold.batch_boolean([shared, *others], manifold3d.OpType.Subtract)
+        if left.volume() > 0.5 * shared.volume():
+            return "along a line" if length > narrow * gap else "in a point"
+    return ""
+
+
+def near_pairs(parts: list[manifold3d.Manifold], near: float) -> Iterator[tuple[int, int]]:
+    """Numbers of solids whose boxes come within `near` [m] of each other and that are not too fine to be compared."""
     bounds = np.array([part.bounding_box() for part in parts]).reshape(-1, 2, 3)
     for first, second in combinations(range(len(parts)), 2):
-        apart = (bounds[[first, second], 0].max(axis=0) > bounds[[first, second], 1].min(axis=0)).any()
-        if apart or parts[first].num_tri() + parts[second].num_tri() > MOST_TRIANGLES:
-            continue
-        for shared in (parts[first] ^ parts[second]).decompose():
-            low, high = np.array(shared.bounding_box()).reshape(2, 3)
-            length = float(np.linalg.norm(high - low))
-            if shared.surface_area() > NARROW * gap * length:
-                continue
-            others = [part for number, part in enumerate(parts) if number not in (first, second)]
-            left = manifold3d.Manifold.batch_boolean([shared, *others], manifold3d.OpType.Subtract)
-            if left.volume() > 0.5 * shared.volume():
-                where = "along a line" if length > NARROW * gap else "in a point"
-                raise meet(keys[first], keys[second], "a face", where)
+        lower, upper = bounds[[first, second], 0].max(axis=0), bounds[[first, second], 1].min(axis=0)
+        if (lower - upper <= near).all() and parts[first].num_tri() + parts[second].num_tri() <= MOST_TRIANGLES:
+            yield first, second
 
 
 def grown(body: Body, gap: float) -> Floats:

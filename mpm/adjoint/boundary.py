@@ -4,45 +4,46 @@ A wall that stops v_n along its axis leaves u = (1 - mu |v_n| / |w|) w of the re
 
     w' = u' - mu |v_n| / |w| (u' - w (w . u') / |w|^2),    (mu |v_n|)' = -(w . u') / |w|
 
-and 0 where the node sticks: at |w| = mu |v_n| the derivative jumps, and the side that the step took is taken.
+and 0 where the node sticks; on an edge w is what no wall there stops. At |w| = mu |v_n| the derivative jumps, and the
+side that the step took is taken.
 """
 
 import taichi as ti
 
-from mpm.physics.boundary import after_wall, friction_of, stopping_side
+from mpm.physics.boundary import along_walls, friction_of, stopping_side, with_friction
 
 
 @ti.func
-def before_wall(v, node, cells, axis: ti.template(), scene, arrays: ti.template()):
-    """Velocity [m/s] that the walls across `axis` act on: `v` after those across the axes before."""
+def before_friction(v, node, cells, axis: ti.template(), scene, arrays: ti.template()):
+    """Velocity [m/s] that the walls across `axis` rub on: `v` without what moves into walls, after those before."""
+    along = along_walls(v, node, cells, scene, arrays)
     for k in ti.static(range(axis)):
         side = stopping_side(v, node, cells, k, scene, arrays)
         if side >= 0:
-            v = after_wall(v, k, friction_of(side, scene, arrays))
-    return v
+            along = with_friction(along, friction_of(side, scene, arrays) * ti.abs(v[k]))
+    return along
 
 
 @ti.func
 def wall_reverse(bar, v_star, node, cells, scene, arrays: ti.template()):
     """Bar of the velocity `v_star` before all walls from that after them, shape [D], and of floor and wall friction."""
     dimension = ti.static(arrays.features.dimension)
-    floor_bar, wall_bar = 0.0 * bar[0], 0.0 * bar[0]
+    floor_bar, wall_bar, into = 0.0 * bar[0], 0.0 * bar[0], 0.0 * bar
     for reverse in ti.static(range(dimension)):
         axis = ti.static(dimension - 1 - reverse)
-        v = before_wall(v_star, node, cells, axis, scene, arrays)
-        side = stopping_side(v, node, cells, axis, scene, arrays)
+        side = stopping_side(v_star, node, cells, axis, scene, arrays)
         if side >= 0:
-            friction = friction_of(side, scene, arrays)
-            normal = ti.abs(v[axis])
-            along = v
-            along[axis] = 0.0
-            bar[axis] = 0.0
+            friction, normal = friction_of(side, scene, arrays), ti.abs(v_star[axis])
+            along = before_friction(v_star, node, cells, axis, scene, arrays)
             bar, limit_bar = with_friction_reverse(bar, along, friction * normal)
-            bar[axis] = friction * limit_bar * (v[axis] / normal)
+            into[axis] = friction * limit_bar * (v_star[axis] / normal)
             if side == 2:
                 floor_bar += normal * limit_bar
             else:
                 wall_bar += normal * limit_bar
+    for axis in ti.static(range(dimension)):
+        if stopping_side(v_star, node, cells, axis, scene, arrays) >= 0:
+            bar[axis] = into[axis]
     return bar, floor_bar, wall_bar
 
 

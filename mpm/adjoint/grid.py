@@ -23,7 +23,7 @@ with -kappa and -v times that of the change.
 
 import taichi as ti
 
-from mpm.adjoint.boundary import before_wall, wall_reverse, with_friction_reverse
+from mpm.adjoint.boundary import before_friction, wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import box_cells, columns_deep, zero_node
 from mpm.arrays.layout import Setting, Span, Worker
@@ -77,7 +77,7 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
         new_bar = apply_barriers(new_bar, indices, scene, dt, arrays)
     mass_bar, side_bar = zero, zero
     if ti.static(features.contact or features.channel):
-        stopped = before_wall(v_star, indices, box_cells(scene, arrays), dimension, scene, arrays)
+        stopped = before_friction(v_star, indices, box_cells(scene, arrays), dimension, scene, arrays)
         if ti.static(features.channel):
             braked = stopped
             if ti.static(features.contact):

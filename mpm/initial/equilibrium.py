@@ -77,7 +77,10 @@ class Equilibrium:
         slowest = np.pi / (2.0 * height) * max(material.wave_speed for material in particles.materials)
         # A body that nothing holds along the floor slides there as a whole: K alone is singular.
         touches = len(self.contact.touching) > 0 or (scene.slope_deg != 0.0 and self.friction == 0.0)
-        self.inertia = INERTIA * slowest**2 * self.mass[:, None] if touches else np.zeros((len(self.mass), 1))
+        self.loose_inertia = INERTIA * slowest**2 * self.mass[:, None]
+        self.inertia = self.loose_inertia if touches else np.zeros((len(self.mass), 1))
+        self.level = [axis for axis in range(self.dimension) if axis != 1]
+        self.slip, self.slid = np.zeros((2, *self.nodes.shape))
 
     def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
         """Find which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -,
@@ -110,7 +113,7 @@ class Equilibrium:
         """The stress in equilibrium that comes from the guess `stress`, [N, 3, 3], or the nearest to one."""
         precondition = None
         best, smallest, patience = stress, np.inf, PATIENCE
-        tractions = self.contact.traction
+        tractions, state = self.contact.traction, (self.free, self.slip)
         for _ in range(ITERATIONS):
             admitted = self.admitted(stress)
             tractions = self.contact.coulomb_limited(admitted, tractions)
@@ -119,7 +122,7 @@ class Equilibrium:
             patience = PATIENCE if left < PROGRESS * smallest else patience - 1
             if left < smallest:
                 best, smallest = admitted, left
-                self.contact.traction = tractions
+                self.contact.traction, state = tractions, (self.free.copy(), self.slip.copy())
             if smallest <= BALANCED or patience == 0:
                 break
             yielded = np.abs(admitted - stress).max(axis=(1, 2)) > ROUNDING * np.abs(stress).max()
@@ -135,12 +138,40 @@ class Equilibrium:
                 precondition = None
             stress = stress + self.elastic(displacements)
             tractions = tractions + self.contact.shear_traction(displacements, self.theta * self.shear)
-            # Walls push and do not pull.
-            pulled = ~self.free & (self.unbalanced(stress, tractions) * self.walls > BALANCED * self.weight)
-            if pulled.any():
+            pulled = self.pulled(self.unbalanced(stress, tractions))
+            if pulled.any() or self.slips(stress, tractions, displacements):
                 self.free |= pulled
                 precondition = None
+        self.free, self.slip = state
         return best
+
+    def pulled(self, force: Floats) -> NDArray[np.bool_]:
+        """Which components of nodes a wall would have to pull against the unbalanced `force` [N], both [n, D]."""
+        return np.asarray(~self.free & (force * self.walls > BALANCED * self.weight))
+
+    def slips(self, stress: Floats, tractions: Floats, displacements: Floats) -> bool:
+        """Free the nodes that a rough floor would have to hold by more than its friction; whether any node changes.
+
+        Friction acts against the force on them, `slip`, unit vectors, [n, D], until the displacements of iterations
+        [m], [n, D], bring them back: then the floor holds them again.
+        """
+        force = self.unbalanced(stress, tractions)
+        along = np.where(self.free, 0.0, force)
+        along[:, 1] = 0.0
+        shear = np.linalg.norm(along, axis=1)
+        held = self.friction * np.maximum(-force[:, 1], 0.0) + BALANCED * self.weight
+        slid = self.slip.any(axis=1)
+        new = self.rough & (shear > (1.0 + ACCURACY) * held) & ~slid
+        self.slip[new] = along[new] / shear[new, None]
+        self.slid[:, self.level] += np.where(slid[:, None], displacements[:, self.level], 0.0)
+        back = (self.slid * self.slip).sum(axis=1) < 0.0
+        self.slip[back] = self.slid[back] = 0.0
+        # Walls beside the floor hold as before.
+        movable = ~((self.walls != 0) | self.behind_barriers)[:, self.level]
+        self.free[:, self.level] = np.where(movable & new[:, None], True, self.free[:, self.level] & ~back[:, None])
+        if new.any():
+            self.inertia = self.loose_inertia
+        return bool(new.any() or back.any())
 
     def warn(self, stress: Floats) -> None:
         """Say how much of the weight a solution leaves unbalanced, where that is more than single particles."""
@@ -159,9 +190,8 @@ class Equilibrium:
         loose = np.abs(force[self.free]).sum()
         push = -force * self.walls
         pulled = np.where((self.walls != 0) & ~self.free, np.maximum(-push, 0.0), 0.0).sum()
-        level = [axis for axis in range(self.dimension) if axis != 1]
         # Where walls or barriers hold a direction, they take what is along it.
-        along = np.where((self.walls[:, level] == 0) & ~self.behind_barriers[:, level], force[:, level], 0.0)
+        along = np.where(self.free | (self.walls != 0) | self.behind_barriers, 0.0, force)[:, self.level]
         shear = np.linalg.norm(along, axis=1)
         slips = np.maximum(shear - self.friction * np.maximum(push[:, 1], 0.0), 0.0)[self.rough].sum()
         # Solids hold nodes altogether; along all faces they bear no more than friction, in the sum: single nodes pull.
@@ -174,7 +204,8 @@ class Equilibrium:
     def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
         """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
         push = self.contact.force(np.minimum(self.contact.normal_stress(stress), 0.0), tractions)
-        return np.asarray(self.gravity + push - self.divergence(stress))
+        force = self.gravity + push - self.divergence(stress)
+        return np.asarray(force - self.friction * np.maximum(-force[:, 1:2], 0.0) * self.slip)
 
     def divergence(self, stress: Floats) -> Floats:
         """sum_p w_ip V_p (4 / dx^2) sigma_p x_ip [N], shape [n, D]."""

@@ -30,6 +30,8 @@ RELAXED = 1.6
 """Factor on the step of z, below 2."""
 ITERATIONS, BETWEEN, PATIENCE = 240, 4, 8
 """Steps at most; after how many what is unbalanced is computed, and how often in a row that may be no less."""
+RELEASES = 5
+"""Solutions at most, each without what walls would have to pull in the one before."""
 FEW_NODES = 6000
 """Up to which a scene in 3D is factorised as a whole."""
 
@@ -89,8 +91,22 @@ def with_thrusts(
 ) -> Floats:
     """The stress of `chosen` particles, [N, 3, 3], in equilibrium with the thrusts of `guess`, sought from `start`.
 
-    The best admitted one where there is none within ITERATIONS. Changes the stiffness of `problem`.
+    The best admitted one where there is none within ITERATIONS. Changes the stiffness of `problem`, and frees the nodes
+    that walls would have to pull.
     """
+    for _ in range(RELEASES):
+        found = sought_with_thrusts(problem, scene, particles, start, guess, chosen)
+        pulled = problem.pulled(problem.unbalanced(found, problem.contact.traction))
+        if not pulled.any():
+            break
+        start, problem.free = found, problem.free | pulled
+    return found
+
+
+def sought_with_thrusts(
+    problem: Equilibrium, scene: Scene, particles: Particles, start: Floats, guess: Floats, chosen: NDArray[np.int64]
+) -> Floats:
+    """`with_thrusts` where walls may pull."""
     balanced = WithThrust(problem, scene, particles.mass[chosen], guess)
     best, smallest, patience, moving = start, np.inf, PATIENCE, start
     for step in range(ITERATIONS):

@@ -7,8 +7,9 @@ swings. With the unit normal n of the ground, depth d = (depth below the top) n_
     sigma_t = K sigma_n,       sigma_b = nu (sigma_n + sigma_t)                                   (tension positive)
 
 where sigma_0 is the normal stress at the foot. A slope steeper than mu accelerates as a whole, and tau is what friction
-bears; else it is at rest. K is that of an elastic half-space, nu / (1 - nu), within active and passive yield beside tau
-(Rankine 1857; s = sin phi, reduced by MARGIN for what jitter does to single particles):
+bears; else it is at rest. What is stacked on a box loads it. K is that of an elastic half-space, nu / (1 - nu), within
+active and passive yield beside tau (Rankine 1857; s = sin phi, reduced by MARGIN for what jitter does to single
+particles):
 
     K = [1 + s^2 -+ 2 sqrt(s^2 - (1 - s^2) t^2)] / (1 - s^2)        (root 0 where t is beyond it)
 """
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from datasets.geometry.bodies import height
 from datasets.geometry.ground import highest, plan_axes
-from datasets.scene import TOLERANCE, Mass, Scene, coefficient
+from datasets.scene import TOLERANCE, Baffle, Mass, Scene, Solid, coefficient
 from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import Particles
 
@@ -28,28 +29,117 @@ Floats = NDArray[np.float64]
 
 FLAT = 5.0
 """Lengths over height from which on a mass is a layer and no column."""
+NEAR, MOST = 0.05, 0.9
+"""Distance from the ground, in cells, within which this share of a polygon's lower side lies where it is a sheet."""
+SAMPLES = 33
+"""Most places along an axis at which the ground beneath a box is looked at."""
 MARGIN = 0.1
 """Share by which sin(phi) is reduced for K."""
 
 
 def begins_as_slope(scene: Scene, mass: Mass) -> bool:
-    """Whether `mass`, of friction and without `k0`, lies flat on inclined ground: a box on a tilted floor, a layer."""
-    frictional = scene.material_of(mass).law == MOHR_COULOMB
-    if not frictional or mass.k0 is not None or mass.angular_velocity is not None or scene.gravity <= 0.0:
+    """Whether `mass` lies flat on inclined ground: a layer or a polygon along it; in a tilted box also a box on what is
+    level, or on such boxes.
+    """
+    if not lies_flat(scene, mass):
         return False
     tilted = scene.slope_deg != 0.0
-    if mass.kind == "layer":
-        lies = tilted or any(solid.kind == "terrain" for solid in scene.solids)
-    else:
-        alone = not any(above(other, mass, scene) for other in scene.masses)
-        lies = mass.kind == "box" and tilted and mass.lower[1] <= TOLERANCE and alone
-    if not lies:
+    if mass.kind != "box":
+        inclined = tilted or any(solid.kind == "terrain" for solid in scene.solids)
+        return inclined and (mass.kind == "layer" or follows_ground(scene, mass))
+    stacked = all(
+        lies_flat(scene, other) and foundation(scene, other) is not None
+        for other in scene.masses
+        if above(other, mass, scene) and other.lower[1] > mass.lower[1]
+    )
+    return tilted and stacked and foundation(scene, mass) is not None
+
+
+def lies_flat(scene: Scene, mass: Mass) -> bool:
+    """Whether `mass`, of friction and without `k0`, is a sheet and no column."""
+    frictional = scene.material_of(mass).law == MOHR_COULOMB and mass.kind != "mesh"
+    if not frictional or mass.k0 is not None or mass.angular_velocity is not None or scene.gravity <= 0.0:
         return False
     tall = FLAT * height(scene, mass)
     return all(
         mass.size[axis] >= tall or (axis == 2 and mass.size[axis] >= scene.domain.size[axis] - TOLERANCE)
         for axis in plan_axes(scene.dimension)
     )
+
+
+def follows_ground(scene: Scene, mass: Mass) -> bool:
+    """Whether the lower side of a polygon lies on terrain or floor, but for its ends."""
+    x, bottom, _ = sides(mass, scene.domain.cell)
+    apart = np.abs(bottom - highest(scene.solids, scene.domain, x[:, None], 0.0)[0])
+    return bool(np.mean(apart <= NEAR * scene.domain.cell) >= MOST)
+
+
+def sides(mass: Mass, cell: float) -> tuple[Floats, Floats, Floats]:
+    """Lower and upper side of a polygon [m] at x [m]: x, y and y, each of shape [X], closer than a cell of the grid."""
+    start = np.array(mass.vertices)
+    end = np.roll(start, -1, axis=0)
+    steep = start[:, 0] == end[:, 0]
+    start, end = start[~steep], end[~steep]
+    low, high = float(start[:, 0].min()), float(start[:, 0].max())
+    x = np.linspace(low, high, 4 * math.ceil((high - low) / cell) + 1)
+    share = (x[:, None] - start[:, 0]) / (end - start)[:, 0]
+    y = start[:, 1] + share * (end - start)[:, 1]
+    crossed = (share >= -TOLERANCE) & (share <= 1.0 + TOLERANCE)
+    return x, np.where(crossed, y, np.inf).min(axis=1), np.where(crossed, y, -np.inf).max(axis=1)
+
+
+def depth_below_top(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:
+    """Depth [m] below the top of a mass at the same x, z, [N]; depth: that of its particles, of a polygon below its
+    highest place.
+    """
+    if mass.kind != "polygon":
+        return depth
+    x, _, top = sides(mass, scene.domain.cell)
+    return np.asarray(np.maximum(np.interp(positions[:, 0], x, top) - positions[:, 1], 0.0))
+
+
+def foundation(scene: Scene, mass: Mass) -> Mass | None:
+    """The lowest of the boxes on which a box lies, itself on level ground all over; None where there is none."""
+    if mass.kind != "box":
+        return None
+    level = plan_axes(scene.dimension)
+    low, size = np.array(mass.lower)[level], np.array(mass.size)[level]
+    counts = [min(SAMPLES, math.ceil(length / scene.domain.cell) + 1) for length in size]
+    axes = [np.linspace(0.0, 1.0, count) for count in counts]
+    plan = low + size * np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(level))
+    if (np.abs(level_ground(scene, plan, mass.lower[1])[0] - mass.lower[1]) <= TOLERANCE).all():
+        return mass
+    for other in scene.masses:
+        flush = other.kind == "box" and abs(other.lower[1] + other.size[1] - mass.lower[1]) <= TOLERANCE
+        if flush and within(plan, other, level).all() and lies_flat(scene, other):
+            return foundation(scene, other)
+    return None
+
+
+def level_ground(scene: Scene, plan: Floats, foot: float) -> tuple[Floats, Floats]:
+    """Elevation [m] of ground and Coulomb coefficient at places in plan [m], [N, D - 1]: floor, terrain, or boxes and
+    baffles whose tops are at `foot` [m]. Each of shape [N].
+    """
+    level, floor = plan_axes(scene.dimension), coefficient(scene.floor_friction)
+    elevation, friction, top = highest(scene.solids, scene.domain, plan, floor)
+    stuck = np.array([*(solid.contact == "no-slip" for solid in scene.solids), False])[top]
+    friction = np.where(stuck, np.inf, friction)
+    boxes = list[tuple[Baffle | Solid, float]]()
+    boxes += [(each, coefficient(scene.friction_of(each))) for each in scene.baffles if each.turned_deg == 0.0]
+    for solid in scene.solids:
+        if solid.kind == "box" and solid.turned_deg == 0.0:
+            boxes.append((solid, math.inf if solid.contact == "no-slip" else float(np.max(solid.friction))))
+    for each, mu in boxes:
+        top_of = np.add(each.lower or (), each.size or ())[1]
+        here = within(plan, each, level) & (abs(top_of - foot) <= TOLERANCE)
+        elevation, friction = np.where(here, foot, elevation), np.where(here, mu, friction)
+    return elevation, friction
+
+
+def within(plan: Floats, box: Mass | Baffle | Solid, level: list[int]) -> NDArray[np.bool_]:
+    """Which places in plan [m], [N, D - 1], lie over or under a box, but for rounding."""
+    low, size = np.array(box.lower or ())[level], np.array(box.size or ())[level]
+    return np.asarray(((plan >= low - TOLERANCE) & (plan <= low + size + TOLERANCE)).all(axis=1))
 
 
 def above(other: Mass, mass: Mass, scene: Scene) -> bool:
@@ -70,7 +160,7 @@ def slope_stress(scene: Scene, particles: Particles, positions: Floats) -> tuple
         if not begins_as_slope(scene, mass):
             continue
         own = particles.mass == number
-        normal, friction = ground_beneath(scene, positions[own])
+        normal, friction = ground_beneath(scene, mass, positions[own])
         gravity = np.array(scene.gravity_vector)
         across = normal @ gravity
         along = gravity - across[:, None] * normal
@@ -80,10 +170,11 @@ def slope_stress(scene: Scene, particles: Particles, positions: Floats) -> tuple
         material, up = scene.material_of(mass), normal[:, 1]
         sine = math.sin(math.radians(material.phi_deg))
         weight = material.density * np.abs(across)
-        foot = np.maximum(weight * height(scene, mass) * up, 1.0e-9)
+        load = np.abs(across) * mass_above(scene, mass, positions[own])
+        foot = np.maximum(weight * height(scene, mass) * up + load, 1.0e-9)
         strength = material.friction + material.cohesion / foot
         ratio = np.minimum(np.minimum(steep / np.abs(across), friction), strength)
-        across_stress = -weight * particles.depth[own] * up
+        across_stress = -weight * depth_below_top(scene, mass, positions[own], particles.depth[own]) * up - load
         level = lateral_ratio(material.poisson, sine, ratio) * across_stress
         shear = -ratio * across_stress
         third = material.poisson * (across_stress + level)
@@ -98,10 +189,23 @@ def slope_stress(scene: Scene, particles: Particles, positions: Floats) -> tuple
     return stress, traction
 
 
-def ground_beneath(scene: Scene, positions: Floats) -> tuple[Floats, Floats]:
+def mass_above(scene: Scene, mass: Mass, positions: Floats) -> Floats:
+    """What is stacked on a box over `positions` [m], [N, D]: its mass per area [kg/m^(D - 1)], shape [N]."""
+    total = np.zeros(len(positions))
+    level = plan_axes(scene.dimension)
+    for other in scene.masses if mass.kind == "box" else ():
+        if above(other, mass, scene) and other.lower[1] > mass.lower[1]:
+            total += scene.material_of(other).density * other.size[1] * within(positions[:, level], other, level)
+    return total
+
+
+def ground_beneath(scene: Scene, mass: Mass, positions: Floats) -> tuple[Floats, Floats]:
     """Unit normal of the ground, [N, D], over a cell, and its Coulomb coefficient, [N], beneath `positions` [m]."""
     level, floor = plan_axes(scene.dimension), coefficient(scene.floor_friction)
     plan, half = positions[:, level], 0.5 * scene.domain.cell
+    base = foundation(scene, mass)
+    if base is not None:
+        return np.tile(np.eye(scene.dimension)[1], (len(plan), 1)), level_ground(scene, plan, base.lower[1])[1]
     _, friction, top = highest(scene.solids, scene.domain, plan, floor)
     stuck = np.array([*(solid.contact == "no-slip" for solid in scene.solids), False])[top]
     normal = np.zeros(positions.shape)

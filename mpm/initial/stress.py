@@ -16,9 +16,10 @@ displacements u through the gradient that the kernel uses,
 and K u = r with K = sum_p V_p B^T D B (B: u -> sym C) and the unbalanced force r_i = m_i g - sum_p w_ip V_p (4 / dx^2)
 sigma_p x_ip at every node that can move. A node at or beyond a wall of the box does not move across it, unless it would
 have to be pulled, nor across a barrier (`mpm.initial.barriers`); under an elastic mass a rough floor holds it
-altogether. A geostatic box stands between smooth barriers on all its lateral faces; a geostatic layer is held by rough
-ground as an elastic mass is. Solids push as in `mpm.physics.contact`, by whose law they are part of C_p and of K, with
-shear tractions where they are rough and hold a mass. Where bodies touch them K has a little inertia (`INERTIA`).
+altogether, unless that takes more than friction: then it slips, and friction is a force on it. A geostatic box stands
+between smooth barriers on all its lateral faces; a geostatic layer is held by rough ground as an elastic mass is.
+Solids push as in `mpm.physics.contact`, by whose law they are part of C_p and of K, with shear tractions where they are
+rough and hold a mass. Where bodies touch them, or slip, K has a little inertia (`INERTIA`).
 
 **Yield.** Where the corrected stress violates the tension limit, the principal stresses beyond it are cut; where it
 violates Mohr-Coulomb it is then scaled towards its own mean stress until it does not. The force that this leaves

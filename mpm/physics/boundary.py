@@ -1,9 +1,10 @@
 """Rigid walls of the box: no flow through them, Coulomb friction along them; a side may be open instead.
 
 A node on or beyond a wall that moves into it by v_n loses v_n, and of its tangential velocity at most mu v_n
-(Bardenhagen et al. 2000, eq. 18): an impulse balance, so no step size appears in it. It is the contact of
-`mpm.physics.contact` where the surface lies on the nodes, at the price of a comparison. Where a solid covers a wall,
-under a terrain or behind a lining, there is no wall: its nodes are the solid's (`mpm.solids.obstacles`).
+(Bardenhagen et al. 2000, eq. 18): an impulse balance, so no step size appears in it. On an edge all walls stop it
+before any rubs: what presses on one is no sliding along the other. It is the contact of `mpm.physics.contact` where the
+surface lies on the nodes, at the price of a comparison. Where a solid covers a wall, under a terrain or behind a
+lining, there is no wall: its nodes are the solid's (`mpm.solids.obstacles`).
 """
 
 import taichi as ti
@@ -31,26 +32,30 @@ def after_contact(v, normal, friction):
 
 
 @ti.func
-def after_wall(v, axis: ti.template(), friction):
-    """Velocity `v` after a wall across `axis` has stopped it: the normal part goes, friction takes of the rest."""
-    limit = friction * ti.abs(v[axis])
-    v[axis] = 0.0
-    return with_friction(v, limit)
+def along_walls(v, node, cells, scene, arrays: ti.template()):
+    """Velocity `v` [m/s] of a node without what moves into walls, before friction."""
+    along = v
+    for axis in ti.static(range(arrays.features.dimension)):
+        if stopping_side(v, node, cells, axis, scene, arrays) >= 0:
+            along[axis] = 0.0
+    return along
 
 
 @ti.func
 def apply_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
     """Velocity `v` [m/s] of the node `node` of `mass` [kg] after all walls of a box of `cells`; v, node, cells: [D]."""
     features = arrays.features
+    along = along_walls(v, node, cells, scene, arrays)
     for axis in ti.static(range(features.dimension)):
         side = stopping_side(v, node, cells, axis, scene, arrays)
         if side >= 0:
-            friction = friction_of(side, scene, arrays)
-            before = v
-            v = after_wall(v, axis, friction)
+            taken = along
+            along = with_friction(along, friction_of(side, scene, arrays) * ti.abs(v[axis]))
             if ti.static(features.recorded.walls):
-                add_wall_impulse(side, mass * (before - v), worker, scene, arrays)
-    return v
+                taken = taken - along
+                taken[axis] = v[axis]
+                add_wall_impulse(side, mass * taken, worker, scene, arrays)
+    return along
 
 
 @ti.func

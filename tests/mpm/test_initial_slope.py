@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets import Mass, Material, Scene, Solid
+from datasets import Baffle, Mass, Material, Scene, Solid
+from datasets.geometry.ground import elevation
 from datasets.scene.particles import initial_particles
 from mpm import simulate
 from mpm.initial.slope import begins_as_slope
@@ -23,7 +24,7 @@ SOIL = Material(friction_deg=35.0, young=2.7e6)
 
 
 def layer(how: str = "slope_deg", friction: float = MU, **changes: Any) -> Scene:
-    """40 x 1 m, free at its ends, on 22 degrees: by gravity in 2D and 3D, and on a terrain line."""
+    """40 x 1 m, free at its ends, on 22 degrees: by gravity, on a slab, in two parts, or on a terrain line."""
     settings: dict[str, Any] = {
         "cell": 0.25,
         "material": SOIL,
@@ -31,11 +32,26 @@ def layer(how: str = "slope_deg", friction: float = MU, **changes: Any) -> Scene
         "frame_dt": 0.25,
         "open_sides": ("x-", "x+"),
     } | changes
-    if how == "terrain":
+    if how in ("terrain", "polygon"):
         fall = math.tan(SLOPE)
         ground = Solid(kind="terrain", points=((0.0, 60.0 * fall + 1.0), (60.0, 1.0)), friction=friction)
-        mass = Mass(kind="layer", thickness=1.0 / math.cos(SLOPE), outline=((10.0,), (10.0 + 40.0 * math.cos(SLOPE),)))
+        thickness, end = 1.0 / math.cos(SLOPE), 10.0 + 40.0 * math.cos(SLOPE)
+        mass = Mass(kind="layer", thickness=thickness, outline=((10.0,), (end,)))
+        if how == "polygon":
+            low, high = (60.0 * fall + 1.0 - fall * x for x in (end, 10.0))
+            corners = (10.0, high), (end, low), (end, low + thickness), (10.0, high + thickness)
+            mass = Mass(kind="polygon", vertices=corners)
         return scene_of(mass, size=(60.0, 30.0), solids=(ground,), **settings)
+    if how in ("slab", "baffle", "stack"):
+        below: dict[str, Any] = {"size": (60.0, 0.3), "friction": friction}
+        solid: dict[str, Any] = {"solids": (Solid(lower=(0.0, 0.0), **below),)}
+        if how == "baffle":
+            solid = {"baffles": (Baffle(lower=(0.0, 0.0), **below),)}
+        parts = (0.4, 0.6) if how == "stack" else (1.0,)
+        masses = [
+            Mass(lower=(10.0, 0.3 + foot), size=(40.0, y)) for y, foot in zip(parts, (0.0, parts[0]), strict=False)
+        ]
+        return scene_of(*masses, size=(60.0, 3.0), slope_deg=22.0, **solid, **settings)
     wide = () if how == "slope_deg" else (0.5,)
     mass = Mass(lower=(10.0, 0.0, *(0.0 * z for z in wide)), size=(40.0, 1.0, *wide))
     return scene_of(mass, size=(60.0, 3.0, *wide), slope_deg=22.0, floor_friction=friction, **settings)
@@ -43,7 +59,7 @@ def layer(how: str = "slope_deg", friction: float = MU, **changes: Any) -> Scene
 
 def downhill(scene: Scene) -> NDArray[np.float64]:
     """Unit vector, shape [D]."""
-    return np.array([math.cos(SLOPE), -math.sin(SLOPE)]) if scene.solids else np.eye(scene.dimension)[0]
+    return np.eye(scene.dimension)[0] if scene.slope_deg else np.array([math.cos(SLOPE), -math.sin(SLOPE)])
 
 
 VARIANTS = {
@@ -51,11 +67,12 @@ VARIANTS = {
     "stiff": layer(material=dataclasses.replace(SOIL, young=1.0e7)),
     "terrain": layer("terrain"),
     "3D": layer("3D"),
+    **{how: layer(how) for how in ("slab", "baffle", "stack", "polygon")},
 }
 
 
 @pytest.mark.parametrize(
-    "name", ["slope_deg", *(pytest.param(name, marks=pytest.mark.slow) for name in ("stiff", "terrain"))]
+    "name", ["slope_deg", *(pytest.param(name, marks=pytest.mark.slow) for name in VARIANTS if name != "slope_deg")]
 )
 def test_a_layer_slides_from_rest_as_a_block(name: str) -> None:
     """Away from its ends, which collapse and send waves; 120 m slid 1.19 times that in 5 s from no stress."""
@@ -71,14 +88,19 @@ def test_a_layer_that_friction_holds_stays_at_rest(how: str) -> None:
     assert np.linalg.norm(middle_displacement(flow), axis=1).mean() < 1.0e-3
 
 
-@pytest.mark.parametrize("name", ["slope_deg", "terrain", "3D"])
+@pytest.mark.parametrize("name", ["slope_deg", "terrain", "3D", "slab", "baffle", "stack", "polygon"])
 def test_the_stress_is_that_of_an_infinite_slope_within_yield(name: str) -> None:
     scene = VARIANTS[name]
     particles = initial_particles(scene)
     stress, traction = initial_tractions(scene, particles)
     full, down = tensor(stress), np.pad(downhill(scene), (0, 3 - scene.dimension))
     up = np.array([-down[1], down[0], 0.0])
-    depth = particles.depth * (math.cos(SLOPE) if scene.solids else 1.0)
+    # Normal to the ground, below the top of all that lies there.
+    top = np.max([mass.lower[1] + mass.size[1] for mass in scene.masses])
+    depth = top - particles.positions[:, 1]
+    if scene.slope_deg == 0.0:
+        ground = elevation(scene.solids, scene.domain, particles.positions[:, :1])
+        depth = 1.0 - (particles.positions[:, 1] - ground) * math.cos(SLOPE)
     weight = SOIL.density * 9.81 * math.cos(SLOPE) * depth
     np.testing.assert_allclose(np.einsum("i,nij,j->n", up, full, up), -weight, atol=1e-6 * weight.max())
     np.testing.assert_allclose(np.einsum("i,nij,j->n", up, full, down), MU * weight, atol=1e-6 * weight.max())
@@ -93,5 +115,15 @@ def test_columns_and_level_floors_begin_free_of_stress() -> None:
     settings: dict[str, Any] = {"size": (5.0, 1.0), "cell": 0.1}
     assert not begins_as_slope(scene_of(flat, **settings), flat)
     assert not begins_as_slope(scene_of(column, slope_deg=10.0, **settings), column)
-    assert not begins_as_slope(scene_of(flat, stacked, slope_deg=10.0, **settings), flat)
-    assert begins_as_slope(scene_of(flat, slope_deg=10.0, **settings), flat)
+    settings["slope_deg"] = 10.0
+    assert begins_as_slope(scene_of(flat, **settings), flat)
+    for mass in (flat, stacked):
+        assert begins_as_slope(scene_of(flat, stacked, **settings), mass)
+    pile, far = Mass(lower=(0.0, 0.4), size=(0.2, 0.2)), Mass(lower=(0.0, 0.7), size=(4.0, 0.2))
+    for other in (pile, far):
+        assert not begins_as_slope(scene_of(flat, other, **settings), flat)
+    short = Solid(lower=(0.0, 0.0), size=(3.0, 0.4))
+    assert not begins_as_slope(scene_of(stacked, solids=(short,), **settings), stacked)
+    above = Mass(kind="polygon", vertices=((0.0, 0.1), (4.0, 0.1), (4.0, 0.4), (0.0, 0.4)))
+    scene = scene_of(above, **settings)
+    assert not begins_as_slope(scene, scene.masses[0])

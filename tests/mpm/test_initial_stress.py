@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+import warnings
 from typing import Any
 
 import numpy as np
@@ -197,6 +198,20 @@ def test_what_is_unbalanced_on_an_incline_is_what_friction_does_not_bear(how: st
     assert float(said[1]) == pytest.approx(SlidingBlock.on_incline(25.0, friction, 1.0).acceleration, abs=0.015)
 
 
+@pytest.mark.parametrize(("angle_deg", "friction"), [(10.0, 0.1), (5.0, 0.05), (25.0, 0.5), (10.0, 0.3), (0.0, 0.05)])
+def test_a_floor_bears_no_more_than_its_friction(angle_deg: float, friction: float) -> None:
+    """Nodes at which an elastic body would be held by more slip: 0.12 for 0.075 before, 0.079 on a level floor."""
+    block = Mass(lower=(0.3, 0.0), size=(0.2, 0.1), k0="elastic")
+    settings = {"slope_deg": angle_deg, "floor_friction": friction, "material": CLAY}
+    scene = scene_of(block, size=(1.0, 0.6), **settings)
+    exact = max(0.0, SlidingBlock.on_incline(angle_deg, friction, 1.0).acceleration)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        stress_of(scene)
+    said = [re.search(r"gravity: (\S+) of the weight", str(each.message)) for each in caught]
+    assert [float(each[1]) for each in said if each] == ([pytest.approx(exact, abs=0.005)] if exact > 0.0 else [])
+
+
 @pytest.mark.parametrize(("k0", "cohesion"), [(0.32, 0.0), (3.1, 0.0), (0.19, 100.0)])
 def test_a_ratio_beyond_yield_is_refused_with_both_limits(k0: float, cohesion: float) -> None:
     """Rankine's 1/3 and 3; with a cohesion Bell's at the foot, where it adds least: -+ 2 c / (rho g H) sqrt(K)."""
@@ -216,14 +231,23 @@ def test_a_thrust_that_no_stress_has_is_said() -> None:
         warn_of_ratio(scene, particles, lacking)
 
 
-@pytest.mark.parametrize("k0", [pytest.param(0.36, marks=pytest.mark.slow), 2.9])
-def test_a_bed_presses_on_a_baffle_with_its_ratio_up_to_the_limits_of_yield(k0: float) -> None:
-    """From K_a = 1/3 to K_p = 3, and nothing moves: before, 0.34 gave 0.40 and 2.9 gave 2.6."""
-    bed = Mass(lower=(0.0, 0.0), size=(0.6, 0.3), k0=k0)
-    baffle = Baffle(lower=(0.6, 0.0), size=(0.1, 0.5))
-    scene = scene_of(bed, size=(0.8, 0.6), cell=0.025, baffles=(baffle,), duration=0.1)
+@pytest.mark.parametrize(
+    ("k0", "face", "dimension"),
+    [
+        (2.9, 0.6, 2),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.36, 0.6, 2), (0.34, 0.6125, 2), (0.36, 0.6, 3))),
+    ],
+)
+def test_a_bed_presses_on_a_baffle_with_its_ratio_up_to_the_limits_of_yield(
+    k0: float, face: float, dimension: int
+) -> None:
+    """From K_a = 1/3 to K_p = 3, and nothing moves: before, 0.34 gave 0.40 and 2.9 gave 2.6. face: x of the baffle."""
+    near, deep = (0.0,) * (dimension - 2), (0.1,) * (dimension - 2)
+    bed = Mass(lower=(0.0, 0.0, *near), size=(face, 0.3, *deep), k0=k0)
+    baffle = Baffle(lower=(face, 0.0, *near), size=(0.1, 0.5, *deep))
+    scene = scene_of(bed, size=(0.8, 0.6, *deep), cell=0.025, baffles=(baffle,), duration=0.1)
     flow = simulate(scene, threads=1, record=WITH_FIELDS)
-    assert thrust_ratio(flow) == pytest.approx(k0, rel=0.02)
+    assert thrust_ratio(flow) / np.prod(deep) == pytest.approx(k0, rel=0.02)
     assert np.abs(flow.positions - flow.positions[0]).max() < 1.0e-4
 
 

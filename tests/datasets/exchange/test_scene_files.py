@@ -15,11 +15,12 @@ from rasterio.transform import Affine
 
 from datasets import Scene, read_scene
 from datasets.exchange.meshes import read_mesh, write_surface
+from datasets.exchange.rasters import read_raster
 from datasets.geometry.nearest import nearest
 from datasets.geometry.shells import manifold, outward
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.particles import initial_particles, mass_volumes
-from tests.datasets.geometry.solids import sphere, surface
+from tests.datasets.geometry.solids import CUBE, QUADS, sphere, surface
 from tests.refusals import refused
 
 PLANE = """\
@@ -127,7 +128,11 @@ def test_a_layer_that_the_box_cuts_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("dtype", "hole"),
-    [("float64", -9999.0), ("float64", -99999.0), ("int16", -32768), ("float32", -3.4028235e38), ("float64", 1e20)],
+    [
+        *(("float64", hole) for hole in (-9999.0, -99999.0, -999.0, -9999.9, 9999.0, 1e20)),
+        ("int16", -32768),
+        ("float32", -3.4028235e38),
+    ],
 )
 def test_undeclared_holes_are_no_ground(tmp_path: Path, dtype: str, hole: float) -> None:
     values = np.ones((10, 20), dtype)
@@ -138,6 +143,26 @@ def test_undeclared_holes_are_no_ground(tmp_path: Path, dtype: str, hole: float)
         refused(scene, tmp_path, text + 'file = "dem.tif"\n', said="without holes in the box, got 1 cells without data")
 
 
+def test_a_high_valley_beside_zeros_and_a_high_cliff(tmp_path: Path) -> None:
+    """Zeros around ground at 1500 m are no ground; what lies up to 500 m below all else is."""
+    values, above = np.full((14, 26), 1500.0), Affine(0.1, 0.0, 500000.0, 0.0, -0.1, 5000001.4)
+    values[[0, -1]] = 0.0
+    for change, holes in ((0.0, 52), (1001.0, 0)):
+        raster = np.where(values == 0.0, change, values)
+        write_raster(tmp_path / "dem.tif", raster, nodata=None, transform=above)
+        with pytest.warns(UserWarning, match=f"{holes} values such as 0") if holes else nullcontext():
+            assert int(np.isnan(read_raster(tmp_path / "dem.tif").values).sum()) == holes
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_an_ascii_raster_with_a_mark_of_its_encoding(tmp_path: Path, encoding: str) -> None:
+    write_raster(tmp_path / "dem.asc", tilted())
+    text = (tmp_path / "dem.asc").read_text()
+    plain = read_raster(tmp_path / "dem.asc").values
+    (tmp_path / "dem.asc").write_bytes(text.encode(encoding))
+    np.testing.assert_array_equal(read_raster(tmp_path / "dem.asc").values, plain)
+
+
 def test_only_holes_that_the_box_needs_are_holes(tmp_path: Path) -> None:
     """A ring of no data around the box, and a hole some cells of the box beyond it."""
     values = np.full((14, 26), 0.2)
@@ -146,6 +171,14 @@ def test_only_holes_that_the_box_needs_are_holes(tmp_path: Path) -> None:
     write_raster(tmp_path / "dem.tif", values)
     found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\nat = [-0.3, -0.2]\n')
     np.testing.assert_allclose(ground(found, [(0.01, 0.3, 0.5), (1.0, 0.3, 0.01), (1.99, 0.3, 0.99)]), 0.1, atol=1e-6)
+
+
+def test_scale_and_offset_of_a_raster_are_applied(tmp_path: Path) -> None:
+    write_raster(tmp_path / "dem.tif", np.full((10, 20), 1000, np.int16), dtype="int16", nodata=-32768)
+    with rasterio.open(tmp_path / "dem.tif", "r+") as file:
+        file.scales, file.offsets = (0.01,), (-9.8,)
+    found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\n')
+    np.testing.assert_allclose(ground(found, [(1.0, 0.3, 0.5)]), 0.1, atol=1e-6)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:25832", None])
@@ -176,25 +209,6 @@ def test_a_mesh(tmp_path: Path, name: str) -> None:
     assert mass_volumes(body)[0] == pytest.approx(4.0 / 3.0 * np.pi * 0.2**3, rel=0.03)
 
 
-QUADS = ((1, 2, 3, 4), (5, 8, 7, 6), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 8, 4), (4, 8, 5, 1))
-"""Of a cube, outwards."""
-CUBE = np.array([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1), (0, 1, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1)], float)
-
-
-def volume_of(path: Path) -> float:
-    """Volume of the mesh in a file."""
-    vertices, triangles = outward(*read_mesh(path), "")
-    return float(manifold(vertices, triangles).volume())
-
-
-@pytest.mark.parametrize("corner", ["{0}", "{0}//1", "{0}/1", "{0}/1/1"])
-def test_an_obj_with_normals_and_texture(tmp_path: Path, corner: str) -> None:
-    lines = ["mtllib cube.mtl", "o cube", *(f"v {x} {y} {z}" for x, y, z in 2.0 * CUBE), "vn 0 1 0", "vt 0 0", "s off"]
-    lines += ["f " + " ".join(corner.format(number) for number in quad) for quad in QUADS]
-    (tmp_path / "cube.obj").write_text("\n".join(lines) + "\n")
-    assert volume_of(tmp_path / "cube.obj") == pytest.approx(8.0, rel=1e-6)
-
-
 def test_a_mesh_in_millimetres_is_not_filled(tmp_path: Path) -> None:
     """Its lattice would have 10^12 places: what is wrong is not the memory."""
     lines = [f"v {x} {y} {z}" for x, y, z in 500.0 * CUBE] + ["f " + " ".join(map(str, quad)) for quad in QUADS]
@@ -219,43 +233,6 @@ def test_a_map_with_scale_offset_holes_and_rows_from_the_south(tmp_path: Path) -
     assert mass_volumes(found)[0] == pytest.approx(5 * 0.1**2 * 0.2, rel=1e-9)
 
 
-def stl(*corners: np.ndarray, apart: float = 0.0) -> str:
-    """Cubes whose triangles have vertices of their own, up to `apart` from each other."""
-    random, lines = np.random.default_rng(0), ["solid"]
-    for places in corners:
-        for a, b, c, d in np.array(QUADS) - 1:
-            for triangle in ((a, b, c), (a, c, d)):
-                lines += ["facet normal 0 0 0", "outer loop"]
-                for place in places[list(triangle)] + apart * random.uniform(-0.5, 0.5, (3, 3)):
-                    lines.append("vertex {:.9f} {:.9f} {:.9f}".format(*place))
-                lines += ["endloop", "endfacet"]
-    return "\n".join([*lines, "endsolid", ""])
-
-
-@pytest.mark.parametrize("apart", [0.0, 1e-8, 1e-6])
-def test_near_vertices_are_merged(tmp_path: Path, apart: float) -> None:
-    (tmp_path / "cube.stl").write_text(stl(CUBE, apart=apart))
-    assert volume_of(tmp_path / "cube.stl") == pytest.approx(1.0, rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("second", "volume", "said"),
-    [
-        (CUBE + np.array([0.5, 0.0, 0.0]), 1.5, True),
-        (CUBE + np.array([1.0, 0.0, 0.0]), 2.0, False),
-        (CUBE + np.array([1.0, 1.0, 0.0]), 2.0, False),
-        (CUBE + np.array([3.0, 0.0, 0.0]), 2.0, False),
-        (0.5 * CUBE + 0.25, 1.0, True),
-        ((0.5 * CUBE + 0.25)[[3, 2, 1, 0, 7, 6, 5, 4]], 0.875, False),
-    ],
-    ids=["half over each other", "touching", "at an edge", "apart", "one in the other", "a cavity"],
-)
-def test_what_shells_of_a_mesh_share_counts_once(tmp_path: Path, second: np.ndarray, volume: float, said: bool) -> None:
-    (tmp_path / "blocks.stl").write_text(stl(CUBE, second))
-    with pytest.warns(UserWarning, match="shells of the mesh are united") if said else nullcontext():
-        assert volume_of(tmp_path / "blocks.stl") == pytest.approx(volume, rel=1e-6)
-
-
 def holes(path: Path) -> None:
     values = tilted()
     values[2, 3] = values[4, 5] = -9999.0
@@ -263,10 +240,11 @@ def holes(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("release", "words"), [("EPSG:25832", "31287"), ("EPSG:3857", "metres are metres on the ground")]
+    ("release", "words"),
+    [("EPSG:25832", "31287"), ("EPSG:4647", "31287"), ("EPSG:3857", "metres are metres on the ground")],
 )
 def test_a_release_of_another_map_is_refused(tmp_path: Path, release: str, words: str) -> None:
-    """Beside a DEM of Austria's Lambert one in UTM at its own place, and one of Web Mercator."""
+    """Beside a DEM of Austria's Lambert: UTM at its place, where UTM with a zone has none, and Web Mercator."""
     write_raster(
         tmp_path / "dem.tif", np.full((10, 20), 0.2), "EPSG:31287", transform=Affine(0.1, 0, 4e5, 0, -0.1, 4e5)
     )

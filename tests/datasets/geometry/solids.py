@@ -8,6 +8,11 @@ from datasets.geometry.surface import Surface, surface_of
 from datasets.scene import Baffle, Mass, Scene, Solid
 from tests import scenes
 
+QUADS = ((1, 2, 3, 4), (5, 8, 7, 6), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 8, 4), (4, 8, 5, 1))
+"""Of a cube, outwards."""
+CUBE = np.array([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1), (0, 1, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1)], float)
+"""Its corners."""
+
 
 def scene_of(
     *solids: Solid, size: tuple[float, ...] = (2.0, 1.0), cell: float = 0.02, baffles: tuple[Baffle, ...] = ()

@@ -54,6 +54,41 @@ def test_plates_with_a_point_in_common_are_refused(first: float, second: float) 
     assert (nearest(surface(scene_of(*plates, lid, size=PLANE)), tip).distance < 0.0).all()
 
 
+@pytest.mark.parametrize("gap", [1e-6, 1e-5, 3e-4])
+@pytest.mark.parametrize(("first", "second"), [(60.0, 120.0), (0.0, 90.0), (30.0, 150.0)])
+def test_plates_that_nearly_meet_are_refused(first: float, second: float, gap: float) -> None:
+    """Rounded vertices leave gaps of up to a fiftieth of a cell, here of 20 mm; wider ones are meant."""
+
+    def plates(apart: float) -> tuple[Solid, ...]:
+        corners = plate(first, -1.0, (TIP[0] + apart, TIP[1])), plate(second, 1.0)
+        return tuple(Solid(kind="polygon", vertices=tuple(each)) for each in corners)
+
+    refused(lambda: surface(scene_of(*plates(gap), size=PLANE)), said="got one that meets solids[0] in a point but for")
+    lid = Solid(lower=(0.49, 0.14), size=(0.03, 0.03))
+    for solids in ((*plates(gap), lid), plates(1.0e-3)):
+        assert surface(scene_of(*solids, size=PLANE)).dimension == 2
+
+
+@pytest.mark.parametrize("gap", [1e-6, 3e-4])
+def test_faces_that_nearly_meet_are_not_refused(gap: float) -> None:
+    """Sand passes no slit so much narrower than a cell."""
+    first, second = (Solid(lower=(x, 0.2), size=(0.3, 0.02)) for x in (0.2, 0.5 + gap))
+    assert surface(scene_of(first, second, size=PLANE)).dimension == 2
+    assert surface(scene_of(FIRST, cube(0.6 + gap, 0.0, 0.5), size=SPACE)).dimension == 3
+    assert surface(scene_of(FIRST, cube(0.6 + 2e-3, 0.0, 0.6), size=SPACE)).dimension == 3
+
+
+@pytest.mark.parametrize(("first", "second"), [(60.0, 120.0), (0.0, 90.0)])
+def test_plates_whose_edges_nearly_meet_are_refused_in_3d(first: float, second: float) -> None:
+    apart = deep(plate(first, -1.0, (TIP[0] + 1.0e-4, TIP[1])))
+    refused(
+        lambda: surface(scene_of(apart, deep(plate(second, 1.0)), size=SPACE)),
+        said="meets solids[0] along a line but for",
+    )
+    said = "meets solids[0] in a point but for"
+    refused(lambda: surface(scene_of(FIRST, cube(0.6 + 1.0e-4, 0.1, 0.6), size=SPACE)), said=said)
+
+
 @pytest.mark.parametrize(
     ("second", "said"),
     [
