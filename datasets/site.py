@@ -56,6 +56,7 @@ def site(
     thickness: float | None,
     vertical: bool,
     friction: float,
+    turbulence: float | None,
     internal_friction: float,
     cell: float | None,
 ) -> dict[str, Any]:
@@ -88,13 +89,14 @@ def site(
     counts[1] += 1.0
     require(bool((counts >= 1.0).all()), "--cell", "cells that fit what the flow reaches", f"{edge:g} m")
     size = np.round(counts * edge, 9)
+    bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
     domain = {"size": size.tolist(), "cell": edge, "origin": origin.tolist()}
     return {
         "open_sides": ["x-", "x+", "z-", "z+"],
         "domain": domain | ({} if raster.crs is None else {"crs": raster.crs}),
         "material": {"friction_deg": internal_friction},
         "masses": masses,
-        "solids": [{"name": "terrain", "kind": "terrain", "friction": friction}],
+        "solids": [{"name": "terrain", "kind": "terrain", **bed}],
     }
 
 
@@ -185,6 +187,7 @@ def command(
     thickness: float | None = None,
     vertical: bool = False,
     friction: float = 0.4,
+    turbulence: float | None = None,
     internal_friction: float = 30.0,
     cell: float | None = None,
 ) -> None:
@@ -204,6 +207,8 @@ def command(
         Whether the thickness is measured along the vertical; else normal to the ground.
     friction
         Coulomb coefficient of the ground.
+    turbulence
+        Voellmy's turbulent coefficient of the ground [m/s^2]; none unless given.
     internal_friction
         Angle of internal friction of the material [deg].
     cell
@@ -213,6 +218,8 @@ def command(
     from datasets.exchange.vectors import read_polygons
 
     require(friction >= 0.0, "--friction", "a coefficient of at least 0", friction)
+    brakes = turbulence is None or 0.0 < turbulence < math.inf
+    require(brakes, "--turbulence", "a coefficient above 0 m/s^2", turbulence)
     require(cell is None or 0.0 < cell < math.inf, "--cell", "a length above 0 m", cell)
     with naming(dem):
         raster = read_raster(dem)
@@ -224,6 +231,7 @@ def command(
             thickness=thickness,
             vertical=vertical,
             friction=friction,
+            turbulence=turbulence,
             internal_friction=internal_friction,
             cell=cell,
         )

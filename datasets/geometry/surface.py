@@ -92,7 +92,9 @@ def surface_of(scene: SceneLayout) -> Surface | None:
 
 
 def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
-    """Everything solid in `scene`, in the order of its numbers, and the keys of each."""
+    """Everything solid in `scene`, in the order of its numbers, and the keys of each; without their turbulence, so that
+    scenes which differ by that alone share their surface.
+    """
     baffles = [
         Solid(
             lower=each.lower,
@@ -103,7 +105,8 @@ def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
         )
         for each in scene.baffles
     ]
-    return (*baffles, *scene.solids), tuple(keyed(scene, "baffles", "solids"))
+    others = [each if each.turbulence is None else replace(each, turbulence=None) for each in scene.solids]
+    return (*baffles, *others), tuple(keyed(scene, "baffles", "solids"))
 
 
 @lru_cache(maxsize=8)

@@ -9,7 +9,7 @@ from datasets.errors import InputError, require
 from datasets.geometry.shapes import check_rows, check_solid, check_vector, usual
 from datasets.scene.grid_field import FRICTION, VELOCITIES
 from datasets.scene.material import ANGLES, MOHR_COULOMB
-from datasets.scene.parts import DOMAIN_SIDES, TOLERANCE, Mass, SceneLayout, keyed
+from datasets.scene.parts import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, SceneLayout, keyed
 from datasets.schema import FARTHEST
 
 MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28
@@ -86,6 +86,11 @@ def check(scene: SceneLayout) -> None:
         inside = all(low >= -TOLERANCE and low + size <= limit + TOLERANCE for low, size, limit in extents)
         got = f"{list(box.lower)} + {list(box.size)}"
         require(inside, key, f"a box inside the domain {list(domain.size)}", got)
+    sticks = [scene.friction_of(baffle) == ROUGH for baffle in scene.baffles]
+    sticks += [solid.contact != "coulomb" for solid in scene.solids]
+    for (key, solid), stuck in zip(keyed(scene, "baffles", "solids").items(), sticks, strict=True):
+        slides = solid.turbulence is None or not stuck
+        require(slides, f"{key}.turbulence", "none of a surface on which nothing slides", solid.turbulence)
     if scene.channel is not None:
         require(dimension == 2, "channel", "none in 3D, where the box or solids are the walls", "one")
     sides = DOMAIN_SIDES[: 2 * dimension]

@@ -28,6 +28,7 @@ NO_SLIP = 1.0e9
 Time = Annotated[float, Bounds(f"a positive time in s, up to {FARTHEST:g}", gt=0.0)]
 Length = Annotated[float, Bounds(f"a positive length in m, up to {FARTHEST:g}", gt=0.0)]
 Coefficient = Annotated[float | str, Bounds(f"a coefficient of at least 0 or '{ROUGH}'", ge=0.0, words=(ROUGH,))]
+Turbulence = Annotated[float | None, Bounds(f"a positive coefficient in m/s^2, up to {FARTHEST:g}", gt=0.0)]
 Size = Annotated[Vector, Bounds(f"positive lengths in m, above {TOLERANCE:g}", gt=TOLERANCE)]
 Moment = Annotated[float | str, Bounds("a time in s or 'settled'", words=("settled",))]
 
@@ -141,6 +142,8 @@ class Baffle(Record):
     """Turn about its centre [deg]: in 2D from x to y, in 3D about the vertical, from x to z."""
     friction: Coefficient | None = None
     """Coulomb coefficient of its faces [-], or "rough"; the scene's `baffle_friction` where absent."""
+    turbulence: Turbulence = None
+    """Voellmy's turbulent coefficient xi of its faces [m/s^2] (`mpm.physics.contact`); no such term where absent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,6 +204,8 @@ class Solid(Record):
     """Coulomb coefficient [-]: a number, or one per vertex, point or height, linear between them."""
     contact: Annotated[str, Bounds("'coulomb' or 'no-slip'", words=("coulomb", "no-slip"))] = "coulomb"
     """`coulomb` or `no-slip`."""
+    turbulence: Turbulence = None
+    """Voellmy's turbulent coefficient xi [m/s^2] (`mpm.physics.contact`); no such term where absent."""
 
     def __hash__(self) -> int:
         """Of a raster from its first row: millions of heights take longer than what is looked up by them."""

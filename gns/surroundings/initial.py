@@ -121,6 +121,8 @@ def check(scene: Scene, settings: ModelSettings) -> None:
         (len({each.density for each in materials}) > 1, "masses", "masses of one density"),
         *((each.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for each in materials),
     ]
+    for place, rigid in keyed(scene, "baffles", "solids").items():
+        refused.append((rigid.turbulence is not None, f"{place}.turbulence", "Coulomb friction alone"))
     for place, solid in keyed(scene, "solids").items():
         refused.append((solid.kind != "terrain", f"{place}.kind", "baffles and terrain alone"))
         refused.append((solid.contact != "coulomb", f"{place}.contact", "Coulomb friction alone"))

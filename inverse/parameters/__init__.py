@@ -69,6 +69,7 @@ KINDS: dict[str, Kind] = {
         Kind(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
         Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
         Kind(form="solids[].friction", unit="-", digits=3, input=inputs.ground_friction),
+        Kind(form="solids[].turbulence", unit="m/s^2", digits=1),
     )
 }
 """Every kind by its name, with `[]` in place of an index."""

@@ -1,8 +1,8 @@
 """The reverse of `mpm.physics.contact`: of the traction of solids, its friction, and the places of faces.
 
 Backwards from what a step leaves: the contact that is found at the new position (delta, d, n, the turned q), the
-particle kept out of the solid, Coulomb's bound on q, q itself, the strain of contact, and last the force on the nodes.
-Where contact is found follows in `mpm.adjoint.faces`.
+particle kept out of the solid, the bound on q, q itself, the strain of contact, and last the force on the nodes.
+Where contact is found follows in `mpm.adjoint.faces`. The bound has a bar of rho, and of g / xi of the nearest solid.
 
 **Impulses.** What contact takes of the flow's momentum in a step is added to the impulse I of its solid, whose bar I'
 is that of all later frames together. It joins the bars of the force on the nodes and of velocities before a surface:
@@ -23,6 +23,7 @@ from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
     contact_at,
     contact_of,
+    find_drags,
     holds_of_node,
     jump_at_contact,
     present,
@@ -30,6 +31,7 @@ from mpm.physics.contact import (
     sheared_traction,
     surface_force,
     touches,
+    turbulence_at,
 )
 from mpm.physics.grid import relaxation_factor
 from mpm.physics.transfer import property_of
@@ -142,7 +144,10 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     stress = vectors(arrays.history, after + features.state.stress, features.stresses)
     affine = vectors(arrays.history, after + features.state.affine, size * size)
     contact = contact_of(block, arrays)
-    numbers = ti.static(((grid_motion(scratch, arrays), affine), stress, contact, shear))
+    if ti.static(features.turbulent):
+        find_drags(scene, block, scratch, arrays)
+    turbulence = turbulence_at(scratch, property_of(scene, block, Property.DENSITY, arrays), arrays)
+    numbers = ti.static(((grid_motion(scratch, arrays), affine), stress, contact, shear, turbulence))
     sheared = ti.static([Pullback(sheared_traction, numbers, (dt, size))])[0]
     before = scratch + layout.scratch.before
     for k in ti.static(range(size)):
@@ -165,13 +170,29 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     q_bar = vectors(arrays.adjoints, shear_at, size)
     for k in ti.static(range(size)):
         arrays.adjoints[shear_at + k] = 0.0 * q_bar[k]
-    motion_bar, stress_bar, contacts_bar, shear_bar = ti.static(sheared(q_bar))
+    motion_bar, stress_bar, contacts_bar, shear_bar, turbulence_bar = ti.static(sheared(q_bar))
+    if ti.static(features.turbulent):
+        add_property_bar(block, Property.DENSITY, turbulence_bar[0], arrays)
+        add_drag_bars(scene, block, scratch, turbulence_bar[1], arrays)
     for k in ti.static(range(size)):
         arrays.scratch[scratch + layout.scratch.foot + k] = motion_bar[0][k]
     add_bars(own + features.state.affine, motion_bar[1], arrays)
     add_bars(own + features.state.stress, stress_bar, arrays)
     add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
     return shear_bar
+
+
+@ti.func
+def add_drag_bars(scene, block, scratch, bar, arrays: ti.template()):
+    """Add the bars of g / xi of the particles of a block to those of their solids."""
+    features, lanes = arrays.features, arrays.features.lanes
+    contact, drag = contact_at(block, 0, arrays), scratch + features.scratch.drag
+    arrays.scratch[drag] = present(block, arrays) * bar
+    for lane in range(lanes):
+        if arrays.lanes[(contact + Contact.DELTA) * lanes + lane] > 0.0:
+            face = face_number(arrays.lanes[(contact + Contact.FACE) * lanes + lane])
+            value = ti.cast(arrays.scratch_lanes[drag * lanes + lane], ti.f64)
+            arrays.drag_adjoints[scene, solid_of(face, scene, arrays)] += value
 
 
 @ti.func

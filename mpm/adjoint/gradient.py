@@ -26,6 +26,7 @@ from datasets.scene import Scene
 from datasets.scene.material import Material
 from datasets.scene.particles import Particles, initial_particles
 from mpm.adjoint.tape import FlowAdjoints, Tape
+from mpm.arrays.features import drags_of
 from mpm.arrays.layout import Property
 from mpm.arrays.properties import properties_at, properties_of, settings_row
 from mpm.initial.slope import begins_as_slope
@@ -68,6 +69,8 @@ class Gradient:
     """To the holds of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
     terrain: Floats
     """To the friction at the posts of a height field, or to the one that all have, shape [P]; no posts without one."""
+    drags: Floats
+    """To g / xi of each solid [J m], 0 of those without `turbulence`, shape [solids]."""
 
     def of_mass(self, values: Floats) -> Floats:
         """What particles have, summed over those of each mass, shape [masses, ...]."""
@@ -138,7 +141,9 @@ class Gradient:
     def bars(self) -> Floats:
         """Of `Start.numbers`."""
         motion = self.positions, self.velocities, self.velocity_gradients
-        return in_a_row(*motion, self.stress, self.properties, self.settings, self.faces, self.holds, self.terrain)
+        return in_a_row(
+            *motion, self.stress, self.properties, self.settings, self.faces, self.holds, self.terrain, self.drags
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,11 +160,12 @@ class Start:
     held: NDArray[np.int64]
     """The node of each of the `holds`, by its indices, shape [K, D]."""
     terrain: Floats
+    drags: Floats
 
     @property
     def others(self) -> tuple[Floats, ...]:
         """Its numbers after those of particles."""
-        return self.settings, self.faces, self.holds, self.terrain
+        return self.settings, self.faces, self.holds, self.terrain, self.drags
 
     def numbers(self, columns: int) -> Floats:
         """All of it in a row, with so many columns of the properties."""
@@ -189,6 +195,7 @@ def started(scene: Scene, base: Start | None = None) -> Start:
             holds=solids.holds,
             held=solids.windows[0].nodes(np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds))),
             terrain=solids.frictions[0].ravel(),
+            drags=np.array(drags_of(scene)),
         )
     particles, properties = particles_with(scene, base)
     stress, faces, holds, terrain = base.stress, base.faces, base.holds, base.terrain
@@ -210,6 +217,7 @@ def started(scene: Scene, base: Start | None = None) -> Start:
         faces=faces,
         holds=holds,
         terrain=terrain,
+        drags=np.array(drags_of(scene)),
     )
 
 
@@ -294,6 +302,7 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
                     cut=float(ours["cut"][index]),
                     holds=ours["hold_adjoints"][nodes],
                     terrain=ours["terrain_adjoints"][index, tape.posts(index)],
+                    drags=ours["drag_adjoints"][index, : len(drags_of(scene))],
                 )
             )
         found.append(own)

@@ -256,7 +256,8 @@ class Tape:
 
         flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
         settings of each scene (`settings`), faces (`face_adjoints`), holds of nodes (`hold_adjoints`) and the friction
-        in `terrain` of each scene (`terrain_adjoints`), and the share of the bars of each scene that were cut (`cut`).
+        in `terrain` of each scene (`terrain_adjoints`), g / xi of its solids (`drag_adjoints`), and the share of the
+        bars of each scene that were cut (`cut`).
         Raises WorkFailed where a gradient grows without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout
@@ -277,6 +278,7 @@ class Tape:
                 "face_adjoints": np.zeros(batch.faces.shape),
                 "hold_adjoints": np.zeros(batch.holds.shape),
                 "terrain_adjoints": np.zeros((len(batch.scenes), len(batch.terrain))),
+                "drag_adjoints": np.zeros(batch.drags.shape),
                 "impulse_adjoints": np.zeros(len(batch.impulse), real),
                 "cuts": self.cuts(per_scene).astype(real),
             }

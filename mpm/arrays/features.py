@@ -96,6 +96,8 @@ class Features:
     """A terrain is a height field."""
     contact: bool = False
     """Solids stand in the box: baffles, ground, obstacles."""
+    turbulent: bool = False
+    """Solids brake with the square of the speed (`mpm.physics.contact`)."""
     channel: bool = False
     """Side walls of a scene in 2D brake it (`mpm.physics.channel`)."""
     outflow: bool = False
@@ -209,6 +211,7 @@ class Features:
             changes=size**2 * corrected,  # of its change
             origin=size * contact,  # the positions before a step
             push=2 * size * contact,  # the contact's force per volume and its arm
+            drag=int(self.turbulent),  # g / xi of the solid next to each particle [1/m]
             look=Look.SIZE * int(self.terrain),  # at the triangle of a height field near each particle
         )
 
@@ -233,6 +236,7 @@ def features_of(
         contact=any(scene.baffles or scene.solids for scene in scenes),
         listed=any(has_faces(scene) for scene in scenes),
         terrain=any(has_field(scene) for scene in scenes),
+        turbulent=any(any(drags_of(scene)) for scene in scenes),
         channel=any(scene.channel is not None for scene in scenes),
         outflow=any(scene.open_sides for scene in scenes),
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
@@ -244,6 +248,12 @@ def features_of(
             prefetch=not gpu and any(s.dimension == 3 and particle_count(s) >= PREFETCHED for s in scenes),
         ),
     )
+
+
+def drags_of(scene: Scene) -> list[float]:
+    """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 of those without `turbulence`."""
+    coefficients = [baffle.turbulence for baffle in scene.baffles] + [solid.turbulence for solid in scene.solids]
+    return [0.0 if each is None else scene.gravity / each for each in coefficients]
 
 
 def varies(scene: Scene) -> bool:

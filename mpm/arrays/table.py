@@ -36,7 +36,7 @@ STEP = named(
     LANES="lanes scratch_lanes impulse_lanes",
     NODES="grid",
     REAL="cell_distance terrain terrain_tilts column_heights",
-    REAL_TABLE="settings properties faces holds kept_holds",
+    REAL_TABLE="settings properties faces holds kept_holds drags",
     INTEGER="cell_faces near_faces node_holds covered terrain_cells kept_columns arrivals bases",
     INTEGER_TABLE="offsets workers spans barriers retained",
     DOUBLE_TABLE="settling",
@@ -53,7 +53,7 @@ ADJOINT = named(
     REAL="impulse_adjoints",
     REAL_TABLE="cuts step_times",
     INTEGER="step_counts",
-    DOUBLE_TABLE="face_adjoints hold_adjoints terrain_adjoints sums",
+    DOUBLE_TABLE="face_adjoints hold_adjoints terrain_adjoints drag_adjoints sums",
 )
 """What the adjoint reads and writes besides `STEP`; `mpm.adjoint.tape` makes them."""
 VIEWS = {
@@ -99,7 +99,7 @@ def kernel_of(
     node = ti.types.vector(NODE, real)
     elements = {"block": block, "lane": real, "node": node, "real": real, "i32": ti.i32, "f32": ti.f32, "f64": ti.f64}
     # Taichi 1.7.4 reads a kernel's parameters in its source, refuses *args, and takes no NumPy array inside another:
-    # a plain signature would name each of these 33 and 40 parameters three times.
+    # a plain signature would name each of these 37 and 46 parameters three times.
     # `ti.static` makes the object while the kernel is compiled.
     source = (
         f"def run({', '.join(arrays)}, first, last, phase):\n"

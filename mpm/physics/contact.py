@@ -26,6 +26,18 @@ particle's own stress as the multiplier and no penalty; the delta is that of an 
 **Friction.** The shear traction q is elastic until it slips, dq/dt = -mu_s delta (v_f - n (n . v_f)) with the sand's
 shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
 
+**Turbulence.** A solid with a coefficient xi [m/s^2] brakes with the square of the speed besides (Voellmy 1955; Salm
+1993): with the particle's density rho and v_t = v_f - n (n . v_f),
+
+    |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / xi
+
+The traction is per area of the bed and delta's integral is 1, so a layer of thickness h that moves as a block on an
+incline has the speed v with dv/dt = g (sin a - mu cos a) - g v^2 / (xi h). The second term acts on all that is within
+the width of the contact, whether it presses at the moment or not: a flow over small bumps presses for a part of the
+time, with a mean pressure that bears its weight, and a drag of that part alone would be too small. The holds of deep
+nodes and the stop of a particle that meets a face take mu of an impulse, as without turbulence: the drag is no share of
+an impulse, and the delta gives all of it.
+
 **Deep nodes.** A node deep in a solid is in the support of the first row alone, which could not keep it in balance.
 It is held like a node behind a wall of the box (`mpm.physics.boundary`), by each face k that it lies behind in part:
 v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares: `mpm.solids.obstacles`).
@@ -125,19 +137,53 @@ def with_jump(increment: ti.template(), jump, contact: ti.template(), dimension:
 
 @ti.func
 def sheared_traction(
-    motion: ti.template(), stress: ti.template(), contact: ti.template(), shear, dt, dimension: ti.template()
+    motion: ti.template(),
+    stress: ti.template(),
+    contact: ti.template(),
+    shear,
+    turbulence: ti.template(),
+    dt,
+    dimension: ti.template(),
 ):
-    """The shear traction q [Pa] after a step, a list of D, within Coulomb's bound for the new `stress`."""
+    """The shear traction q [Pa] after a step, a list of D, within the bound for the new `stress`.
+
+    turbulence: rho [kg/m^3] and g / xi [1/m] where solids have it, else nothing; a list.
+    """
     foot, opening = foot_velocity(motion, contact, dimension)
     square, stiffness = TINY + 0.0 * foot[0], dt * shear * contact[Contact.DELTA]
     q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
+    slip = [foot[k] - opening * contact[Contact.NORMAL + k] for k in ti.static(range(dimension))]
     for k in ti.static(range(dimension)):
-        slip = foot[k] - opening * contact[Contact.NORMAL + k]
-        q[k] = q[k] - stiffness * slip
+        q[k] = q[k] - stiffness * slip[k]
         square = square + q[k] * q[k]
     bound = contact[Contact.FRICTION] * maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
+    if ti.static(len(turbulence) > 0):
+        for k in ti.static(range(dimension)):
+            bound = bound + turbulence[0] * turbulence[1] * slip[k] * slip[k]
     scale = minimum(bound / ti.sqrt(square), 1.0)
     return [scale * q[k] for k in ti.static(range(dimension))]
+
+
+@ti.func
+def find_drags(scene, block, scratch, arrays: ti.template()):
+    """Leave g / xi [1/m] of the solid next to each particle of a block in `scratch`; 0 where it touches none."""
+    features, lanes = arrays.features, arrays.features.lanes
+    contact, drag = contact_at(block, 0, arrays), scratch + features.scratch.drag
+    for lane in range(lanes):
+        value = 0.0 * arrays.drags[scene, 0]
+        if arrays.lanes[(contact + Contact.DELTA) * lanes + lane] > 0.0:
+            face = face_number(arrays.lanes[(contact + Contact.FACE) * lanes + lane])
+            value = arrays.drags[scene, solid_of(face, scene, arrays)]
+        arrays.scratch_lanes[drag * lanes + lane] = value
+
+
+@ti.func
+def turbulence_at(scratch, density, arrays: ti.template()):
+    """What `sheared_traction` takes of a block, after `find_drags`; density: of its particles [kg/m^3]."""
+    count = ti.static(int(arrays.features.turbulent))
+    return [density for _ in ti.static(range(count))] + vectors(
+        arrays.scratch, scratch + arrays.features.scratch.drag, count
+    )
 
 
 @ti.func
@@ -163,11 +209,14 @@ def push(block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def shear_traction_step(block, scratch, dt, shear, arrays: ti.template()):
+def shear_traction_step(scene, block, scratch, dt, shear, density, arrays: ti.template()):
     """Bring the shear tractions q of a block forward by a step."""
     dimension = ti.static(arrays.features.dimension)
+    if ti.static(arrays.features.turbulent):
+        find_drags(scene, block, scratch, arrays)
     motion, stress = motion_and_stress(block, scratch, arrays)
-    q = sheared_traction(motion, stress, contact_of(block, arrays), shear, dt, dimension)
+    turbulence = turbulence_at(scratch, density, arrays)
+    q = sheared_traction(motion, stress, contact_of(block, arrays), shear, turbulence, dt, dimension)
     for k in ti.static(range(dimension)):
         arrays.state[contact_at(block, Contact.NORMAL + dimension + k, arrays)] = q[k]
 

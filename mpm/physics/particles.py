@@ -141,7 +141,8 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
         arrays.state[first + features.state.stress + k] = new[k]
     if ti.static(features.contact):
         if near:
-            shear_traction_step(block, scratch, dt, shear, arrays)
+            density = property_of(scene, block, Property.DENSITY, arrays)
+            shear_traction_step(scene, block, scratch, dt, shear, density, arrays)
     if ti.static(features.volume_correction):
         mean = (new[0] + new[1] + new[2]) / 3.0
         gap = kept_gap(new[features.stresses + 1], mean, strengths[3], lame + shear * (2.0 / 3.0))

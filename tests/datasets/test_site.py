@@ -58,7 +58,8 @@ def test_a_site_is_a_scene_on_the_map(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_what_the_flags_say(tmp_path: Path) -> None:
-    found = made(tmp_path, "--thickness", "2", "--vertical", "--cell", "4", "--friction", "0.7")
+    found = made(tmp_path, "--thickness", "2", "--vertical", "--cell", "4", "--friction", "0.7", "--turbulence", "2000")
+    assert found.solids[0].turbulence == 2000.0
     assert found.domain.cell == 4.0
     assert mass_volumes(found)[0] == pytest.approx(2.0 * 1600.0, rel=1e-6)
     # A steep energy line ends on the slope: the level is not in the box.
@@ -84,6 +85,7 @@ def test_what_makes_no_site_is_one_line(tmp_path: Path, capsys: pytest.CaptureFi
         (far, [], "polygons that lie on the raster"),
         (FIELD, ["--thickness", "0"], "--thickness: expected a thickness above 0 m"),
         (FIELD, ["--friction", "-1"], "--friction: expected a coefficient"),
+        (FIELD, ["--turbulence", "0"], "--turbulence: expected a coefficient"),
         (FIELD, ["--cell", "0"], "--cell: expected a length above 0 m"),
         (FIELD, ["--cell", "900"], "--cell: expected cells that fit"),
         (FIELD, ["--internal-friction", "95"], "material.friction_deg"),

@@ -152,6 +152,7 @@ CHANNEL = dataclasses.replace(COLUMN, channel=Channel(width=0.1, friction_deg=20
         ("wall_friction", CHANNEL, "channel.friction_deg"),
         ("floor_friction", COVERED, "terrain covers the floor"),
         ("solids[0].friction", STUCK, "nothing slide"),
+        ("solids[0].turbulence", COVERED, "whose turbulence is a number"),
         ("wall_friction", dataclasses.replace(COLUMN, open_sides=("x-", "x+", "y+")), "are open"),
         ("floor_friction", dataclasses.replace(COLUMN, open_sides=("y-",)), "floor is open"),
     ],
@@ -164,5 +165,8 @@ def test_a_channel_a_solid_and_a_layer() -> None:
     assert kind("channel.friction_deg").read(with_parameters(CHANNEL, ["channel.friction_deg"], [12.0])) == 12.0
     changed = with_parameters(COVERED, ["solids[0].friction", "masses[0].thickness"], [0.6, 0.15])
     assert changed.solids[0].friction == 0.6
+    braked = dataclasses.replace(COVERED, solids=(dataclasses.replace(GROUND, turbulence=500.0),))
+    assert kind("solids[0].turbulence").read(with_parameters(braked, ["solids[0].turbulence"], [900.0])) == 900.0
+    assert not kind("solids[0].turbulence").predicted
     assert kind("masses[0].thickness").read(changed) == 0.15
     assert released_volume(changed) == pytest.approx(1.5 * released_volume(COVERED))

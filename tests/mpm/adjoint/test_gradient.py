@@ -98,6 +98,15 @@ SCENES = {
     "ground": plane(masses=ABOVE, solids=(GROUND,), volume_correction=False, duration=0.03),
     "thrown": plane(masses=THROWN, solids=(SLOPE,), volume_correction=False, duration=0.03),
     "channel with a baffle": plane(WEAK, **BAFFLED, channel=Channel(width=0.1, friction_deg=20.0), slope_deg=20.0),
+    "turbulent ground": plane(
+        masses=ABOVE, solids=(dataclasses.replace(SLOPE, turbulence=40.0),), volume_correction=False, duration=0.03
+    ),
+    "turbulent baffle": plane(
+        masses=NEAR, baffles=(dataclasses.replace(LEANING, turbulence=20.0),), baffle_friction=0.3, duration=0.04
+    ),
+    "3D turbulent ground": room(
+        masses=RAISED, solids=(dataclasses.replace(HILL, turbulence=40.0),), volume_correction=False, duration=0.015
+    ),
     "3D ground": room(masses=RAISED, solids=(HILL,), volume_correction=False, duration=0.015),
 }
 FAST = ("2D",)
@@ -123,6 +132,20 @@ def paths_of(scene: Scene) -> dict[str, tuple[Callable[[float], Scene], float]]:
     def channel(h: float) -> Scene:
         return dataclasses.replace(scene, channel=dataclasses.replace(scene.channel, width=0.1 + h))
 
+    def rough(h: float, name: str) -> Scene:
+        solid = scene.solids[0]
+        return dataclasses.replace(
+            scene, solids=(dataclasses.replace(solid, **{name: shifted(getattr(solid, name), h)}),)
+        )
+
+    def shifted(values: Any, h: float) -> Any:
+        return tuple(shifted(each, h) for each in values) if isinstance(values, tuple) else values + h
+
+    if scene.solids and scene.solids[0].turbulence:
+        return {
+            name: (lambda h, name=name: rough(h, name), step)
+            for name, step in (("turbulence", 1.0), ("friction", 1e-3))
+        }
     if scene.channel:
         return {"width": (channel, 1e-4)}
     if scene.baffles:
@@ -132,7 +155,7 @@ def paths_of(scene: Scene) -> dict[str, tuple[Callable[[float], Scene], float]]:
             "height": (lambda h: baffle(size=(size[0], size[1] + h, *size[2:])), 1e-5),
             "turn": (lambda h: baffle(turned_deg=turned + h), 1e-2),
             "friction": (lambda h: dataclasses.replace(scene, baffle_friction=scene.baffle_friction + h), 1e-3),
-        }
+        } | ({"turbulence": (lambda h: baffle(turbulence=20.0 + h), 1.0)} if scene.baffles[0].turbulence else {})
     if scene.solids == (GROUND,):
         return {
             "height": (lambda h: ground(points=((0.0, 0.02), (0.25, 0.03 + h), (1.0, 0.013))), 1e-6),

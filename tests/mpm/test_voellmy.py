@@ -1,0 +1,130 @@
+"""Voellmy's law of the bed: blocks on inclines against the closed form, sheets of sand, and what is refused."""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datasets import Baffle, Mass, Material, Scene, Solid
+from gns.settings import ModelSettings
+from gns.surroundings.initial import check
+from mpm import WITH_FIELDS, simulate
+from mpm.arrays.features import features_of
+from tests.refusals import refused
+from tests.scenes import scene_of
+from validation.bench.stability.exact_solutions import VoellmyBlock, centre_displacement
+
+STRONG = Material(friction_deg=30.0, cohesion=1.0e9, tension_cutoff=1.0e9, young=1.0e7, poisson=0.0, density=1800.0)
+SLOPE_DEG, FRICTION, TURBULENCE, THICKNESS, CELL = 30.0, 0.2, 20.0, 0.1, 0.02
+BED: dict[str, Any] = {"friction": FRICTION, "turbulence": TURBULENCE}
+STEEP = math.radians(SLOPE_DEG)
+ALONG, ACROSS = np.array([math.cos(STEEP), -math.sin(STEEP)]), np.array([math.sin(STEEP), math.cos(STEEP)])
+
+
+def tilted(kind: type[Baffle | Solid], offset: float) -> Scene:
+    """A block on a bed that ends `offset` cells above a row of nodes, in a tilted box."""
+    top = (4.0 + offset) * CELL
+    bed = kind(lower=(0.0, 0.0), size=(1.2, top), **BED)
+    body = Mass(lower=(0.1, top), size=(0.4, THICKNESS))
+    stands = {"baffles": (bed,)} if kind is Baffle else {"solids": (bed,)}
+    settings = {"size": (1.2, 0.4), "slope_deg": SLOPE_DEG, "jitter": 0.0, "duration": 0.8, "frame_dt": 0.02}
+    return scene_of(body, material=STRONG, **settings, **stands)
+
+
+def height(x: float, length: float) -> float:
+    """Of an incline that ends at `length` [m]."""
+    return 0.05 + (length - x) * math.tan(STEEP)
+
+
+def on_polyline(seed: int) -> Scene:
+    """A block on an incline of a level box, which cuts the grid."""
+    length, extent = 1.4, 0.4
+    foot = np.array([0.15, height(0.15, length)])
+    up, end = THICKNESS * ACROSS, extent * ALONG
+    corners = tuple(tuple(corner.tolist()) for corner in (foot, foot + end, foot + end + up, foot + up))
+    line = ((0.0, height(0.0, length)), (length, height(length, length)))
+    settings = {"size": (length, 1.02), "particles_per_axis": 3, "seed": seed, "duration": 0.8, "frame_dt": 0.02}
+    bed = Solid(kind="terrain", points=line, **BED)
+    return scene_of(Mass(kind="polygon", vertices=corners), material=STRONG, solids=(bed,), **settings)
+
+
+def check_motion(moved: np.ndarray[Any, Any], time: np.ndarray[Any, Any], share: float) -> None:
+    """Compare displacements [m] and speeds along the incline, shape [T], with the closed form."""
+    exact = VoellmyBlock.on_incline(SLOPE_DEG, FRICTION, TURBULENCE, THICKNESS)
+    assert moved[-1] == pytest.approx(float(exact.displacement(time[-1])), rel=share)
+    speeds = np.gradient(moved, time)[1:-1]
+    assert np.abs(speeds - exact.speed(time[1:-1])).max() < share * exact.terminal_speed
+    assert exact.speed(time[-1]) > 0.99 * exact.terminal_speed
+
+
+@pytest.mark.parametrize(("kind", "offset"), [(Solid, 0.0), (Baffle, 0.3)])
+def test_a_block_on_a_bed_in_a_tilted_box_reaches_the_terminal_speed(kind: type[Baffle | Solid], offset: float) -> None:
+    """v = v_inf tanh(a t / v_inf), within 0.2 %: its rows of particles stand where the sum of delta is exact."""
+    flow = simulate(tilted(kind, offset))
+    check_motion(centre_displacement(flow)[:, 0], flow.time, 0.002)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_block_on_a_polyline_reaches_the_terminal_speed(seed: int) -> None:
+    flow = simulate(on_polyline(seed))
+    check_motion(centre_displacement(flow) @ ALONG, flow.time, 0.01)
+
+
+@pytest.mark.slow
+def test_a_block_on_a_raster_reaches_the_terminal_speed() -> None:
+    length, cell, width = 1.4, 0.04, 0.24
+    posts = np.linspace(0.0, length, 8)
+    bed = Solid(
+        kind="terrain",
+        origin=(0.0, 0.0),
+        spacing=(0.2, 0.24),
+        heights=tuple((height(x, length),) * 2 for x in posts.tolist()),
+        **BED,
+    )
+    outline = ((0.1, 0.0), (0.46, 0.0), (0.46, width), (0.1, width))
+    body = Mass(kind="layer", thickness=THICKNESS / math.cos(STEEP), outline=outline)
+    settings = {"size": (length, 1.04, width), "cell": cell, "particles_per_axis": 3, "frame_dt": 0.02}
+    flow = simulate(scene_of(body, material=STRONG, solids=(bed,), duration=0.8, **settings))
+    check_motion(centre_displacement(flow)[:, :2] @ ALONG, flow.time, 0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("bump", "share"), [(0.0, 0.02), (0.1, 0.02), (0.5, 0.1)])
+def test_the_middle_of_a_sheet_of_sand_has_the_speed_of_the_block(bump: float, share: float) -> None:
+    """On a plane and on kinks `bump` cells high, five cells apart, over which it bounces."""
+    length, slope_deg, cell = 4.0, 25.0, 0.02
+    steep = math.radians(slope_deg)
+    places = np.linspace(0.0, length, 41)
+    heights = 0.05 + (length - places) * math.tan(steep) + bump * cell * (np.arange(41) % 2)
+    bed = Solid(kind="terrain", points=tuple(zip(places.tolist(), heights.tolist(), strict=True)), **BED)
+    body = Mass(kind="layer", thickness=THICKNESS / math.cos(steep), outline=((0.2,), (2.2,)))
+    sand = Material(friction_deg=38.0, young=2.0e6)
+    settings = {"size": (length, 2.24), "cell": cell, "duration": 1.0, "frame_dt": 0.02}
+    flow = simulate(scene_of(body, material=sand, solids=(bed,), **settings), record=WITH_FIELDS)
+    middle = (flow.positions[0, :, 0] > 0.7) & (flow.positions[0, :, 0] < 1.7)
+    assert flow.velocities is not None
+    speed = flow.velocities[-1, middle] @ np.array([math.cos(steep), -math.sin(steep)])
+    exact = VoellmyBlock.on_incline(slope_deg, FRICTION, TURBULENCE, THICKNESS)
+    assert speed.mean() == pytest.approx(float(exact.speed(flow.time[-1])), rel=share)
+
+
+def test_scenes_without_turbulence_pay_for_none() -> None:
+    scene = tilted(Solid, 0.0)
+    plain = dataclasses.replace(scene, solids=(dataclasses.replace(scene.solids[0], turbulence=None),))
+    assert features_of([scene], "f32").turbulent
+    assert not features_of([plain], "f32").turbulent
+    assert features_of([plain], "f32").scratch.size == features_of([scene], "f32").scratch.size - 1
+
+
+def test_what_turbulence_does_not_go_with_is_refused() -> None:
+    scene = tilted(Solid, 0.0)
+    (bed,) = scene.solids
+    stuck = dataclasses.replace(bed, contact="no-slip")
+    refused(dataclasses.replace, scene, solids=(stuck,), said="solids[0].turbulence: expected none of a surface on")
+    rough = (Baffle(lower=(0.0, 0.0), size=(0.1, 0.1), friction="rough", turbulence=9.0),)
+    refused(dataclasses.replace, scene, solids=(), baffles=rough, said="baffles[0].turbulence: expected none of a")
+    refused(dataclasses.replace, bed, turbulence=0.0, said="turbulence: expected a positive coefficient in m/s^2")
+    line = dataclasses.replace(on_polyline(0), masses=(Mass(lower=(0.4, 0.9), size=(0.1, 0.1)),))
+    refused(check, line, ModelSettings(dimension=2), said="solids[0].turbulence: expected Coulomb friction alone")
