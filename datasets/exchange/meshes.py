@@ -1,5 +1,6 @@
 """Meshes of triangles: read by pyvista, written by meshio."""
 
+import codecs
 import io
 import os
 import subprocess
@@ -12,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from datasets.errors import InputError, require
-from datasets.exchange.obj import read_obj
 from datasets.files import file_size, reading, replacing
 from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import surface_of
@@ -67,6 +67,30 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
                 break
         require(merged.n_cells > 0, "", "a mesh with triangles", "none")
         return np.asarray(merged.points, np.float64), np.asarray(merged.regular_faces, np.int64)
+
+
+def read_obj(path: Path) -> tuple[Floats, Integers]:
+    """Vertices [V, 3] of a Wavefront OBJ, and its polygons end to end: how many corners each has, then these from 0.
+
+    Corners may name texture and normals, and count from the end.
+
+    Raises InputError for corners that are no vertices, ValueError for what is no number.
+    """
+    content = path.read_bytes()
+    encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    text = content.decode(encoding, errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
+    vertices, polygons = list[list[float]](), list[list[int]]()
+    for line in text.splitlines():
+        kind, *words = line.split("#", 1)[0].split() or [""]
+        if kind == "v":
+            vertices.append([float(word) for word in words[:3]])
+        elif kind == "f":
+            corners = [int(word.split("/", 1)[0]) for word in words]
+            polygons.append([corner - 1 if corner > 0 else len(vertices) + corner for corner in corners])
+    require(bool(polygons), "", "a mesh with faces", "none")
+    there = all(len(corners) >= 3 and 0 <= min(corners) <= max(corners) < len(vertices) for corners in polygons)
+    require(there, "", f"faces of three or more of the {len(vertices)} vertices", "others")
+    return np.array(vertices), np.array([number for corners in polygons for number in (len(corners), *corners)])
 
 
 def read_apart(path: Path) -> tuple[Floats, Integers]:

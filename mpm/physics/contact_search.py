@@ -9,7 +9,8 @@ from its edges. With t the largest tan of an angle between T and triangles aroun
 the foot along T rises by at most t (l - e) towards x. The square of its distance is at least l^2 + p^2 - 2 p t (l - e),
 which is no less than p^2 if e >= p t / 2: T is the nearest. A point within p of x is within p along T and, as it may
 be as deep, 2 p in plan: among the triangles around T if p is no more than the distance between posts and t at most 1.
-For the same reason a way of length s that ends at x is clear of the others where it is t (s - e) above T.
+For the same reason a way of length s that ends at x is clear of the others where it is t (s - e) above T. It counts as
+clear down to CUT_BUMP below that: a particle may cut such a bump of the ground, and is put out of T where it ends.
 """
 
 import taichi as ti

@@ -16,7 +16,7 @@ import taichi as ti
 from mpm.arrays.layout import PADDING, Offset, Setting, TerrainNumber
 
 LEVEL = 1.0e-30
-"""Stands for an elevation of zero [m], which means that none is kept."""
+"""Stands for zero where a zero means that nothing is kept yet: an elevation [m] or a tilt [-]."""
 AROUND = 2
 """Cells of the raster around one whose triangles its own are compared with."""
 UNKNOWN = 1.0e10

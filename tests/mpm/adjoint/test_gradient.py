@@ -83,7 +83,7 @@ SCENES = {
     "3D softening": room(SOFTENING),
     "sand": plane(SAND, masses=FALLING, duration=0.04),
     "dilating sand": plane(dataclasses.replace(SAND, dilation_deg=10.0), masses=FALLING, duration=0.04),
-    "weak soil": plane(WEAK, masses=FALLING, duration=0.04),
+    "weak soil": plane(WEAK, masses=FALLING, duration=0.03),
     "sand before a baffle": plane(SAND, masses=FALLING, baffles=(BEHIND,), baffle_friction=0.3, duration=0.04),
     "friction of the rate": plane(dataclasses.replace(WEAK, dilation_deg=5.0, **FAST_SHEAR), slope_deg=20.0),
     "friction of the rate, softening": plane(dataclasses.replace(SOFTENING, **FAST_SHEAR), duration=0.01),
