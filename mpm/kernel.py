@@ -5,14 +5,17 @@
     grid to particles    v_p, C_p, x_p, sigma_p              `mpm.physics.particles`, `mpm.physics.stress`
 
 Many scenes: a scene runs on one thread from the first step of a call to the last: no atomics, no waiting, and the
-result is the same to the bit on any number of threads. One large scene: each thread has its own part of the particles
-and its own grid, and where the grids overlap they are summed; the last bits then depend on the number of threads.
+result is the same to the bit on any number of threads. One large scene: each worker has its own part of the particles
+and its own grid, and where the grids overlap they are summed; the last bits then depend on the number of workers.
+Usually each worker has a thread. Threads wait for each other three times a step, so that beside another busy process
+two run slower than one: `mpm.simulation.Crew` then gives a thread the parts of several workers, with the same result to the bit.
 """
 
 from collections.abc import Callable
 from enum import Enum, auto
 from functools import cache
 
+import numpy as np
 import taichi as ti
 
 from mpm.arrays.access import columns_deep
@@ -35,8 +38,8 @@ from mpm.physics.particles import update_block, update_particles
 from mpm.physics.transfer import number_to_grid, particles_to_grid, prepare_contributions
 
 ITERATIONS = 512
-"""The fewest iterations of a loop that Taichi gives to a thread: with fewer per worker, one thread would get several
-workers, run them in turn, and in a shared scene wait for itself. A worker's work is in the first of its iterations."""
+"""The fewest iterations of a loop that Taichi gives to a thread: with fewer, one thread would get the work of several,
+run it in turn, and in a shared scene wait for itself. All of a thread's work is in the first of its iterations."""
 
 SUMMED = 32
 """Particles over which a thread of a GPU takes a sum or a maximum of its own, before that of all threads."""
@@ -46,7 +49,7 @@ class Phase(Enum):
     """What a call of the kernel computes."""
 
     FRAMES = auto()
-    """Each scene's frames from `Offset.NEXT` to before `last`, a thread per worker."""
+    """Each scene's frames from `Offset.NEXT` to before `last`, on the threads of a CPU."""
     SPEED = auto()
     """The number of steps that each scene needs for its next frame."""
     STEP = auto()
@@ -56,50 +59,64 @@ class Phase(Enum):
 
 
 @ti.func
-def synchronise(arrays: ti.template()):
-    """Wait until all workers of a shared scene have arrived; nothing where scenes are not shared.
+def synchronise(thread, arrays: ti.template()):
+    """Wait until all threads of a shared scene have arrived; nothing where scenes are not shared.
 
     Taichi's own barrier is the end of a call, whose third of a millisecond is a step of 10,000 particles; here it takes
-    a microsecond. Each worker has a thread of its own, because Taichi has as many threads as there are workers. Reading
-    by adding zero keeps the compiler from reading once.
+    a microsecond. All run at once, because Taichi has as many threads as that. Reading by adding zero keeps the
+    compiler from reading once.
     """
     if ti.static(arrays.features.processor.shared):
-        count = arrays.workers.shape[0]
-        goal = (ti.atomic_add(arrays.arrivals[0], 1) // count + 1) * count
-        while ti.atomic_add(arrays.arrivals[0], 0) < goal:
-            pass
+        arrived = ti.atomic_add(arrays.arrivals[thread], 1) + 1
+        for other in range(arrays.arrivals.shape[0]):
+            while ti.atomic_add(arrays.arrivals[other], 0) < arrived:
+                pass
 
 
 @ti.func
-def step(worker, scene, dt, kappa, moved, arrays: ti.template()):
-    """Bring a worker's part of a scene forward by a step; where its grid has no room for it, nothing changes.
+def workers_of(thread, arrays: ti.template()):
+    """The first worker of a thread, and the one behind its last."""
+    count, threads = arrays.workers.shape[0], arrays.arrivals.shape[0]
+    return thread * count // threads, (thread + 1) * count // threads
+
+
+@ti.func
+def step(thread, scene, dt, kappa, moved, arrays: ti.template()):
+    """Bring a thread's part of a scene forward by a step; where a grid has no room for it, nothing changes.
 
     moved: cells that its particles have moved at most since its columns were made. Returns the same after the step,
     less than zero where there was no room.
     """
+    first, end = workers_of(thread, arrays)
+    for worker in range(first, end):
+        if moved > MARGIN:
+            make_columns(worker, scene, arrays)
+        if arrays.workers[worker, Worker.USED] <= arrays.workers[worker, Worker.ROOM]:
+            clear(worker, arrays)
+            particles_to_grid(worker, scene, arrays)
     if moved > MARGIN:
-        make_columns(worker, scene, arrays)
         moved = 0.0 * moved
-    if arrays.workers[worker, Worker.USED] <= arrays.workers[worker, Worker.ROOM]:
-        clear(worker, arrays)
-        particles_to_grid(worker, scene, arrays)
-    synchronise(arrays)
-    if has_room(worker, arrays):
-        update_grid(worker, scene, dt, kappa, arrays)
-        synchronise(arrays)
-        moved += update_particles(worker, scene, dt, kappa, arrays)
+    synchronise(thread, arrays)
+    if has_room(first, arrays):
+        for worker in range(first, end):
+            update_grid(worker, scene, dt, kappa, arrays)
+        synchronise(thread, arrays)
+        farthest = 0.0 * moved
+        for worker in range(first, end):
+            farthest = ti.max(farthest, update_particles(worker, scene, dt, kappa, arrays))
+        moved += farthest
     else:
         moved = 0.0 * moved - 1.0
     return moved
 
 
 @ti.func
-def advance_worker(worker, last, arrays: ti.template()):
-    """Compute the frames before `last` of a worker's part of its scene; record them if it is the scene's first.
+def advance_thread(thread, last, arrays: ti.template()):
+    """Compute the frames before `last` of a thread's part of its scene; record them if it is the scene's first.
 
     It stops before a step for which a grid of the scene has no room, and goes on from there in the next call.
     """
-    scene = arrays.workers[worker, Worker.SCENE]
+    scene = arrays.workers[thread, Worker.SCENE]
     moved = 0.0 * arrays.settings[scene, Setting.CELL] + OUTDATED
     for frame in range(arrays.offsets[scene, Offset.NEXT], ti.min(last, arrays.offsets[scene, Offset.FRAMES])):
         if arrays.offsets[scene, Offset.REST] > 0:
@@ -107,26 +124,26 @@ def advance_worker(worker, last, arrays: ti.template()):
         done, substeps = arrays.offsets[scene, Offset.DONE], arrays.offsets[scene, Offset.FRAME_STEPS]
         if done == 0:
             substeps = steps_of_frame(scene, arrays)
-        synchronise(arrays)
+        synchronise(thread, arrays)
         if substeps == 0:
             arrays.offsets[scene, Offset.FRAMES] = frame
             break
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
         while done < substeps:
-            moved = step(worker, scene, dt, kappa, moved, arrays)
+            moved = step(thread, scene, dt, kappa, moved, arrays)
             if moved < 0.0:
                 break
             done += 1
-        synchronise(arrays)
-        if worker == 0 or not ti.static(arrays.features.processor.shared):
+        synchronise(thread, arrays)
+        if thread == 0 or not ti.static(arrays.features.processor.shared):
             arrays.offsets[scene, Offset.NEXT], arrays.offsets[scene, Offset.DONE] = frame, done
             arrays.offsets[scene, Offset.FRAME_STEPS] = substeps
             if done == substeps:
                 arrays.offsets[scene, Offset.NEXT], arrays.offsets[scene, Offset.DONE] = frame + 1, 0
                 arrays.offsets[scene, Offset.STEPS] = arrays.offsets[scene, Offset.STEPS] + substeps
                 record_frame(scene, frame, arrays)
-        synchronise(arrays)
+        synchronise(thread, arrays)
         if done < substeps:
             break
 
@@ -144,9 +161,9 @@ def advance(arrays: ti.template(), first, last, phase: ti.template()):
     """What a call of the kernel does; see `Phase`."""
     if ti.static(phase == Phase.FRAMES):
         ti.loop_config(block_dim=ITERATIONS)
-        for iteration in range(arrays.workers.shape[0] * ITERATIONS):
+        for iteration in range(arrays.arrivals.shape[0] * ITERATIONS):
             if iteration % ITERATIONS == 0:
-                advance_worker(iteration // ITERATIONS, last, arrays)
+                advance_thread(iteration // ITERATIONS, last, arrays)
     if ti.static(phase == Phase.SPEED):
         for scene in range(arrays.offsets.shape[0]):
             arrays.step_control[scene, StepControl.SPEED] = 0.0
@@ -207,16 +224,16 @@ def kernel(features: Features) -> Callable[..., None]:
     return kernel_of(STEP | RECORD | DEVICE, advance, features)
 
 
-def compute(batch: Batch, last: int) -> None:
+def compute(batch: Batch, last: int, threads: int | None = None) -> None:
     """Compute the frames of a batch after those that are computed and before `last`, on the threads of a CPU.
 
-    Where a grid has no room for what is to come, the kernel returns before that step, and goes on with a larger one.
+    threads: of a shared scene, one for each of its workers unless given. The result is the same to the bit. Where a grid has no room for what is to come, the kernel returns before that step, and goes on with a larger one.
     """
     first, run = batch.computed + 1, kernel(batch.features)
     batch.offsets[:, Offset.NEXT], batch.offsets[:, Offset.DONE] = first, 0
     grown = True
     while grown:
-        batch.arrivals[:] = 0
+        batch.arrivals = np.zeros(threads or len(batch.workers), np.int32)
         run(*batch.arguments.values(), first, last, Phase.FRAMES)
         grown = batch.grow_grid()
     batch.computed = last - 1

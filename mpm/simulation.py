@@ -36,6 +36,10 @@ COMPILING = {2: 5, 3: 10}
 """Seconds to compile a kernel, by dimension."""
 PARTICLE_STEPS_PER_CALL = 5.0e6
 """About what a thread does in a second or two; a call of the kernel, which a stop waits for, has a frame at least."""
+SHORT = 0.02
+"""Seconds of a call that says too little of how busy the processors are."""
+PATIENCE = 16
+"""Calls after which a large scene tries all its threads again, at most: the first time after one, then two, four."""
 
 
 class Options(TypedDict, total=False):
@@ -216,7 +220,7 @@ def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool]) ->
     A call ends where particles are sorted, in the same frames wherever a run was interrupted, where a frame is kept
     that the kernel does not record, and where a stage may begin.
     """
-    end = max(scene.frames for scene in batch.scenes)
+    end, crew = max(scene.frames for scene in batch.scenes), Crew(batch)
     steps = (batch.offsets[:, Offset.SUBSTEPS] * batch.offsets[:, Offset.PARTICLES].astype(float)).sum()
     most = max(1, int(PARTICLE_STEPS_PER_CALL * len(batch.workers) / steps))
     while (first := batch.computed + 1) < end and not batch.ended(first).all() and not stop():
@@ -230,10 +234,37 @@ def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool]) ->
                 batch.sort(index)
             elif since_sorted == 0 and batch.features.contact:
                 batch.put_contacts_first(index)
-        compute(batch, last)
+        begin, used = time.perf_counter(), time.process_time()
+        compute(batch, last, crew.threads)
+        crew.choose(time.perf_counter() - begin, time.process_time() - used)
         batch.keep(first)
         begin_stages(batch)
         bar.update(last - first)
+
+
+class Crew:
+    """How many threads compute the parts of a large scene: half as many while other processes take processors.
+
+    Threads wait for each other in every step. Where one has to wait for a processor, they all do: if of T processors
+    m <= 1 are missing, T threads get 1 - m of their speed, and T / 2 half. The result is the same to the bit.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        self.workers = self.threads = len(batch.workers)
+        self.shared = batch.features.processor.shared
+        self.calls, self.patience = 0, 1
+
+    def choose(self, wall: float, used: float) -> None:
+        """Choose the threads of the next call; of this one its seconds `wall`, and those of its processors `used`."""
+        if self.shared and self.threads > 1 and wall > SHORT and self.threads - used / wall > 0.5:
+            self.threads, self.calls = self.threads // 2, self.patience
+            self.patience = min(2 * self.patience, PATIENCE)
+        elif self.threads < self.workers:
+            self.calls -= 1
+            if self.calls <= 0:
+                self.threads = self.workers
+        else:
+            self.patience = 1
 
 
 def progress_bar(frames: int, computed: int, options: Options) -> "tqdm[None]":

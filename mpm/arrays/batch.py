@@ -154,7 +154,8 @@ class Batch:
         self.positions = np.zeros(max(recorded * features.dimension, 1), np.float32)
         self.energy = np.zeros((line, len(Energy)), np.float64)
         self.recorded_impulse = np.zeros((max(recorded_impulse, 1), features.dimension), np.float64)
-        self.arrivals = np.zeros(1, np.int32)
+        self.arrivals = np.zeros(len(self.workers), np.int32)
+        """How often each thread has waited for the others; one entry for each thread of a call."""
         self.computed = 0
         self.record = [self.empty_record(index) for index in range(len(scenes))]
         """Of each scene what is kept of its particles by name, positions and fields, shape [T, N, ...] each."""

@@ -14,6 +14,7 @@ from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Offset, Worker
 from mpm.kernel import SUMMED, compute
 from mpm.runtime import start
+from mpm.simulation import Crew
 from tests.scenes import COLUMN, SAND, box, room
 
 TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
@@ -118,6 +119,28 @@ def test_a_grid_without_room_grows_and_the_run_goes_on(workers: int, monkeypatch
         found.append([batch.recorded(0).copy(), batch.energies(0).copy(), batch.offsets[:, Offset.STEPS].copy()])
     for grown, at_once in zip(*found, strict=True):
         np.testing.assert_array_equal(grown, at_once)
+
+
+def test_a_thread_computes_the_parts_of_several_to_the_bit() -> None:
+    """As a large scene does while other processes need the processors."""
+    start("f32", 2)
+    batches = [Batch(wide(2), precision="f32", workers=3) for _ in range(3)]
+    for batch, threads in zip(batches, ((2, 2), (1, 2), (1, 1)), strict=True):
+        for last, count in zip((11, 21), threads, strict=True):
+            compute(batch, last, count)
+        np.testing.assert_array_equal(batch.positions, batches[0].positions)
+        np.testing.assert_array_equal(batch.energies(0), batches[0].energies(0))
+
+
+def test_a_large_scene_takes_fewer_threads_while_processors_are_missing() -> None:
+    crew = Crew(Batch(wide(2), precision="f32", workers=2))
+    missing = [0.1, 0.4, 0.8, 0.0, 0.8, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.8]
+    threads = []
+    for share in missing:
+        threads.append(crew.threads)
+        crew.choose(1.0, crew.threads - share)
+    # One call with one thread after the first that lacks a processor, then two calls, then four.
+    assert threads == [2, 2, 2, 1, 2, 1, 1, 2, 1, 1, 1, 1, 2, 2]
 
 
 def test_time_and_memory_follow_the_material_not_the_box() -> None:
