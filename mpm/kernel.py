@@ -8,7 +8,8 @@ Many scenes: a scene runs on one thread from the first step of a call to the las
 result is the same to the bit on any number of threads. One large scene: each worker has its own part of the particles
 and its own grid, and where the grids overlap they are summed; the last bits then depend on the number of workers.
 Usually each worker has a thread. Threads wait for each other three times a step, so that beside another busy process
-two run slower than one: `mpm.simulation.Crew` then gives a thread the parts of several workers, with the same result to the bit.
+two run slower than one: `mpm.simulation.Crew` then gives a thread the parts of several workers, with the same result to
+the bit.
 """
 
 from collections.abc import Callable
@@ -227,7 +228,8 @@ def kernel(features: Features) -> Callable[..., None]:
 def compute(batch: Batch, last: int, threads: int | None = None) -> None:
     """Compute the frames of a batch after those that are computed and before `last`, on the threads of a CPU.
 
-    threads: of a shared scene, one for each of its workers unless given. The result is the same to the bit. Where a grid has no room for what is to come, the kernel returns before that step, and goes on with a larger one.
+    threads: of a shared scene, one for each of its workers unless given; the result is the same to the bit. Where a
+    grid has no room for what is to come, the kernel returns before that step, and goes on with a larger one.
     """
     first, run = batch.computed + 1, kernel(batch.features)
     batch.offsets[:, Offset.NEXT], batch.offsets[:, Offset.DONE] = first, 0
