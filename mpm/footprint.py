@@ -23,9 +23,10 @@ from datasets.errors import InputError
 from datasets.geometry.contact_surface import contact_surface_of
 from datasets.scene import Scene
 from datasets.scene.particles import mass_counts
+from datasets.scene.stiffness import greatest_speed, specific_stress
 from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import Energy, Precision, Span, column_count, node_room, node_shape
-from mpm.arrays.properties import substeps_per_frame
+from mpm.arrays.properties import STABILITY, substeps_per_frame
 from mpm.output.request import ALL, Recording
 from mpm.resolution import particle_steps
 from mpm.runtime import Arch
@@ -53,7 +54,8 @@ START = {2: (1.0, 8.0), 3: (2.0, 15.0)}
 """Seconds of a start, from kernels that are on disk to those that are compiled."""
 EARLIEST = 0.5
 """Share of the steps after which flows are taken to rest, where runs end then."""
-
+MUCH = 10.0
+"""Young's modulus over what the flow needs, from which on a softer material is worth a word."""
 INVERSION = 250 * 2**20
 """Bytes of PyTorch and of an inversion in a process that also runs the MPM."""
 
@@ -140,6 +142,23 @@ def require_memory(footprints: list[Footprint]) -> None:
         f"{'a run' if len(footprints) == 1 else f'{len(footprints)} runs'}",
         f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame, --hdf5)",
     )
+
+
+def step_spoken(scene: Scene) -> str:
+    """Which step a run begins with and what sets it, before it runs; that the material may be softer, where it may."""
+    materials = [scene.material_of(mass) for mass in scene.masses]
+    stiffest = max(materials, key=lambda material: material.wave_speed)
+    wave, speed = stiffest.wave_speed, greatest_speed(scene)
+    slow = (STABILITY / scene.step_fraction - 1.0) * wave
+    step = scene.frame_dt / substeps_per_frame(scene, materials)
+    line = f"time step {step:.2g} s, set by elastic waves of {wave:.3g} m/s"
+    if speed > slow:
+        line += f", by the flow where it is faster than {slow:.3g} m/s: it may reach {speed:.3g} m/s"
+    enough = specific_stress(scene) * stiffest.density
+    if stiffest.modulus > MUCH * enough > 0.0:
+        shares = f"{(enough / stiffest.modulus) ** 0.5:.2g} of the steps"
+        line += f" (young = {stiffest.modulus:.2g} Pa; {float(f'{enough:.1e}'):g} Pa would do, in {shares})"
+    return line
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,8 +17,7 @@ from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from datasets.scene.particles import particle_count
 from mpm.arrays.layout import Precision
-from mpm.footprint import expected, footprint
-from mpm.output import time_step
+from mpm.footprint import expected, footprint, step_spoken
 from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.request import Recording
 from mpm.resolution import read_tolerance, resolved
@@ -125,7 +124,7 @@ def command(
         arch=arch,
         until_rest=until_rest,
     )
-    print(f"{plan}; {time_step.spoken(given)}; {price}", flush=True)
+    print(f"{plan}; {step_spoken(given)}; {price}", flush=True)
     with ExitStack() as stack:
         options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
         if appended:

@@ -174,17 +174,9 @@ class Equilibrium:
         return bool(new.any() or back.any())
 
     def warn(self, stress: Floats) -> None:
-        """Say how much of the weight a solution leaves unbalanced, where that is more than single particles."""
-        missing = self.missing(stress)
-        if missing > UNBALANCED:
-            warnings.warn(
-                f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
-                "unbalanced at the start",
-                stacklevel=6,
-            )
-
-    def missing(self, stress: Floats) -> float:
-        """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""
+        """Say how much of the weight a solution leaves unbalanced, where that is more than single particles: nodal
+        forces, and what no wall takes, pull and shear beyond friction.
+        """
         force = self.unbalanced(stress, self.contact.traction)
         held = (self.walls != 0) | self.behind_barriers | self.rough[:, None]
         loose = np.abs(force[self.free]).sum()
@@ -199,7 +191,13 @@ class Equilibrium:
         across = (borne * self.contact.normals).sum(axis=1)
         along = np.linalg.norm(borne - across[:, None] * self.contact.normals, axis=1)
         slides = max(float(along.sum() - self.contact.frictions @ np.maximum(-across, 0.0)), 0.0)
-        return float(loose + pulled + slips + slides) / self.weight
+        missing = float(loose + pulled + slips + slides) / self.weight
+        if missing > UNBALANCED:
+            warnings.warn(
+                f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
+                "unbalanced at the start",
+                stacklevel=6,
+            )
 
     def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
         """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""

@@ -17,7 +17,6 @@ from mpm.arrays.layout import Energy, Offset, Retained
 from mpm.initial.barriers import retained_masses
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
-from mpm.output.time_step import limit
 from mpm.runtime import Arch
 
 
@@ -59,8 +58,8 @@ def fields_of(batch: Batch, index: int) -> dict[str, Any]:
 def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory | WorkFailed:
     """What scene `index` did; the frames after it came to rest are filled with the last one that was computed.
 
-    Its summary: lengths in metres; `step_limit`, what set the time step, "waves" of `wave_speed` [m/s] or the speed of
-    the "flow"; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
+    Its summary: lengths in metres; `step_limit`, what set the time step, "waves" of `wave_speed` [m/s] or in some
+    frames the speed of the "flow"; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
     scene; `rest_time` [s], when the deposit came to rest, where the run may end there, and `end_time` [s], until when
     it was computed; `release_time` [s], when each mass was let go, where barriers hold one, None where it still is;
     `stage_time` [s], when each stage began, None where it did not; where asked for the momentum that the sides of the
@@ -87,7 +86,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     summary: dict[str, Any] = {
         **extents(scene, deposit, particles.volume),
         "steps": (steps := int(offset[Offset.STEPS])),
-        "step_limit": limit(steps, int(offset[Offset.SUBSTEPS]), rest or scene.frames - 1),
+        "step_limit": "flow" if steps > int(offset[Offset.SUBSTEPS]) * (rest or scene.frames - 1) else "waves",
         "wave_speed": max(material.wave_speed for material in particles.materials),
         "particles": len(deposit),
         "rest_time": began * scene.frame_dt if rest else None,

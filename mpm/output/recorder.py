@@ -4,8 +4,8 @@ import taichi as ti
 
 from mpm.arrays.access import add, lane_sum, maximum, over_lanes
 from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
+from mpm.arrays.properties import STABILITY
 from mpm.output.request import BALANCED, REST
-from mpm.output.time_step import STABILITY
 from mpm.physics.barriers import free_since, measure_retained, open_barriers
 from mpm.physics.transfer import particles_in, property_of
 
