@@ -15,7 +15,7 @@ import taichi as ti
 
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import add_face, depends, found_reverse, terrain_reverse
-from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
+from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar, impulse_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import vectors
 from mpm.arrays.layout import Contact, Offset, Property, Worker
@@ -40,13 +40,10 @@ from mpm.solids.face_lookup import entry_of, face_number, list_of, normal_of, so
 
 @ti.func
 def touched(block, after, scene, arrays: ti.template()):
-    """1 where a particle of a block depends on a solid before a step or after it, else 0."""
-    result = 0
-    if touches(block, arrays):
-        result = 1
+    """Whether a particle of a block depends on a solid before a step or after it."""
+    result = touches(block, arrays)
     for lane in ti.static(range(arrays.features.lanes)):
-        if depends(after * arrays.features.lanes + lane, scene, arrays):
-            result = 1
+        result = result or depends(after * arrays.features.lanes + lane, scene, arrays)
     return result
 
 
@@ -116,14 +113,6 @@ def push_reverse(
         stress_bar, contacts_bar = ti.static(pushed(bar))
         add_bars(block * layout.width + features.state.stress, stress_bar, arrays)
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
-
-
-@ti.func
-def impulse_bar(solid, worker, arrays: ti.template()):
-    """The bar of the impulse of a solid, shape [D]."""
-    features = arrays.features
-    first = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
-    return ti.Vector([arrays.impulse_adjoints[first + k] for k in ti.static(range(features.dimension))])
 
 
 @ti.func

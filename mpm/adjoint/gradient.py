@@ -41,6 +41,8 @@ with respect to both, or None for no dependence on velocity."""
 
 STEP = 1.0e-5
 """Relative step of the differences of closed forms."""
+NUMBERS = ("stress", "properties", "settings", "faces", "holds", "terrain", "drags")
+"""What a run begins with besides the motion of its particles, of a `Start` and of a `Gradient`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,9 +143,7 @@ class Gradient:
     def bars(self) -> Floats:
         """Of `Start.numbers`."""
         motion = self.positions, self.velocities, self.velocity_gradients
-        return in_a_row(
-            *motion, self.stress, self.properties, self.settings, self.faces, self.holds, self.terrain, self.drags
-        )
+        return in_a_row(*motion, *(vars(self)[name] for name in NUMBERS))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,15 +162,11 @@ class Start:
     terrain: Floats
     drags: Floats
 
-    @property
-    def others(self) -> tuple[Floats, ...]:
-        """Its numbers after those of particles."""
-        return self.settings, self.faces, self.holds, self.terrain, self.drags
-
     def numbers(self, columns: int) -> Floats:
         """All of it in a row, with so many columns of the properties."""
         motion = self.particles.positions, self.particles.velocities, self.particles.velocity_gradients
-        return in_a_row(*motion, self.stress, self.properties[:, :columns], *self.others)
+        parts = vars(self) | {"properties": self.properties[:, :columns]}
+        return in_a_row(*motion, *(parts[name] for name in NUMBERS))
 
 
 def in_a_row(*parts: Floats) -> Floats:
@@ -185,30 +181,21 @@ def started(scene: Scene, base: Start | None = None) -> Start:
     """
     if base is None:
         particles, solids = initial_particles(scene), obstacles_in(scene)
-        return Start(
-            scene=scene,
-            particles=particles,
-            stress=initial_tractions(scene, particles)[0],
-            properties=properties_of(particles),
-            settings=np.array(settings_row(scene, particles)),
-            faces=solids.faces,
-            holds=solids.holds,
-            held=solids.windows[0].nodes(np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds))),
-            terrain=solids.frictions[0].ravel(),
-            drags=np.array(drags_of(scene)),
-        )
-    particles, properties = particles_with(scene, base)
-    stress, faces, holds, terrain = base.stress, base.faces, base.holds, base.terrain
-    if stress.any() or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
-        stress = initial_tractions(scene, particles)[0]
-    if len(faces) + len(terrain) and solids_with(scene) != solids_with(base.scene):
-        faces, holds, terrain = faces_and_holds(scene, base.held, holds)
-    if len(particles.positions) != len(base.particles.positions):
-        raise InputError("expected scenes with as many particles, a change of their number has no derivative")
-    if faces.shape != base.faces.shape or terrain.shape != base.terrain.shape:
-        raise InputError("expected solids with as many faces, a change of their number has no derivative")
-    return dataclasses.replace(
-        base,
+        stress, properties = initial_tractions(scene, particles)[0], properties_of(particles)
+        faces, holds, terrain = solids.faces, solids.holds, solids.frictions[0].ravel()
+        held = solids.windows[0].nodes(np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds)))
+    else:
+        particles, properties = particles_with(scene, base)
+        stress, faces, holds, terrain, held = base.stress, base.faces, base.holds, base.terrain, base.held
+        if stress.any() or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
+            stress = initial_tractions(scene, particles)[0]
+        if len(faces) + len(terrain) and solids_with(scene) != solids_with(base.scene):
+            faces, holds, terrain = faces_and_holds(scene, held, holds)
+        if len(particles.positions) != len(base.particles.positions):
+            raise InputError("expected scenes with as many particles, a change of their number has no derivative")
+        if faces.shape != base.faces.shape or terrain.shape != base.terrain.shape:
+            raise InputError("expected solids with as many faces, a change of their number has no derivative")
+    return Start(
         scene=scene,
         particles=particles,
         stress=stress,
@@ -216,6 +203,7 @@ def started(scene: Scene, base: Start | None = None) -> Start:
         settings=np.array(settings_row(scene, particles)),
         faces=faces,
         holds=holds,
+        held=held,
         terrain=terrain,
         drags=np.array(drags_of(scene)),
     )

@@ -40,12 +40,15 @@ class Pass(Enum):
 
 
 @ti.func
-def keep_state(worker, step, arrays: ti.template()):
-    """Keep the states of a worker's blocks as those before `step`."""
+def copy_state(worker, step, keep: ti.template(), arrays: ti.template()):
+    """Keep the states of a worker's blocks as those before `step`, or bring these back."""
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         at, own = state_before(step, block, arrays), block * arrays.features.state.size
         for k in range(arrays.layout.history):
-            arrays.history[at + k] = arrays.state[own + k]
+            if ti.static(keep):
+                arrays.history[at + k] = arrays.state[own + k]
+            else:
+                arrays.state[own + k] = arrays.history[at + k]
 
 
 @ti.func
@@ -53,15 +56,6 @@ def state_before(step, block, arrays: ti.template()):
     """The first vector in the history of a block before `step`."""
     blocks = arrays.state.shape[0] // ti.static(arrays.features.state.size)
     return (step * blocks + block) * ti.static(arrays.layout.history)
-
-
-@ti.func
-def restore_state(worker, step, arrays: ti.template()):
-    """The states of a worker's blocks before `step`."""
-    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        at, own = state_before(step, block, arrays), block * arrays.features.state.size
-        for k in range(arrays.layout.history):
-            arrays.state[own + k] = arrays.history[at + k]
 
 
 @ti.func
@@ -78,7 +72,7 @@ def replay(worker, first, last, arrays: ti.template()):
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
         for _step in range(substeps):
-            keep_state(worker, step, arrays)
+            copy_state(worker, step, True, arrays)
             arrays.step_times[scene, step] = dt
             moved = advance(worker, scene, dt, kappa, moved, arrays)
             if moved < 0.0:
@@ -87,7 +81,7 @@ def replay(worker, first, last, arrays: ti.template()):
         synchronise(arrays)
         if moved < 0.0:
             break
-    keep_state(worker, step, arrays)
+    copy_state(worker, step, True, arrays)
     arrays.step_counts[scene] = step
 
 
@@ -115,7 +109,7 @@ def reverse(worker, arrays: ti.template()):
 @ti.func
 def make_grid(worker, scene, step, arrays: ti.template()):
     """The states of a worker before `step`, and what they give to its nodes, if it has room for them."""
-    restore_state(worker, step, arrays)
+    copy_state(worker, step, False, arrays)
     make_columns(worker, scene, arrays)
     if arrays.workers[worker, Worker.USED] <= arrays.workers[worker, Worker.ROOM]:
         clear(worker, arrays)

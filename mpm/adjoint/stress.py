@@ -86,13 +86,13 @@ def stress_reverse(worker, table, scene, block, scratch, after, dt, arrays: ti.t
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     affine = vectors(arrays.history, after + features.state.affine, size * size)
     contact = contact_of(block, arrays)
-    touching, zero = 0, 0.0 * stress[0]
+    touching, zero = False, 0.0 * stress[0]
     jump, slip_shear_bar, modulus, modulus_bar = zero, zero, lame + 2.0 * shear, zero
     if ti.static(features.contact):
         touching = touched(block, after, scene, arrays)
         for k in ti.static(range(size)):
             arrays.scratch[scratch + layout.scratch.foot + k] = zero
-        if touching == 1:
+        if touching:
             gather_moments(table, scene, block, scratch, arrays)
             jump = jump_at_contact((grid_motion(scratch, arrays), affine), contact, stress, modulus, dt, size)
             slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays)
@@ -131,7 +131,7 @@ def stress_reverse(worker, table, scene, block, scratch, after, dt, arrays: ti.t
     if ti.static(features.contact):
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
         add_bars(contact_bar(block, 0, arrays), touched_bar, arrays)
-        if touching == 1:
+        if touching:
             moved = affine, contact, stress
             modulus_bar = jump_reverse(block, scratch, moved, modulus, dt, jump_bar + jumped_bar, arrays)
     if ti.static(features.volume_correction):

@@ -51,11 +51,8 @@ def posts(scene, arrays: ti.template()):
 @ti.func
 def post_spacing(scene, arrays: ti.template()):
     """The lesser of the distances between posts along x and z [m]."""
-    along, across = (
-        terrain_number(TerrainNumber.PER_X, scene, arrays),
-        terrain_number(TerrainNumber.PER_Z, scene, arrays),
-    )
-    return 1.0 / ti.max(along, across)
+    per_x = terrain_number(TerrainNumber.PER_X, scene, arrays)
+    return 1.0 / ti.max(per_x, terrain_number(TerrainNumber.PER_Z, scene, arrays))
 
 
 @ti.func
@@ -87,9 +84,7 @@ def triangle_under(x, scene, arrays: ti.template()):
     v = (x[2] - z0) / (arrays.terrain[first_z + k + 1] - z0)
     if (code & 1) == 1:
         v = 1.0 - v
-    if v > u and (code & 1) == 0:
-        half = 1
-    if u > v and (code & 1) == 1:
+    if (v > u and (code & 1) == 0) or (u > v and (code & 1) == 1):
         half = 1
     return i, k, half, code
 

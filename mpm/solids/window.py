@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,6 @@ from datasets.geometry.surface import Surface
 from datasets.scene import Domain
 from mpm.arrays.layout import PADDING, node_shape
 
-Array = NDArray[Any]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -46,17 +44,14 @@ class Window:
         return np.asarray(np.stack(np.unravel_index(numbers, self.shape), axis=-1) + np.array(self.low))
 
 
-def whole(domain: Domain) -> Window:
-    """All cells of a box and its padding."""
-    return Window(low=(0,) * domain.dimension, shape=node_shape(domain), cell=domain.cell)
-
-
 def window_around(domain: Domain, surface: Surface, cutoff: float) -> Window:
     """The cells that may list a face, up to `cutoff` cells from it; none without faces."""
     if not len(surface.corners):
         return Window(low=(0,) * domain.dimension, shape=(0,) * domain.dimension, cell=domain.cell)
     corners = surface.corners.reshape(1, -1, domain.dimension)
-    low, high = (each[0] for each in boxes_around(domain, corners, farthest_listed(domain, cutoff)))
+    # Of the centre of a cell that lists a face; a step moves a particle by at most a cell.
+    farthest = (max(cutoff, 1.0) + 0.5 * math.sqrt(domain.dimension)) * domain.cell
+    low, high = (each[0] for each in boxes_around(domain, corners, farthest))
     shape = np.array(node_shape(domain))
     low = np.clip(low, 0, shape - 1)
     high = np.clip(high, low + 1, shape)
@@ -67,11 +62,6 @@ def window_of(domain: Domain, nodes: Integers) -> Window:
     """The box around nodes by their indices, shape [N, D]."""
     low, high = nodes.min(axis=0), nodes.max(axis=0) + 1
     return Window(low=tuple(low.tolist()), shape=tuple((high - low).tolist()), cell=domain.cell)
-
-
-def farthest_listed(domain: Domain, cutoff: float) -> float:
-    """Distance [m] of its centre up to which a cell may list a face; a step moves a particle by at most a cell."""
-    return (max(cutoff, 1.0) + 0.5 * math.sqrt(domain.dimension)) * domain.cell
 
 
 def boxes_around(domain: Domain | Window, corners: Floats, limit: float) -> tuple[Integers, Integers]:
