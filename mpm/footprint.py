@@ -107,7 +107,7 @@ def footprint(
             key="duration",
         )
     count, dimension = sum(mass_counts(scene)), features.dimension
-    nodes = node_shape(scene.domain)
+    nodes, surface = node_shape(scene.domain), contact_surface_of(scene) if features.listed else None
     real = 4 if features.precision == "f32" else 8
     particle = 8 * (2 * dimension + dimension**2 + 2) + 8
     room = math.prod(nodes) if gpu else node_room(scene.domain, math.ceil(count / workers))
@@ -115,7 +115,8 @@ def footprint(
         PROCESS,
         count * BESIDE * (particle + real * features.state.size),
         workers * room * real * NODE + workers * column_count(scene.domain) * 4 * (1 + len(Span)),
-        16 * listed_cells(scene) if features.listed else 0,
+        # The cells around the faces of solids, which have lists of them.
+        16 * window_around(scene.domain, surface.faces, farthest(scene)).count if surface else 0,
         STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
     )
     kept = len(record.kept(scene.frames))
@@ -125,12 +126,6 @@ def footprint(
     recorded = 4 * count * kept * numbers + 8 * scene.frames * (len(Energy) + 2 * solids * dimension)
     size = int(sum(sizes)) + (0 if in_file else recorded)
     return Footprint(particles=count, nodes=nodes, frames=scene.frames, steps=steps, bytes=size)
-
-
-def listed_cells(scene: Scene) -> int:
-    """Cells around the faces of a scene's solids, which have lists of them."""
-    surface = contact_surface_of(scene)
-    return 0 if surface is None else window_around(scene.domain, surface.faces, farthest(scene)).count
 
 
 def require_memory(footprints: list[Footprint]) -> None:

@@ -168,14 +168,16 @@ def slope_stress(scene: Scene, particles: Particles, positions: Floats) -> tuple
         level_x = np.broadcast_to(np.eye(scene.dimension)[0], along.shape).copy()
         downhill = np.divide(along, steep[:, None], out=level_x, where=steep[:, None] > 1.0e-9)
         material, up = scene.material_of(mass), normal[:, 1]
-        sine = math.sin(math.radians(material.phi_deg))
         weight = material.density * np.abs(across)
         load = np.abs(across) * mass_above(scene, mass, positions[own])
         foot = np.maximum(weight * height(scene, mass) * up + load, 1.0e-9)
         strength = material.friction + material.cohesion / foot
         ratio = np.minimum(np.minimum(steep / np.abs(across), friction), strength)
         across_stress = -weight * depth_below_top(scene, mass, positions[own], particles.depth[own]) * up - load
-        level = lateral_ratio(material.poisson, sine, ratio) * across_stress
+        square = (math.sin(math.radians(material.phi_deg)) * (1.0 - MARGIN)) ** 2
+        half = 2.0 * np.sqrt(np.maximum(square - (1.0 - square) * ratio**2, 0.0))
+        least, most = ((1.0 + square + sign * half) / (1.0 - square) for sign in (-1.0, 1.0))
+        level = np.clip(material.poisson / (1.0 - material.poisson), least, most) * across_stress
         shear = -ratio * across_stress
         third = material.poisson * (across_stress + level)
         n, e = (np.pad(each, ((0, 0), (0, 3 - scene.dimension))) for each in (normal, downhill))
@@ -215,11 +217,3 @@ def ground_beneath(scene: Scene, mass: Mass, positions: Floats) -> tuple[Floats,
         ends = [highest(scene.solids, scene.domain, plan + side * step, floor)[0] for side in (-1.0, 1.0)]
         normal[:, axis] = (ends[0] - ends[1]) / (2.0 * half)
     return normal / np.linalg.norm(normal, axis=1)[:, None], np.where(stuck, np.inf, friction)
-
-
-def lateral_ratio(poisson: float, sine: float, ratio: Floats) -> Floats:
-    """K = sigma_t / sigma_n [-] beside shear of tau / |sigma_n| = `ratio`, [N]."""
-    square = (sine * (1.0 - MARGIN)) ** 2
-    half = 2.0 * np.sqrt(np.maximum(square - (1.0 - square) * ratio**2, 0.0))
-    low, high = ((1.0 + square + sign * half) / (1.0 - square) for sign in (-1.0, 1.0))
-    return np.asarray(np.clip(poisson / (1.0 - poisson), low, high))

@@ -24,16 +24,16 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import auto
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, require
+from datasets.errors import InputError
 from datasets.scene import Stage
 from datasets.scene.material import STIFFEST, Material
-from datasets.schema import Record
+from datasets.schema import Bounds, Record
 from mpm.arrays.access import maximum
 from mpm.laws import LawColumn, parameters_of
 from mpm.physics.principal import TINY
@@ -47,16 +47,10 @@ OPENS = False
 class Parameters(Record):
     """The keys of `[material]` with `law = "von-mises"`, beside density and elasticity."""
 
-    strength: float
+    strength: Annotated[float, Bounds(f"a shear strength in Pa, above 0 up to {STIFFEST:g}", gt=0.0, le=STIFFEST)]
     """Shear strength s_u [Pa] before any plastic strain."""
-    hardening: float = 0.0
+    hardening: Annotated[float, Bounds(f"a modulus in Pa, at least 0 up to {STIFFEST:g}", ge=0.0, le=STIFFEST)] = 0.0
     """H [Pa], growth of the strength with the plastic shear strain."""
-
-    def __post_init__(self) -> None:
-        bounds = f"Pa, above 0 up to {STIFFEST:g}"
-        require(0.0 < self.strength <= STIFFEST, "strength", f"a shear strength in {bounds}", f"{self.strength:g}")
-        bounds = f"Pa, at least 0 up to {STIFFEST:g}"
-        require(0.0 <= self.hardening <= STIFFEST, "hardening", f"a modulus in {bounds}", f"{self.hardening:g}")
 
 
 class Column(LawColumn):
