@@ -132,11 +132,11 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     own = block * layout.width
     stress = vectors(arrays.history, after + features.state.stress, features.stresses)
     affine = vectors(arrays.history, after + features.state.affine, size * size)
-    contact = contact_of(block, arrays)
     if ti.static(features.turbulent):
         find_drags(scene, block, scratch, arrays)
     turbulence = turbulence_at(scratch, property_of(scene, block, Property.DENSITY, arrays), arrays)
-    numbers = ti.static(((grid_motion(scratch, arrays), affine), stress, contact, shear, turbulence))
+    motion = grid_motion(scratch, arrays), affine, contact_of(block, arrays)
+    numbers = ti.static((motion, stress, shear, turbulence))
     sheared = ti.static([Pullback(sheared_traction, numbers, (dt, size))])[0]
     before = scratch + layout.scratch.before
     for k in ti.static(range(size)):
@@ -159,7 +159,7 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     q_bar = vectors(arrays.adjoints, shear_at, size)
     for k in ti.static(range(size)):
         arrays.adjoints[shear_at + k] = 0.0 * q_bar[k]
-    motion_bar, stress_bar, contacts_bar, shear_bar, turbulence_bar = ti.static(sheared(q_bar))
+    motion_bar, stress_bar, shear_bar, turbulence_bar = ti.static(sheared(q_bar))
     if ti.static(features.turbulent):
         add_property_bar(block, Property.DENSITY, turbulence_bar[0], arrays)
         add_drag_bars(scene, block, scratch, turbulence_bar[1], arrays)
@@ -167,7 +167,7 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
         arrays.scratch[scratch + layout.scratch.foot + k] = motion_bar[0][k]
     add_bars(own + features.state.affine, motion_bar[1], arrays)
     add_bars(own + features.state.stress, stress_bar, arrays)
-    add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
+    add_bars(contact_bar(block, 0, arrays), motion_bar[2], arrays)
     return shear_bar
 
 
@@ -193,13 +193,14 @@ def jump_reverse(block, scratch, strained: ti.template(), modulus, dt, bar, arra
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     affine, contact, stress = strained
-    numbers = ti.static(((grid_motion(scratch, arrays), affine), contact, stress, modulus))
+    motion = grid_motion(scratch, arrays), affine, contact
+    numbers = ti.static((motion, stress, modulus))
     jump = ti.static([Pullback(jump_at_contact, numbers, (dt, size))])[0]
-    motion_bar, contacts_bar, stress_bar, modulus_bar = ti.static(jump([bar]))
+    motion_bar, stress_bar, modulus_bar = ti.static(jump([bar]))
     for k in ti.static(range(size)):
         at = scratch + layout.scratch.foot + k
         arrays.scratch[at] = arrays.scratch[at] + motion_bar[0][k]
     add_bars(block * layout.width + features.state.affine, motion_bar[1], arrays)
     add_bars(block * layout.width + features.state.stress, stress_bar, arrays)
-    add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
+    add_bars(contact_bar(block, 0, arrays), motion_bar[2], arrays)
     return modulus_bar

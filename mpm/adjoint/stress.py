@@ -44,7 +44,7 @@ def trial_of(strained, moduli, opening, limits, box, dt, features):
     opened = None
     if features.volume_correction:
         gap, rate, mass, x, density = opening
-        around = grid_gap(mass, x, strained[3], density, *box, features)
+        around = grid_gap(mass, x, strained[3], density, box, features)
         opened = updated_gap(gap[0], limits[0], moduli[0] + moduli[1] * (2.0 / 3.0), rate, around)
     cracked = with_cracks(strained[0], opened, limits, *moduli, features)
     return trial_stress(cracked, increment_of(strained, dt, features), *moduli, features.dimension)
@@ -94,7 +94,7 @@ def stress_reverse(worker, table, scene, block, scratch, after, dt, arrays: ti.t
             arrays.scratch[scratch + layout.scratch.foot + k] = zero
         if touching:
             gather_moments(table, scene, block, scratch, arrays)
-            jump = jump_at_contact((grid_motion(scratch, arrays), affine), contact, stress, modulus, dt, size)
+            jump = jump_at_contact((grid_motion(scratch, arrays), affine, contact), stress, modulus, dt, size)
             slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays)
     gap = [arrays.state[first + features.state.gap] for _ in ti.static(range(corrected))]
     around = vectors(arrays.scratch, scratch + features.scratch.density, corrected * (1 + size))

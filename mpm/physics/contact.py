@@ -98,9 +98,9 @@ def surface_force(stress: ti.template(), contact: ti.template(), dimension: ti.t
 
 
 @ti.func
-def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.template()):
-    """v_f [m/s], of the material at the foot, a list of D, and n . v_f; `motion`: the grid's velocity and C."""
-    velocity, affine = motion
+def foot_velocity(motion: ti.template(), dimension: ti.template()):
+    """v_f [m/s], of the material at the foot, a list of D, and n . v_f; motion: the grid's velocity, C, and contact."""
+    velocity, affine, contact = motion
     foot = [velocity[i] for i in ti.static(range(dimension))]
     for i in ti.static(range(dimension)):
         rotation = 0.0 * contact[Contact.NORMAL]
@@ -114,16 +114,14 @@ def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.t
 
 
 @ti.func
-def jump_at_contact(
-    motion: ti.template(), contact: ti.template(), stress: ti.template(), modulus, dt, dimension: ti.template()
-):
+def jump_at_contact(motion: ti.template(), stress: ti.template(), modulus, dt, dimension: ti.template()):
     """What contact adds along n to the strain increment of a particle, min(dt delta n . v_f, (-sigma_nn)_+ / M) [-].
 
     modulus: M [Pa].
     """
-    _, opening = foot_velocity(motion, contact, dimension)
-    pressure = maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
-    return minimum(dt * contact[Contact.DELTA] * opening, pressure / modulus)
+    _, opening = foot_velocity(motion, dimension)
+    pressure = maximum(0.0 - normal_stress(stress, motion[2], dimension), 0.0)
+    return minimum(dt * motion[2][Contact.DELTA] * opening, pressure / modulus)
 
 
 @ti.func
@@ -137,19 +135,14 @@ def with_jump(increment: ti.template(), jump, contact: ti.template(), dimension:
 
 @ti.func
 def sheared_traction(
-    motion: ti.template(),
-    stress: ti.template(),
-    contact: ti.template(),
-    shear,
-    turbulence: ti.template(),
-    dt,
-    dimension: ti.template(),
+    motion: ti.template(), stress: ti.template(), shear, turbulence: ti.template(), dt, dimension: ti.template()
 ):
     """The shear traction q [Pa] after a step, a list of D, within the bound for the new `stress`.
 
     turbulence: rho [kg/m^3] and g / xi [1/m] where solids have it, else nothing; a list.
     """
-    foot, opening = foot_velocity(motion, contact, dimension)
+    contact = motion[2]
+    foot, opening = foot_velocity(motion, dimension)
     square, stiffness = TINY + 0.0 * foot[0], dt * shear * contact[Contact.DELTA]
     q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
     slip = [foot[k] - opening * contact[Contact.NORMAL + k] for k in ti.static(range(dimension))]
@@ -188,13 +181,13 @@ def turbulence_at(scratch, density, arrays: ti.template()):
 
 @ti.func
 def motion_and_stress(block, scratch, arrays: ti.template()):
-    """The motion of a block, the grid's velocity at its particles and their C, and their stress; lists of vectors."""
+    """The motion of a block, as `foot_velocity` takes it, and the stress of its particles; lists of vectors."""
     features = arrays.features
     first, moved = block * features.state.size, scratch + features.scratch.lowest + features.dimension
     velocity = vectors(arrays.scratch, moved, features.dimension)
     affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
-    return (velocity, affine), stress
+    return (velocity, affine, contact_of(block, arrays)), stress
 
 
 @ti.func
@@ -216,7 +209,7 @@ def shear_traction_step(scene, block, scratch, dt, shear, density, arrays: ti.te
         find_drags(scene, block, scratch, arrays)
     motion, stress = motion_and_stress(block, scratch, arrays)
     turbulence = turbulence_at(scratch, density, arrays)
-    q = sheared_traction(motion, stress, contact_of(block, arrays), shear, turbulence, dt, dimension)
+    q = sheared_traction(motion, stress, shear, turbulence, dt, dimension)
     for k in ti.static(range(dimension)):
         arrays.state[contact_at(block, Contact.NORMAL + dimension + k, arrays)] = q[k]
 

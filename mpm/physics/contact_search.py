@@ -145,7 +145,7 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
     clear = minimum(maximum(d, 0.0), before) + bump > tilt * maximum(path - edge, 0.0)
     clear = (clear & (tilt < UNKNOWN) & (path < post)) | ((bound > 0.0) & (d > 0.0))
     known = (bound < nearby) & (free > 0.0) & clear
-    put_terrain_contact(block, scratch, known, d, normal, weights, free, nearby, worker, scene, arrays)
+    put_terrain_contact(block, scratch, known, d, normal, weights, free, worker, scene, arrays)
     arrays.scratch[push] = ti.select(known, nearby, bound)
     return over_lanes(minimum, arrays.scratch[push], arrays) < nearby
 
@@ -220,17 +220,7 @@ def foot_weights(seen, across: ti.template(), size, arrays: ti.template()):
 
 @ti.func
 def put_terrain_contact(
-    block,
-    scratch,
-    known,
-    d,
-    normal: ti.template(),
-    weights: ti.template(),
-    free,
-    nearby,
-    worker,
-    scene,
-    arrays: ti.template(),
+    block, scratch, known, d, normal: ti.template(), weights: ti.template(), free, worker, scene, arrays: ti.template()
 ):
     """Contact of the lanes `known` of a block with a height field; what is inside is put out and stopped.
 
@@ -238,15 +228,14 @@ def put_terrain_contact(
     """
     features = arrays.features
     first, contact = block * features.state.size, contact_at(block, 0, arrays)
-    seen = scratch + features.scratch.look
-    width = arrays.settings[scene, Setting.CONTACT_WIDTH]
+    seen, nearby = scratch + features.scratch.look, arrays.settings[scene, Setting.SEARCH_DISTANCE]
     rough = [arrays.scratch[seen + Look.FRICTION + k] for k in ti.static(range(3))]
     friction = dot(weights, rough)
     alike = (rough[0] == rough[1]) & (rough[1] == rough[2])
     friction = ti.select(alike, rough[0], friction)
     inside = known & (d < 0.0)
     outside = maximum(d, 0.0)
-    delta = contact_delta(outside, width)
+    delta = contact_delta(outside, arrays.settings[scene, Setting.CONTACT_WIDTH])
     velocity = vectors(arrays.state, first + features.state.velocity, 3)
     into = dot(velocity, normal)
     along = [velocity[k] - into * normal[k] for k in ti.static(range(3))]

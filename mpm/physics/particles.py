@@ -161,7 +161,7 @@ def opened_of(scene, block, scratch, limit, bulk, dt, arrays: ti.template()):
     grid = vectors(arrays.scratch, scratch + features.scratch.density, 1 + features.dimension)
     cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))]
     density, dx = property_of(scene, block, Property.DENSITY, arrays), arrays.settings[scene, Setting.CELL]
-    gap = grid_gap(grid, x, contact_of(block, arrays), density, dx, cells, features)
+    gap = grid_gap(grid, x, contact_of(block, arrays), density, (dx, cells), features)
     rate = dt * arrays.settings[scene, Setting.GAP_RATE]
     return updated_gap(arrays.state[first + features.state.gap], limit, bulk, rate, gap)
 
@@ -176,9 +176,8 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     if ti.static(features.contact):
         if near:
             motion, stress = motion_and_stress(block, scratch, arrays)
-            contact = contact_of(block, arrays)
-            jump = jump_at_contact(motion, contact, stress, modulus, dt, features.dimension)
-            strained = with_jump(increment, jump, contact, features.dimension)
+            jump = jump_at_contact(motion, stress, modulus, dt, features.dimension)
+            strained = with_jump(increment, jump, motion[2], features.dimension)
             for k in ti.static(range(features.dimension**2)):
                 increment[k] = strained[k]
     return increment

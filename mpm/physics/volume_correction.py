@@ -59,19 +59,14 @@ def slope_beside(near, mass, dx):
 
 @ti.func
 def grid_gap(
-    grid: ti.template(),
-    x: ti.template(),
-    contact: ti.template(),
-    density,
-    dx,
-    cells: ti.template(),
-    features: ti.template(),
+    grid: ti.template(), x: ti.template(), contact: ti.template(), density, box: ti.template(), features: ti.template()
 ):
     """e_s [-] of particles at `x` [m], D vectors: the volume strain that follows from the grid's density.
 
     grid: sum_i w_ip m_i [kg] and its D slopes [kg/m]; contact: `mpm.physics.contact.contact_of`, where solids stand in
-    the box; cells: of the box along each axis.
+    the box; box: the length of a cell, and how many it has along each axis.
     """
+    dx, cells = box
     # Lanes without mass keep a finite quotient.
     mass = maximum(grid[0], TINY)
     full = density * dx**features.dimension + 0.0 * mass
