@@ -84,8 +84,7 @@ def generate(
     [s] of what its caller does next and `beside` [bytes] of what that holds. Raises InputError where `out` holds other
     trajectories than these, WorkFailed where a simulation fails.
     """
-    require(jobs >= 1, "jobs", "at least 1 job", jobs)
-    require(jobs <= MOST_JOBS, "jobs", f"at most {MOST_JOBS} jobs", jobs)
+    require(1 <= jobs <= MOST_JOBS, "jobs", f"at least 1 job and at most {MOST_JOBS} jobs", jobs)
     entries = definition.entries(seed=seed, count=count)
     # Those of an inversion are read each in units of its own.
     alike = definition.storage is None or not definition.storage.deposit

@@ -85,10 +85,8 @@ def command(
         others |= {"fields": fields, "until-rest": until_rest, "vtk": vtk, "forces": forces, "hdf5": hdf5}
         if key := next((name for name, given in others.items() if given), ""):
             raise InputError("expected none beside --safety, which takes --out and --precision alone", key=f"--{key}")
-        try:
+        with naming(Path(scene)):
             return write_safety(read_scene(scene), out, precision or "f32")
-        except InputError as error:
-            raise error if error.where else error.at(scene) from None
     given, precise = read_scene(scene), precision or "f32"
     if tolerance is not None:
         what = resolved(given, read_tolerance(tolerance))

@@ -41,14 +41,10 @@ def magnitude(a):
 
 
 @ti.func
-def over_lanes(operation: ti.template(), a: ti.template(), arrays: ti.template()):
-    """What an operation of two, `minimum` or `maximum`, makes of all lanes."""
-    return over_range(operation, a, arrays.features.lanes)
-
-
-@ti.func
-def over_range(operation: ti.template(), a: ti.template(), count: ti.template()):
-    """What it makes of `count` lanes, a power of two: of one half with the other, until one is left."""
+def over_lanes(operation: ti.template(), a: ti.template(), count: ti.template()):
+    """What an operation of two, `minimum` or `maximum`, makes of `count` lanes, a power of two: of one half with the
+    other, until one is left.
+    """
     if ti.static(count == 1):
         return a
     elif ti.static(count == 2):
@@ -57,7 +53,7 @@ def over_range(operation: ti.template(), a: ti.template(), count: ti.template())
         half = ti.static(count // 2)
         low = ti.Vector([a[lane] for lane in ti.static(range(half))])
         high = ti.Vector([a[lane] for lane in ti.static(range(half, count))])
-        return over_range(operation, operation(low, high), half)
+        return over_lanes(operation, operation(low, high), half)
 
 
 @ti.func

@@ -29,7 +29,7 @@ def steps_of_frame(scene, arrays: ti.template()):
     fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.state.size]
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
         fastest = maximum(fastest, squared_speed(block, arrays))
-    return steps_at_speed(scene, ti.sqrt(over_lanes(maximum, fastest, arrays)), arrays)
+    return steps_at_speed(scene, ti.sqrt(over_lanes(maximum, fastest, arrays.features.lanes)), arrays)
 
 
 @ti.func

@@ -72,7 +72,7 @@ def contact_of(block, arrays: ti.template()):
 @ti.func
 def touches(block, arrays: ti.template()):
     """Whether a particle of a block is within the width of the contact; most blocks have none."""
-    return over_lanes(maximum, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
+    return over_lanes(maximum, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays.features.lanes) > 0.0
 
 
 @ti.func
@@ -228,14 +228,14 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
         # All triangles of a terrain are of one solid.
         triangle = 1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE
         faces = ti.select(faces >= triangle, triangle, faces)
-    face = over_lanes(maximum, faces, arrays)
+    face = over_lanes(maximum, faces, features.lanes)
     while face > NO_FACE:
         solid = solid_of(face_number(face), scene, arrays)
         at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
         for k in ti.static(range(features.dimension)):
             add(arrays.impulse, at + k, ti.select(faces == face, arrays.scratch[pushed + k], 0.0), arrays)
         faces = ti.select(faces == face, NO_FACE, faces)
-        face = over_lanes(maximum, faces, arrays)
+        face = over_lanes(maximum, faces, features.lanes)
 
 
 @ti.func

@@ -64,7 +64,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     path = 1.001 * ti.sqrt(square)
     lower_bound = arrays.state[distance] - path
     nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
-    if over_lanes(minimum, lower_bound, arrays) >= nearby:
+    if over_lanes(minimum, lower_bound, arrays.features.lanes) >= nearby:
         arrays.state[distance] = lower_bound
     else:
         arrays.scratch[scratch + features.scratch.push + 1] = mass * present(block, arrays)
@@ -107,7 +107,7 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
         at = contact + Contact.NORMAL + size + k
         arrays.state[at] = ti.select(follows & (delta == 0.0), 0.0, arrays.state[at])
     arrays.scratch[scratch + features.scratch.push] = bound
-    return over_lanes(minimum, bound, arrays) < nearby
+    return over_lanes(minimum, bound, arrays.features.lanes) < nearby
 
 
 @ti.func
@@ -147,7 +147,7 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
     known = (bound < nearby) & (free > 0.0) & clear
     put_terrain_contact(block, scratch, known, d, normal, weights, free, worker, scene, arrays)
     arrays.scratch[push] = ti.select(known, nearby, bound)
-    return over_lanes(minimum, arrays.scratch[push], arrays) < nearby
+    return over_lanes(minimum, arrays.scratch[push], arrays.features.lanes) < nearby
 
 
 @ti.func

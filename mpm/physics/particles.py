@@ -37,7 +37,7 @@ def update_particles(worker, scene, dt, kappa, arrays: ti.template()):
         for k in ti.static(range(features.dimension)):
             moved = arrays.state[no_overflow(block * features.state.size) + k] - before[k]
             furthest = maximum(magnitude(moved), furthest)
-    return over_lanes(maximum, furthest, arrays) / arrays.settings[scene, Setting.CELL]
+    return over_lanes(maximum, furthest, arrays.features.lanes) / arrays.settings[scene, Setting.CELL]
 
 
 @ti.func

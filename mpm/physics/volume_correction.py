@@ -135,7 +135,7 @@ def looseness(block, arrays: ti.template()):
 def is_loose(block, arrays: ti.template()):
     """Whether a particle of a block is loose; in most blocks none is, and none needs the grid's density."""
     if ti.static(arrays.features.volume_correction):
-        return over_lanes(maximum, looseness(block, arrays), arrays) > 0.0
+        return over_lanes(maximum, looseness(block, arrays), arrays.features.lanes) > 0.0
     else:
         return False
 

@@ -102,17 +102,13 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
         (field,) = part.fields
         triangles.append(known.setdefault(id(field), end))
         end = max(end, triangles[-1] + (0 if field is None else 2 * field.cut.size))
-    lists: dict[str, list[Array]] = {name: [] for name in TABLES}
+    shifted = []
     for part, first_triangle, (_, face, hold, near) in zip(parts, triangles, firsts[:-1].tolist(), strict=True):
         held = numbered(part.holds[:, 0], len(part.faces), face, first_triangle)
-        lists["faces"].append(part.faces)
-        lists["cell_faces"].append(part.cell_faces + near)
-        lists["near_faces"].append(part.near_faces + face)
-        lists["cell_distance"].append(part.cell_distance)
-        lists["node_holds"].append(part.node_holds + hold)
-        lists["holds"].append(np.column_stack([held, part.holds[:, 1:]]))
-        lists["covered"].append(part.covered)
-    together: dict[str, Any] = {name: np.concatenate(each) for name, each in lists.items()}
+        starts = {"cell_faces": part.cell_faces + near, "node_holds": part.node_holds + hold}
+        numbers = {"near_faces": part.near_faces + face, "holds": np.column_stack([held, part.holds[:, 1:]])}
+        shifted.append(vars(part) | starts | numbers)
+    together: dict[str, Any] = {name: np.concatenate([each[name] for each in shifted]) for name in TABLES}
     for name in ("windows", "fields", "frictions"):
         together[name] = tuple(value for part in parts for value in getattr(part, name))
     return Obstacles(**together, triangles=tuple(triangles)), firsts[:, :3]
@@ -311,9 +307,25 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
 
     cutoff: largest distance from the surface that is listed [cells]; a displacement of a step is at most a cell.
     """
-    cell = window.cell
-    half = 0.5 * cell * math.sqrt(len(window.shape))
-    cells, faces, distance = near_pairs(window, surface, max(cutoff, 1.0) * cell + half)
+    cell, half = window.cell, 0.5 * window.cell * math.sqrt(len(window.shape))
+    if not len(surface.corners):
+        return np.zeros(window.count + 1, np.int32), np.zeros(0, np.int32)
+    limit = max(cutoff, 1.0) * cell + half
+    low, high = (each - np.array(window.low) for each in boxes_around(window, surface.corners, limit))
+    around = np.zeros(window.shape, bool)
+    for first, last in zip(np.maximum(low, 0), np.clip(high, 0, window.shape), strict=True):
+        around[tuple(map(slice, first, last))] = True
+    numbers = np.flatnonzero(around)
+    centres = window.positions(numbers) + 0.5 * cell
+    # Cells and faces whose centre lies within the limit of the face, and how far, by cells and then by faces.
+    pairs = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
+    for point, face in Search(surface).pairs(centres, np.full(len(centres), limit)):
+        _, apart, _ = feet(surface.corners[face], centres[point])
+        near = apart <= limit
+        pairs.append((numbers[point[near]], face[near], apart[near]))
+    cells, faces, distance = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    order = np.lexsort((faces, cells))
+    cells, faces, distance = cells[order], faces[order], distance[order]
     groups = np.flatnonzero(np.diff(cells, prepend=-1))
     smallest = np.minimum.reduceat(distance, groups) if len(groups) else distance
     smallest = np.repeat(smallest, np.diff(groups, append=len(cells)))
@@ -322,28 +334,6 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
     kept = nearest_one | (distance <= half + cell + slack)
     listed = np.bincount(cells[kept] + 1, minlength=window.count + 1)
     return np.cumsum(listed).astype(np.int32), faces[kept].astype(np.int32)
-
-
-def near_pairs(window: Window, surface: Surface, limit: float) -> tuple[Integers, Integers, Floats]:
-    """Cells and faces whose centre lies within `limit` [m] of the face, and the distance of the centre [m], all [P];
-    in the order of the cells, then of the faces.
-    """
-    if not len(surface.corners):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
-    low, high = (each - np.array(window.low) for each in boxes_around(window, surface.corners, limit))
-    around = np.zeros(window.shape, bool)
-    for first, last in zip(np.maximum(low, 0), np.clip(high, 0, window.shape), strict=True):
-        around[tuple(map(slice, first, last))] = True
-    numbers = np.flatnonzero(around)
-    centres = window.positions(numbers) + 0.5 * window.cell
-    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
-    for point, face in Search(surface).pairs(centres, np.full(len(centres), limit)):
-        _, distance, _ = feet(surface.corners[face], centres[point])
-        near = distance <= limit
-        found.append((numbers[point[near]], face[near], distance[near]))
-    cells, faces, distance = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    order = np.lexsort((faces, cells))
-    return cells[order], faces[order], distance[order]
 
 
 def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np.float64]:
