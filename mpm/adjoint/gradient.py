@@ -265,33 +265,35 @@ def gradient(
 
 def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[list[Gradient]]:
     """Vector-Jacobian products: the gradient of each objective and scene of the tape, from the bars of each flow."""
-    features = tape.features
-    found = []
-    for ours in tape.reverse(adjoints):
-        own = []
-        for index, scene in enumerate(tape.batch.scenes):
-            here, (faces, nodes) = tape.particles(index), tape.solids(index)
+    scenes = range(len(tape.batch.scenes))
+    return [[gradient_of(tape, index, bars) for index in scenes] for bars in tape.reverse(adjoints)]
 
-            def numbers(first: int, count: int, blocks: Any = ours["adjoints"], here: slice = here) -> Floats:
-                return tape.vectors(blocks, first, count)[here].astype(np.float64)
 
-            size = features.dimension
-            own.append(
-                Gradient(
-                    scene=scene,
-                    particles=tape.batch.particles[index],
-                    positions=numbers(0, size),
-                    velocities=numbers(features.state.velocity, size),
-                    velocity_gradients=numbers(features.state.affine, size * size).reshape(-1, size, size),
-                    stress=numbers(features.state.stress, features.stresses),
-                    properties=numbers(features.state.properties, features.columns),
-                    settings=ours["settings"][index].copy(),
-                    faces=ours["face_adjoints"][faces],
-                    cut=float(ours["cut"][index]),
-                    holds=ours["hold_adjoints"][nodes],
-                    terrain=ours["terrain_adjoints"][index, tape.posts(index)],
-                    drags=ours["drag_adjoints"][index, : len(drags_of(scene))],
-                )
-            )
-        found.append(own)
-    return found
+def gradient_of(tape: Tape, index: int, bars: dict[str, Any]) -> Gradient:
+    """The gradient of scene `index` from what `Tape.reverse` gives of an objective."""
+    scene, features, size, here = (
+        tape.batch.scenes[index],
+        tape.features,
+        tape.features.dimension,
+        tape.particles(index),
+    )
+    faces, nodes = tape.solids(index)
+
+    def numbers(first: int, count: int) -> Floats:
+        return tape.vectors(bars["adjoints"], first, count)[here].astype(np.float64)
+
+    return Gradient(
+        scene=scene,
+        particles=tape.batch.particles[index],
+        positions=numbers(0, size),
+        velocities=numbers(features.state.velocity, size),
+        velocity_gradients=numbers(features.state.affine, size * size).reshape(-1, size, size),
+        stress=numbers(features.state.stress, features.stresses),
+        properties=numbers(features.state.properties, features.columns),
+        settings=bars["settings"][index].copy(),
+        faces=bars["face_adjoints"][faces],
+        cut=float(bars["cut"][index]),
+        holds=bars["hold_adjoints"][nodes],
+        terrain=bars["terrain_adjoints"][index, tape.posts(index)],
+        drags=bars["drag_adjoints"][index, : len(drags_of(scene))],
+    )

@@ -138,19 +138,16 @@ class Tape:
         self.bar_bytes = outputs * self.layout.width * vector
         """Of the bars of particles."""
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
-        self.boundaries = self.plan(usual, SPARE * usual)
-        self.run()
+        self.run(usual, SPARE * usual)
         opened = {frame for frame in self.batch.retained[:, Retained.OPENED].tolist() if 0 < frame < self.frames[-1]}
         if missing := opened - set(self.boundaries):
             # Barriers are open or closed over a whole segment.
             self.released = missing
-            self.boundaries = self.plan(usual, SPARE * usual)
-            self.run()
+            self.run(usual, SPARE * usual)
         if self.bytes() > memory_mib * 2**20:
             # More steps than planned for: now their number is known.
             most = float(np.max(self.steps / np.diff(self.boundaries)[:, None]))
-            self.boundaries = self.plan(most, most)
-            self.run()
+            self.run(most, most)
 
     @property
     def fixed_bytes(self) -> int:
@@ -188,8 +185,9 @@ class Tape:
         """Go back to a state."""
         self.batch.state[:, self.changing] = checkpoint
 
-    def run(self) -> None:
-        """Forwards, by the solver's kernel."""
+    def run(self, usual: float, most: float) -> None:
+        """Forwards, by the solver's kernel, in the segments of a `plan`."""
+        self.boundaries = self.plan(usual, most)
         self.restore(self.start)
         self.batch.impulse[:], self.batch.recorded_impulse[:] = 0.0, 0.0
         self.batch.retained[:], self.batch.settling[:] = self.barriers
