@@ -271,13 +271,8 @@ def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> lis
 
 def gradient_of(tape: Tape, index: int, bars: dict[str, Any]) -> Gradient:
     """The gradient of scene `index` from what `Tape.reverse` gives of an objective."""
-    scene, features, size, here = (
-        tape.batch.scenes[index],
-        tape.features,
-        tape.features.dimension,
-        tape.particles(index),
-    )
-    faces, nodes = tape.solids(index)
+    scene, features, size = tape.batch.scenes[index], tape.features, tape.features.dimension
+    here, (faces, nodes) = tape.particles(index), tape.solids(index)
 
     def numbers(first: int, count: int) -> Floats:
         return tape.vectors(bars["adjoints"], first, count)[here].astype(np.float64)

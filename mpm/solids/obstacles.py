@@ -198,12 +198,9 @@ def limited(surface: Surface, most: float) -> Surface:
 
 def face_lines(surface: Surface) -> Floats:
     """`Obstacles.faces` of a surface."""
-    size = surface.dimension
     normals = surface.normals, surface.corner_normals, surface.edge_normals
     described: tuple[Array, ...] = (surface.corners, *normals, surface.friction, surface.solid)
-    columns = size * size, size, size * size, 9 * int(size == 3), size, 1
-    pairs = zip(described, columns, strict=True)
-    return np.concatenate([each.reshape(len(surface.corners), count) for each, count in pairs], axis=1)
+    return np.concatenate([each.reshape(len(each), math.prod(each.shape[1:])) for each in described], axis=1)
 
 
 @lru_cache(maxsize=4)
