@@ -260,9 +260,8 @@ def terrain_reverse(bar, v, node, scene, arrays: ti.template()):
                             face = triangle_number(i, k, half, scene, arrays)
                             friction, part = w.dot(frictions_of(face, scene, arrays)), share * weight
                             removed += part * (v - after_contact(v, normal, friction))
-                            through, _normal, friction_bar = after_contact_reverse(
-                                (0.0 - part) * bar, v, normal, friction
-                            )
+                            left_bar = (0.0 - part) * bar
+                            through, _normal, friction_bar = after_contact_reverse(left_bar, v, normal, friction)
                             v_bar += part * bar + through
                             for corner in ti.static(range(3)):
                                 column = ti.static(arrays.features.face.friction + corner)

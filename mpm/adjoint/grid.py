@@ -31,8 +31,9 @@ from mpm.physics.barriers import apply_barriers
 from mpm.physics.contact import apply_solids
 from mpm.physics.grid import SLOW, TINY, acceleration, damping_terms, node_of, own_node, owns, put_node, velocity_before
 
-SUMS = 6
-"""Bars that nodes share: of the two components of gravity, floor and wall friction, damping and kappa."""
+SHARED = (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
+SUMS = len(SHARED) + 1
+"""Bars that nodes share: of these settings and of kappa."""
 
 
 @ti.func
@@ -141,11 +142,8 @@ def update_grid_reverse(worker, scene, dt, kappa, arrays: ti.template()):
                     for number in ti.static(range(SUMS)):
                         total[number] += ti.cast(shared[number], ti.f64)
                     put_node(arrays.grid_adjoints, bar, column, j, worker, arrays)
-    columns = ti.static(
-        (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
-    )
-    for number in ti.static(range(SUMS - 1)):
-        arrays.sums[worker, ti.static(int(columns[number]))] += total[number]
+    for number in ti.static(range(len(SHARED))):
+        arrays.sums[worker, ti.static(int(SHARED[number]))] += total[number]
     add_kappa_bar(worker, dt, kappa, total[ti.static(SUMS - 1)], arrays)
 
 

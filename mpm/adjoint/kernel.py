@@ -93,12 +93,10 @@ def reverse(worker, arrays: ti.template()):
     """
     scene = arrays.workers[worker, Worker.SCENE]
     remaining = arrays.step_counts[scene]
-    room = True
     while remaining > 0:
         make_grid(worker, scene, remaining - 1, arrays)
         synchronise(arrays)
-        room = has_room(worker, arrays)
-        if not room:
+        if not has_room(worker, arrays):
             break
         remaining -= 1
         reverse_step(worker, scene, remaining, arrays)

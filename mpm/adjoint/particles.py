@@ -54,9 +54,7 @@ def update_block_reverse(worker, table, scene, block, scratch, after, dt, kappa,
             moment = arrays.scratch[scratch + layout.scratch.sums + (1 + k) * NODE + size]
             arrays.scratch[scratch + features.scratch.density + 1 + k] = (4.0 * per_dx * per_dx) * moment
     stress_reverse(worker, table, scene, block, scratch, after, dt, arrays)
-    slope_bar, change_bar, affine_bar, kappa_bar, slow_bar = affine_reverse(
-        scene, block, scratch, per_dx, kappa, arrays
-    )
+    slope_bar, change_bar, affine_bar, kappa_bar, slow_bar = affine_reverse(scene, block, scratch, kappa, arrays)
     slow_total = lane_sum(arrays.state[first + features.state.present] * slow_bar, arrays)
     arrays.sums[worker, ti.static(int(Setting.SLOW_AFFINE))] += ti.cast(slow_total, ti.f64)
     for i in ti.static(range(size)):

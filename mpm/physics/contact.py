@@ -174,9 +174,8 @@ def find_drags(scene, block, scratch, arrays: ti.template()):
 def turbulence_at(scratch, density, arrays: ti.template()):
     """What `sheared_traction` takes of a block, after `find_drags`; density: of its particles [kg/m^3]."""
     count = ti.static(int(arrays.features.turbulent))
-    return [density for _ in ti.static(range(count))] + vectors(
-        arrays.scratch, scratch + arrays.features.scratch.drag, count
-    )
+    drags = vectors(arrays.scratch, scratch + arrays.features.scratch.drag, count)
+    return [density for _ in ti.static(range(count))] + drags
 
 
 @ti.func

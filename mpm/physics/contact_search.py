@@ -126,9 +126,8 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
             if arrays.scratch_lanes[push * features.lanes + lane] < nearby:
                 look_at_terrain(seen * features.lanes + lane, look, scene, arrays)
         across, size = plane_of(seen, arrays)
-        scaled = (
-            dot([position[k] - arrays.scratch[seen + Look.CORNERS + k] for k in ti.static(range(3))], across) / size
-        )
+        apart = [position[k] - arrays.scratch[seen + Look.CORNERS + k] for k in ti.static(range(3))]
+        scaled = dot(apart, across) / size
         for k in ti.static(range(3)):
             arrays.scratch[seen + k] = position[k] - scaled * across[k]
     across, size = plane_of(seen, arrays)

@@ -219,9 +219,8 @@ def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: f
     if window.count:
         apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(window.shape)).ravel()
         beyond = np.maximum(apart - math.sqrt(domain.dimension), 0.0)
-        around, numbers = solid.around(
-            window.positions(np.array([0, window.count - 1])), (cutoff + BLEND) * domain.cell
-        )
+        ends = window.positions(np.array([0, window.count - 1]))
+        around, numbers = solid.around(ends, (cutoff + BLEND) * domain.cell)
         node_holds, holds = holds_of(window, limited(around, most), listed, cutoff=cutoff)
         holds[:, 0] = numbers[holds[:, 0].astype(np.int64)]
         covered = covered_sides(window, domain, solid, cutoff=cutoff)
