@@ -123,10 +123,7 @@ class Gradient:
         return self.along(scene_at, at)
 
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
-        """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this scene.
-
-        Raises InputError where a scene has other particles than this one.
-        """
+        """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this one. Raises InputError for other particles."""
         columns = self.properties.shape[1]
         slopes = differences(lambda value: started(scene_at(value), self.start).numbers(columns), at, "the path", step)
         used = np.flatnonzero(slopes)

@@ -45,8 +45,7 @@ def prepare_weights(scene, block, scratch, arrays: ti.template()):
 
 @ti.func
 def transfer_reverse(table, scene, block, scratch, scatters: ti.template(), arrays: ti.template()):
-    """The reverse of one transfer, between a block and its nodes, in the columns from `table` on; leaves
-    the `weight_forces`.
+    """The reverse of one transfer, between a block and its nodes in the columns from `table` on, and `weight_forces`.
 
     scatters: add the values and slopes that the block has left in `scratch` to the bars of the nodes, and leave the sum
     of w_ip n_i of what lies at the nodes. Else leave Z, Y_j of each particle from the bars of the nodes.

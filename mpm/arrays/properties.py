@@ -107,10 +107,7 @@ def in_precision(
 
 
 def properties_row(material: Material, volume: float) -> Array:
-    """One line of `properties`; `volume` of a particle [m^D].
-
-    Of a material whose strength grows with depth, that at its top.
-    """
+    """One line of `properties`, where strength grows with depth that of the top; `volume` of a particle [m^D]."""
     return np.asarray(properties_at(material, np.zeros(1), volume=volume)[0])
 
 

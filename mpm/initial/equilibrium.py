@@ -228,10 +228,7 @@ class Equilibrium:
         return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
-        """`stress` without tension beyond the limit, then scaled towards its mean until its law admits it.
-
-        Where that was needed, by a factor `inside` further.
-        """
+        """`stress` without tension beyond the limit, then scaled to its mean, to `inside` of yield where beyond it."""
         beyond = np.linalg.eigvalsh(stress)[:, 2] > self.limit
         principal, axes = np.linalg.eigh(stress[beyond])
         stress = stress.copy()

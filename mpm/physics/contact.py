@@ -115,10 +115,7 @@ def foot_velocity(motion: ti.template(), dimension: ti.template()):
 
 @ti.func
 def jump_at_contact(motion: ti.template(), stress: ti.template(), modulus, dt, dimension: ti.template()):
-    """What contact adds along n to the strain increment of a particle, min(dt delta n . v_f, (-sigma_nn)_+ / M) [-].
-
-    modulus: M [Pa].
-    """
+    """The strain increment [-] of contact along n, min(dt delta n . v_f, (-sigma_nn)_+ / M); modulus: M [Pa]."""
     _, opening = foot_velocity(motion, dimension)
     pressure = maximum(0.0 - normal_stress(stress, motion[2], dimension), 0.0)
     return minimum(dt * motion[2][Contact.DELTA] * opening, pressure / modulus)

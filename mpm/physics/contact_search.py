@@ -151,10 +151,7 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
 
 @ti.func
 def look_at_terrain(at, look, scene, arrays: ti.template()):
-    """Leave the numbers of `Look` of the triangle over or under a place in `scratch_lanes`, where its own begin `at`.
-
-    look: 0 at a particle, 1 at its foot.
-    """
+    """Leave from `at` on in `scratch_lanes` what a `look`, 0 at a particle, 1 at its foot, sees of the triangle."""
     lanes = arrays.features.lanes
     place = lane_numbers(arrays.scratch_lanes, at, arrays)
     i, k, half, code = triangle_under(place, scene, arrays)

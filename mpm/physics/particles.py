@@ -23,10 +23,7 @@ from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_
 
 @ti.func
 def update_particles(worker, scene, dt, kappa, arrays: ti.template()):
-    """Bring every particle of `worker` from the grid's velocities to its new place and stress.
-
-    Returns the largest displacement along an axis [cells].
-    """
+    """Bring the particles of `worker` to new places and stresses; the largest displacement along an axis [cells]."""
     features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
     furthest = 0.0 * arrays.state[first * features.state.size]
@@ -42,10 +39,7 @@ def update_particles(worker, scene, dt, kappa, arrays: ti.template()):
 
 @ti.func
 def update_block(worker, table, scene, block, scratch, dt, kappa, arrays: ti.template()):
-    """Bring the particles of a block from the velocities of the nodes to new positions and stresses.
-
-    table: the first column of the nodes.
-    """
+    """Bring a block from the velocities of its nodes, in columns from `table` on, to new positions and stresses."""
     features = arrays.features
     volume = property_of(scene, block, Property.VOLUME, arrays)
     near = False

@@ -100,10 +100,7 @@ def grid_gap(
 
 @ti.func
 def updated_gap(opened, limit, bulk, rate, gap):
-    """K e [Pa] of particles: as remembered or, where open without tension, relaxed towards the grid's `gap` e_s [-].
-
-    rate: dt / T_g [-].
-    """
+    """K e [Pa], remembered or, where open without tension, relaxed to the grid's `gap` e_s [-]; rate: dt / T_g [-]."""
     shown = minimum(bulk * gap, maximum(FASTEST * opened, bulk * (gap - SCATTER)))
     followed = (opened + rate * shown) / (1.0 + rate)
     return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)
