@@ -64,9 +64,9 @@ class Measured(Record):
     """What one more scene stays within with probability COVERAGE, here and on all finer grids measured alike [-]."""
     particle_steps: float
     """Mean over the scenes."""
-    thickness: float | None = None
+    thickness: float
     """Error of the thickness over its largest (`datasets.flow.measures.Errors`), rms over scenes and jitters [-]; it
-    is said and not promised, for it is a share of another length. None where it was not measured."""
+    is said and not promised, for it is a share of another length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,13 +93,12 @@ class Resolved:
 
     def __str__(self) -> str:
         scene, what = self.scene, self.measured
-        thick = "" if what.thickness is None else f", thickness {100 * what.thickness:.2g} % of its largest"
         return (
             f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the smallest side), "
             f"{scene.particles_per_axis} particles per axis, step {scene.step_fraction:g}, "
             f"{what.resolution.precision}: an error within {100 * what.promised:.2g} % "
-            f"in nine of ten scenes like those measured ({100 * what.expected:.2g} % rms{thick}), "
-            f"{self.cost:.3g} times the scene's own particle-steps"
+            f"in nine of ten scenes like those measured ({100 * what.expected:.2g} % rms, "
+            f"thickness {100 * what.thickness:.2g} % of its largest), {self.cost:.3g} times the scene's own particle-steps"
         )
 
 

@@ -15,7 +15,7 @@ import taichi as ti
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.layout import impulse_bar
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import lane_numbers, put_lane_numbers
+from mpm.arrays.access import dot, lane_numbers, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting
 from mpm.arrays.properties import GAP_CUTOFF
 from mpm.physics.boundary import after_contact
@@ -195,14 +195,6 @@ def foot_weights(x, points, part, dimension):
             weight = ti.select(part == 4 + before, along[before], ti.select(part == 4 + k, 1.0 - along[k], weight))
         weights.append(weight)
     return weights
-
-
-def dot(a, b):
-    """The product of two vectors, as lists; traced."""
-    value = a[0] * b[0]
-    for k in range(1, len(a)):
-        value = value + a[k] * b[k]
-    return value
 
 
 def between(a, b):

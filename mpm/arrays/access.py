@@ -41,6 +41,15 @@ def magnitude(a):
 
 
 @ti.func
+def dot(a: ti.template(), b: ti.template()):
+    """The product of two vectors that are lists of their components, lane by lane."""
+    value = a[0] * b[0]
+    for k in ti.static(range(1, len(a))):
+        value = value + a[k] * b[k]
+    return value
+
+
+@ti.func
 def over_lanes(operation: ti.template(), a: ti.template(), count: ti.template()):
     """What an operation of two, `minimum` or `maximum`, makes of `count` lanes, a power of two: of one half with the
     other, until one is left.

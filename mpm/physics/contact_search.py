@@ -15,7 +15,7 @@ clear down to CUT_BUMP below that: a particle may cut such a bump of the ground,
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
+from mpm.arrays.access import add, dot, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Look, Offset, Setting, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import add_impulse, contact_at, present
@@ -179,14 +179,8 @@ def look_at_terrain(at, look, scene, arrays: ti.template()):
 
 
 @ti.func
-def dot(a: ti.template(), b: ti.template()):
-    """Of lists of three vectors, lane by lane."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@ti.func
 def cross(a: ti.template(), b: ti.template()):
-    """Of lists of three vectors, lane by lane."""
+    """As `dot`, of three components."""
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
