@@ -98,7 +98,8 @@ class Resolved:
             f"{scene.particles_per_axis} particles per axis, step {scene.step_fraction:g}, "
             f"{what.resolution.precision}: an error within {100 * what.promised:.2g} % "
             f"in nine of ten scenes like those measured ({100 * what.expected:.2g} % rms, "
-            f"thickness {100 * what.thickness:.2g} % of its largest), {self.cost:.3g} times the scene's own particle-steps"
+            f"thickness {100 * what.thickness:.2g} % of its largest), "
+            f"{self.cost:.3g} times the scene's own particle-steps"
         )
 
 
