@@ -203,17 +203,12 @@ def mass_above(scene: Scene, mass: Mass, positions: Floats) -> Floats:
 
 def ground_beneath(scene: Scene, mass: Mass, positions: Floats) -> tuple[Floats, Floats]:
     """Unit normal of the ground, [N, D], over a cell, and its Coulomb coefficient, [N], beneath `positions` [m]."""
-    level, floor = plan_axes(scene.dimension), coefficient(scene.floor_friction)
-    plan, half = positions[:, level], 0.5 * scene.domain.cell
-    base = foundation(scene, mass)
-    if base is not None:
-        return np.tile(np.eye(scene.dimension)[1], (len(plan), 1)), level_ground(scene, plan, base.lower[1])[1]
-    _, friction, top = highest(scene.solids, scene.domain, plan, floor)
-    stuck = np.array([*(solid.contact == "no-slip" for solid in scene.solids), False])[top]
-    normal = np.zeros(positions.shape)
-    normal[:, 1] = 1.0
-    for column, axis in enumerate(level):
+    level, half, base = plan_axes(scene.dimension), 0.5 * scene.domain.cell, foundation(scene, mass)
+    plan = positions[:, level]
+    friction = level_ground(scene, plan, -math.inf if base is None else base.lower[1])[1]
+    normal = np.tile(np.eye(scene.dimension)[1], (len(plan), 1))
+    for column, axis in enumerate(level if base is None else []):
         step = half * np.eye(len(level))[column]
-        ends = [highest(scene.solids, scene.domain, plan + side * step, floor)[0] for side in (-1.0, 1.0)]
+        ends = [highest(scene.solids, scene.domain, plan + side * step, 0.0)[0] for side in (-1.0, 1.0)]
         normal[:, axis] = (ends[0] - ends[1]) / (2.0 * half)
-    return normal / np.linalg.norm(normal, axis=1)[:, None], np.where(stuck, np.inf, friction)
+    return normal / np.linalg.norm(normal, axis=1)[:, None], friction
