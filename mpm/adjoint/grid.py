@@ -23,11 +23,12 @@ with -kappa and -v times that of the change.
 
 import taichi as ti
 
-from mpm.adjoint.boundary import before_friction, wall_reverse, with_friction_reverse
+from mpm.adjoint.boundary import wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
 from mpm.arrays.access import box_cells, columns_deep, zero_node
 from mpm.arrays.layout import Setting, Span, Worker
 from mpm.physics.barriers import apply_barriers
+from mpm.physics.boundary import apply_walls
 from mpm.physics.contact import apply_solids
 from mpm.physics.grid import SLOW, TINY, acceleration, damping_terms, node_of, own_node, owns, put_node, velocity_before
 
@@ -71,14 +72,14 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
     new_bar = ti.Vector([bar[axis] for axis in ti.static(range(dimension))]) + change_bar
     v_bar = (0.0 - kappa) * change_bar
     kappa_bar = 0.0 - v.dot(change_bar)
-    indices = ti.Vector([index[axis] for axis in ti.static(range(dimension))])
+    indices, cells = ti.Vector([index[axis] for axis in ti.static(range(dimension))]), box_cells(scene, arrays)
     v_star = v + dt * damped
     if ti.static(features.barriers):
         # Barriers take components away and damp: what they do to a velocity they do to its bar.
         new_bar = apply_barriers(new_bar, indices, scene, dt, arrays)
     mass_bar, side_bar = zero, zero
     if ti.static(features.contact or features.channel):
-        stopped = before_friction(v_star, indices, box_cells(scene, arrays), dimension, scene, arrays)
+        stopped = apply_walls(v_star, indices, cells, dimension, node[dimension], worker, scene, arrays)
         if ti.static(features.channel):
             braked = stopped
             if ti.static(features.contact):
@@ -90,7 +91,7 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
         if ti.static(features.contact):
             new_bar, solid_bar = solids_reverse(new_bar, stopped, node[dimension], indices, worker, scene, arrays)
             mass_bar = mass_bar + solid_bar
-    star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, indices, box_cells(scene, arrays), scene, arrays)
+    star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, indices, cells, scene, arrays)
     v_bar = v_bar + star_bar
     a_bar = dt * star_bar
     damping_bar, slow_bar = zero, zero

@@ -32,21 +32,15 @@ def after_contact(v, normal, friction):
 
 
 @ti.func
-def along_walls(v, node, cells, scene, arrays: ti.template()):
-    """Velocity `v` [m/s] of a node without what moves into walls, before friction."""
-    along = v
-    for axis in ti.static(range(arrays.features.dimension)):
+def apply_walls(v, node, cells, axes: ti.template(), mass, worker, scene, arrays: ti.template()):
+    """Velocity `v` [m/s] of the node `node` of `mass` [kg] that no wall of a box of `cells` stops, after the friction
+    of those across the first `axes`; v, node, cells: [D].
+    """
+    features, along = arrays.features, v
+    for axis in ti.static(range(features.dimension)):
         if stopping_side(v, node, cells, axis, scene, arrays) >= 0:
             along[axis] = 0.0
-    return along
-
-
-@ti.func
-def apply_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
-    """Velocity `v` [m/s] of the node `node` of `mass` [kg] after all walls of a box of `cells`; v, node, cells: [D]."""
-    features = arrays.features
-    along = along_walls(v, node, cells, scene, arrays)
-    for axis in ti.static(range(features.dimension)):
+    for axis in ti.static(range(axes)):
         side = stopping_side(v, node, cells, axis, scene, arrays)
         if side >= 0:
             taken = along
