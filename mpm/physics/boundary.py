@@ -48,7 +48,7 @@ def apply_walls(v, node, cells, axes: ti.template(), mass, worker, scene, arrays
             if ti.static(features.recorded.walls):
                 taken = taken - along
                 taken[axis] = v[axis]
-                add_wall_impulse(side, mass * taken, worker, scene, arrays)
+                add_impulse(arrays.offsets[scene, Offset.OBSTACLES] + side, mass * taken, 0, worker, arrays)
     return along
 
 
@@ -124,10 +124,11 @@ def in_terrain_beyond(side, node, scene, arrays: ti.template()):
 
 
 @ti.func
-def add_wall_impulse(side, momentum, worker, scene, arrays: ti.template()):
-    """Add `momentum` [N s], shape [D], to what a side of the box has taken; side 2 D: the barriers."""
+def add_impulse(solid, momentum, lane, worker, arrays: ti.template()):
+    """Add `momentum` [N s], shape [D], to what a solid has taken; behind all solids the sides of the box and, as side
+    2 D, the barriers.
+    """
     features = arrays.features
-    number = arrays.offsets[scene, Offset.OBSTACLES] + side
-    at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension
+    at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
     for k in ti.static(range(features.dimension)):
-        add(arrays.impulse_lanes, (at + k) * features.lanes, momentum[k], arrays)
+        add(arrays.impulse_lanes, (at + k) * features.lanes + lane, momentum[k], arrays)

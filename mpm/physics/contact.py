@@ -49,7 +49,7 @@ import taichi as ti
 
 from mpm.arrays.access import add, maximum, minimum, over_lanes, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Worker, component
-from mpm.physics.boundary import after_contact
+from mpm.physics.boundary import add_impulse, after_contact
 from mpm.solids.face_lookup import TINY, entry_of, face_number, list_of, normal_of, solid_of
 from mpm.solids.terrain_holds import removed_by_terrain
 
@@ -241,14 +241,6 @@ def present(block, arrays: ti.template()):
 
 
 @ti.func
-def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.template()):
-    """Add `value` [N s] to component k of the impulse of a solid."""
-    features = arrays.features
-    at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension + k
-    add(arrays.impulse_lanes, at * features.lanes + lane, value, arrays)
-
-
-@ti.func
 def apply_solids(v, mass, node, worker, scene, recorded: ti.template(), arrays: ti.template()):
     """Velocity `v` [m/s] after the holds of the node `node`, an index of shape [D], with the `mass` [kg]; shape [D].
 
@@ -259,15 +251,15 @@ def apply_solids(v, mass, node, worker, scene, recorded: ti.template(), arrays: 
     for hold in range(first, end):
         face, removed = removed_by(hold, v, scene, arrays)
         after = after - removed
-        for k in ti.static(range(arrays.features.dimension if recorded else 0)):
-            add_impulse(solid_of(face, scene, arrays), k, mass * removed[k], 0, worker, arrays)
+        if ti.static(recorded):
+            add_impulse(solid_of(face, scene, arrays), mass * removed, 0, worker, arrays)
     if ti.static(arrays.features.terrain):
         _, listed = list_of(entry, arrays)
         if listed == 0:
             removed = removed_by_terrain(v, node, worker, scene, arrays)
             after = after - removed
-            for k in ti.static(range(arrays.features.dimension if recorded else 0)):
-                add_impulse(arrays.offsets[scene, Offset.TERRAIN_SOLID], k, mass * removed[k], 0, worker, arrays)
+            if ti.static(recorded):
+                add_impulse(arrays.offsets[scene, Offset.TERRAIN_SOLID], mass * removed, 0, worker, arrays)
     return after
 
 

@@ -17,8 +17,8 @@ import taichi as ti
 
 from mpm.arrays.access import add, dot, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Look, Offset, Setting, Worker
-from mpm.physics.boundary import after_contact
-from mpm.physics.contact import add_impulse, contact_at, present
+from mpm.physics.boundary import add_impulse, after_contact
+from mpm.physics.contact import contact_at, present
 from mpm.solids.face_lookup import (
     TINY,
     cell_of,
@@ -327,8 +327,7 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
         put_lane_numbers(arrays.lanes, first + features.state.velocity * lanes, v, arrays)
         if solid >= 0:
             mass = arrays.scratch_lanes[(scratch + features.scratch.push + 1) * lanes + lane]
-            for k in ti.static(range(dimension)):
-                add_impulse(solid, k, mass * (velocity[k] - v[k]), lane, worker, arrays)
+            add_impulse(solid, mass * (velocity - v), lane, worker, arrays)
     arrays.lanes[contact + Contact.DELTA * lanes] = delta
     arrays.lanes[contact + Contact.DISTANCE * lanes] = distance
     arrays.lanes[contact + Contact.FREE * lanes] = free

@@ -16,7 +16,7 @@ import taichi as ti
 from mpm.arrays.access import box_cells, columns_deep, zero_node
 from mpm.arrays.layout import PADDING, Offset, Setting, Span, StepControl, Worker
 from mpm.physics.barriers import apply_barriers
-from mpm.physics.boundary import add_wall_impulse, apply_walls, with_friction
+from mpm.physics.boundary import add_impulse, apply_walls, with_friction
 from mpm.physics.columns import node_at
 from mpm.physics.contact import apply_solids
 
@@ -142,7 +142,8 @@ def moved_node(node, index: ti.template(), worker, scene, dt, kappa, arrays: ti.
     if ti.static(features.barriers):
         behind = apply_barriers(new, indices, scene, dt, arrays)
         if ti.static(features.recorded.walls):
-            add_wall_impulse(2 * features.dimension, mass * (new - behind), worker, scene, arrays)
+            side = arrays.offsets[scene, Offset.OBSTACLES] + 2 * features.dimension
+            add_impulse(side, mass * (new - behind), 0, worker, arrays)
         new = behind
     for axis in ti.static(range(features.dimension)):
         node[axis] = new[axis]
