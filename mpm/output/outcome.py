@@ -131,7 +131,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         names = DOMAIN_SIDES[: 2 * scene.dimension]
         summary["wall_impulse"] = rounded(walls.sum(axis=1))
         summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(names)}
-    if left := outflow(batch, index):
+    if left := outflow(batch, index) if scene.open_sides else {}:
         summary["outflow"] = left
     end_time = summary["end_time"]
     kinetic = energies[:, Energy.KINETIC]
