@@ -145,12 +145,10 @@ def block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays: ti.t
     numbers = ti.static(((velocity, affine, stress), volume, density, pushed, grip))
     given = ti.static([Pullback(given_of, numbers, (dx, features))])[0]
     # Of what is given at the particle itself, then of its slopes per cell.
-    places = ti.static(
-        [(1 + k % size) * NODE + k // size + number for number in (0, features.node.force) for k in range(size * size)]
-    )
-    bars = vectors(arrays.scratch, sums, features.node.size) + [
-        per_dx * arrays.scratch[sums + n] for n in ti.static(places)
-    ]
+    shifts = ti.static((0, features.node.force))
+    places = ti.static([shift + (1 + k % size) * NODE + k // size for shift in shifts for k in range(size * size)])
+    slopes = [per_dx * arrays.scratch[sums + n] for n in ti.static(places)]
+    bars = vectors(arrays.scratch, sums, features.node.size) + slopes
     carried_bar, volume_bar, density_bar, pushed_bar, grip_bar = ti.static(given(bars))
     for k in ti.static(range(size)):
         moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.scratch.forces + k]

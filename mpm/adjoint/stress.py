@@ -219,9 +219,8 @@ def plastic_return_reverse(
         a_bar = ti.select(above, g[1], g[0])
         z_bar = ti.select(above, g[0], ti.select(below, g[2], g[1]))
         b_bar = ti.select(below, g[1], g[2])
-        free = features.law.elastic_at(s, strengths, features) | (
-            above & features.law.fell_alike(s, t, strengths, lame, shear, features)
-        )
+        alike = above & features.law.fell_alike(s, t, strengths, lame, shear, features)
+        free = features.law.elastic_at(s, strengths, features) | alike
         apart, turned_bar = a_bar - b_bar, theta(top - bottom, a - b, free) * turning
         half_bar, middle = cosine * apart - sine * turned_bar, 0.5 * (a_bar + b_bar)
         trial_bar = [middle + 0.5 * half_bar, middle - 0.5 * half_bar, z_bar, sine * apart + cosine * turned_bar]

@@ -254,29 +254,21 @@ class Equilibrium:
         used = np.flatnonzero(np.diff(parts[0].indptr))
         parts = [part[used] for part in parts]
         lame, shear = (sparse.diags_array((stiff * value)[used]) for value in (self.lame, self.shear))
-        first = [[(parts[i].T @ (lame @ parts[j])).tocsr() for j in range(dimension)] for i in range(dimension)]
-        second = [[(parts[i].T @ (shear @ parts[j])).tocsr() for j in range(dimension)] for i in range(dimension)]
-        trace = sum(second[axis][axis] for axis in range(dimension))
-        block = sparse.block_array(
-            [
-                [first[i][j] + second[j][i] + (trace if i == j else 0.0 * trace) for j in range(dimension)]
-                for i in range(dimension)
-            ]
-        ).tocsr()
-        block = block + self.contact.block(*contact, self.direct)
+        axes = range(dimension)
+        first = [[(parts[i].T @ (lame @ parts[j])).tocsr() for j in axes] for i in axes]
+        second = [[(parts[i].T @ (shear @ parts[j])).tocsr() for j in axes] for i in axes]
+        trace = sum(second[axis][axis] for axis in axes)
+        rows = [[first[i][j] + second[j][i] + (trace if i == j else 0.0 * trace) for j in axes] for i in axes]
+        block = sparse.block_array(rows).tocsr() + self.contact.block(*contact, self.direct)
         block = block + sparse.diags_array(np.tile(self.inertia[self.direct, 0], dimension))
         # Components of a node side by side: the factorisation then orders nodes, not components.
-        order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()
         free = self.free[self.direct].ravel()
-        order = order[free]
+        order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()[free]
         scale = np.sqrt(inverse[self.direct].ravel()[free])
         scaled = sparse.diags_array(scale) @ block[order][:, order] @ sparse.diags_array(scale)
-        factors = splu(
-            (scaled + SHIFT * sparse.eye_array(len(order))).tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        matrix = (scaled + SHIFT * sparse.eye_array(len(order))).tocsc()
+        symmetric = {"SymmetricMode": True}
+        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
 
         def precondition(force: Floats) -> Floats:
             result = inverse * force

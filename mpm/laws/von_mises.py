@@ -125,10 +125,8 @@ def return_tensor(trial: ti.template(), strengths: ti.template(), lame, shear, f
     slip = maximum(tau - strength, 0.0) / (shear + hardening)
     # tau - G dgamma over tau, without a difference of large numbers.
     share = (shear * strength + hardening * tau) / ((shear + hardening) * maximum(tau, TINY))
-    admitted = [mean + share * xx, mean + share * yy, mean + share * zz] + [
-        share * trial[k] for k in ti.static(range(3, features.stresses))
-    ]
-    return [ti.select(yields, admitted[k], trial[k]) for k in ti.static(range(features.stresses))] + [
-        slip / 3.0**0.5,
-        0.0 * slip,
-    ]
+    normal = [mean + share * xx, mean + share * yy, mean + share * zz]
+    admitted = normal + [share * trial[k] for k in ti.static(range(3, features.stresses))]
+    stress = [ti.select(yields, admitted[k], trial[k]) for k in ti.static(range(features.stresses))]
+    strain_and_opening = [slip / 3.0**0.5, 0.0 * slip]
+    return stress + strain_and_opening

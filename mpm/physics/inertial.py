@@ -50,11 +50,9 @@ def sin_phi_at_rate(s1, s2, s3, upper, lower, strengths: ti.template(), lame, sh
     rise = ti.select(upper, -1.0 / (3.0 - sin_phi), ti.select(lower, 1.0 / (3.0 + sin_phi), 0.0))
     if ti.static(dilates):
         bulk4 = 4.0 * lame + shear * (8.0 / 3.0)
-        b = ti.select(
-            upper,
-            bulk4 * sin_psi / (shear * (3.0 - sin_psi)) - 1.0 / 3.0,
-            ti.select(lower, bulk4 * sin_psi / (shear * (3.0 + sin_psi)) + 1.0 / 3.0, (lame + shear) * sin_psi / shear),
-        )
+        at_upper = bulk4 * sin_psi / (shear * (3.0 - sin_psi)) - 1.0 / 3.0
+        at_lower = bulk4 * sin_psi / (shear * (3.0 + sin_psi)) + 1.0 / 3.0
+        b = ti.select(upper, at_upper, ti.select(lower, at_lower, (lame + shear) * sin_psi / shear))
         stiffening = 1.0 + b * sin_phi
         rise = b / stiffening
     pressure, growth = maximum(trial_pressure + rise * excess, 0.0), maximum(sin_phi_limit - sin_phi, 0.0)
