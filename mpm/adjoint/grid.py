@@ -25,12 +25,12 @@ import taichi as ti
 
 from mpm.adjoint.boundary import wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
-from mpm.arrays.access import box_cells, columns_deep, zero_node
+from mpm.arrays.access import TINY, box_cells, columns_deep, zero_node
 from mpm.arrays.layout import Setting, Span, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import apply_walls
 from mpm.physics.contact import apply_solids
-from mpm.physics.grid import SLOW, TINY, acceleration, damping_terms, node_of, own_node, owns, put_node, velocity_before
+from mpm.physics.grid import SLOW, acceleration, damping_terms, node_of, own_node, owns, put_node, velocity_before
 
 SHARED = (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
 SUMS = len(SHARED) + 1

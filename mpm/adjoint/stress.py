@@ -22,11 +22,10 @@ from mpm.adjoint.contact import grid_motion, jump_reverse, slip_reverse, touched
 from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.pullback import Pullback, traceable
 from mpm.adjoint.transfer import gather_moments
-from mpm.arrays.access import lane_sum, magnitude, maximum, minimum, no_overflow, vectors
+from mpm.arrays.access import TINY, lane_sum, magnitude, maximum, minimum, no_overflow, vectors
 from mpm.arrays.layout import Offset, Property, Setting, component
 from mpm.physics.contact import contact_of, jump_at_contact, with_jump
 from mpm.physics.particles import law_values, strengths_of
-from mpm.physics.principal import TINY
 from mpm.physics.stress import equivalent_strain, midpoint_increment, strain_between, trial_stress, with_cracks
 from mpm.physics.transfer import property_of
 from mpm.physics.volume_correction import LEAST, grid_gap, updated_gap

@@ -15,6 +15,9 @@ import taichi as ti
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset
 
+TINY = 1.0e-30
+"""Keeps a quotient finite where its denominator is zero and its numerator is smaller still."""
+
 
 @ti.func
 def maximum(a, b):

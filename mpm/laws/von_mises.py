@@ -34,9 +34,8 @@ from datasets.errors import InputError
 from datasets.scene import Stage
 from datasets.scene.material import STIFFEST, Material
 from datasets.schema import Bounds, Record
-from mpm.arrays.access import maximum
+from mpm.arrays.access import TINY, maximum
 from mpm.laws import LawColumn, parameters_of
-from mpm.physics.principal import TINY
 
 Floats = NDArray[np.float64]
 

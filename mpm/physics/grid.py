@@ -13,15 +13,13 @@ Only the nodes of columns near the material are cleared and updated (`mpm.physic
 
 import taichi as ti
 
-from mpm.arrays.access import box_cells, columns_deep, zero_node
+from mpm.arrays.access import TINY, box_cells, columns_deep, zero_node
 from mpm.arrays.layout import PADDING, Offset, Setting, Span, StepControl, Worker
 from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import add_impulse, apply_walls, with_friction
 from mpm.physics.columns import node_at
 from mpm.physics.contact import apply_solids
 
-TINY = 1.0e-30
-"""Keeps a quotient finite where nothing moves and nothing weighs."""
 SLOW = 1.0e-3
 """Speed over sqrt(g dx) below which local damping fades [-]."""
 

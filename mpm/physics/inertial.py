@@ -31,8 +31,7 @@ Under tension there is no I, and friction is that of slow shear.
 
 import taichi as ti
 
-from mpm.arrays.access import maximum
-from mpm.physics.principal import TINY
+from mpm.arrays.access import TINY, maximum
 
 
 @ti.func

@@ -33,10 +33,9 @@ At a boundary of soils of different density the grid has another density than th
 
 import taichi as ti
 
-from mpm.arrays.access import clamp, magnitude, maximum, minimum, no_overflow, over_lanes
+from mpm.arrays.access import TINY, clamp, magnitude, maximum, minimum, no_overflow, over_lanes
 from mpm.arrays.layout import Contact
 from mpm.arrays.properties import GAP_CUTOFF
-from mpm.physics.principal import TINY
 
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
