@@ -30,8 +30,7 @@ from mpm.arrays.properties import STABILITY, substeps_per_frame
 from mpm.output.request import ALL, Recording
 from mpm.resolution import particle_steps
 from mpm.runtime import Arch
-from mpm.solids.obstacles import farthest
-from mpm.solids.window import window_around
+from mpm.solids.obstacles import farthest, window_around
 
 PROCESS = 240 * 2**20
 """Bytes of a process with Taichi and a kernel."""

@@ -22,16 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.contact_surface import contact_surface_of
+from datasets.geometry.surface import solids_of
 from datasets.scene import Scene
 from datasets.scene.material import Material
 from datasets.scene.particles import Particles, initial_particles
 from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.features import drags_of
 from mpm.arrays.layout import Property
-from mpm.arrays.properties import properties_at, properties_of, settings_row
+from mpm.arrays.properties import properties_at, properties_of, roughest, settings_row
 from mpm.initial.slope import begins_as_slope
 from mpm.initial.stress import initial_tractions
-from mpm.solids.obstacles import faces_and_holds, obstacles_in, solids_with
+from mpm.solids.obstacles import face_lines, farthest, holds_at, limited, obstacles_in
 
 Floats = NDArray[np.float64]
 
@@ -204,6 +206,35 @@ def started(scene: Scene, base: Start | None = None) -> Start:
         terrain=terrain,
         drags=np.array(drags_of(scene)),
     )
+
+
+def solids_with(scene: Scene) -> tuple[Any, ...]:
+    """All that the faces and the holds of a scene follow from."""
+    return scene.domain, solids_of(scene), farthest(scene), roughest(scene)
+
+
+def faces_and_holds(scene: Scene, nodes: NDArray[np.int64], base: Floats) -> tuple[Floats, Floats, Floats]:
+    """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which those of `nodes` [K, D] are, and
+    the friction of its height field, [P].
+
+    A hold that the scene does not have has no share. What else the kernel needs of solids is not made.
+    """
+    surface, holds = contact_surface_of(scene), base.copy()
+    holds[:, 2] = 0.0
+    if surface is None:
+        return np.zeros((0, 0)), holds, np.zeros(0)
+    field = surface.field
+    terrain = np.zeros(0) if field is None else np.minimum(field.friction, roughest(scene)).ravel()
+    lines = face_lines(limited(surface.faces, roughest(scene)))
+    if not len(nodes):
+        return lines, holds, terrain
+    window, first, ours, _ = holds_at(scene, surface, np.unique(nodes, axis=0))
+    owners, count = np.repeat(np.arange(len(first) - 1), np.diff(first)), int(max(base[:, 0].max(), *ours[:, 0], 0)) + 1
+    rows = (window.numbers(nodes), base), (owners, ours)
+    keys, our_keys = (node * count + each[:, 0].astype(np.int64) for node, each in rows)
+    _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
+    holds[at] = ours[our_at]
+    return lines, holds, terrain
 
 
 def particles_with(scene: Scene, base: Start) -> tuple[Particles, Floats]:

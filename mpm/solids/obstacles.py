@@ -37,13 +37,12 @@ from scipy.ndimage import distance_transform_edt, minimum_filter
 from datasets.geometry.contact_surface import ContactSurface, HeightField, contact_surface_of
 from datasets.geometry.ground import interpolated
 from datasets.geometry.nearest import Search, feet, nearest
-from datasets.geometry.surface import Surface, solids_of
+from datasets.geometry.surface import Surface
 from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import CONTACT_WIDTH, roughest, search_distance
 from mpm.solids.face_lookup import SKIN
-from mpm.solids.window import Window, boxes_around, window_around, window_of
 
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
@@ -54,6 +53,62 @@ FADE = 0.5
 cell, nodes give way while a bed is laid against the solid, and its thrust is up to 15 % too low."""
 BLEND = 0.5
 """Distance beyond that of the nearest face [cells] from which another one holds a node no more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """A box of cells, and of the nodes at their lowest corners; D dimensions."""
+
+    low: tuple[int, ...]
+    """The lowest node, as the grid counts from its first padding node, shape [D]."""
+    shape: tuple[int, ...]
+    """Cells along each axis, shape [D]."""
+    cell: float
+    """[m]."""
+
+    @property
+    def count(self) -> int:
+        """Cells in it, C."""
+        return math.prod(self.shape)
+
+    def positions(self, numbers: Integers) -> Floats:
+        """Of the nodes with these numbers [m], shape [N, D]."""
+        return np.asarray((self.nodes(numbers) - PADDING) * self.cell)
+
+    def numbers(self, nodes: Integers) -> Integers:
+        """Of nodes in it by their indices in the grid, shape [N, D]; shape [N]."""
+        return np.asarray(np.ravel_multi_index(tuple((nodes - np.array(self.low)).T), self.shape))
+
+    def nodes(self, numbers: Integers) -> Integers:
+        """The indices in the grid, shape [N, D], of the nodes with these numbers, shape [N]."""
+        return np.asarray(np.stack(np.unravel_index(numbers, self.shape), axis=-1) + np.array(self.low))
+
+
+def window_around(domain: Domain, surface: Surface, cutoff: float) -> Window:
+    """The cells that may list a face, up to `cutoff` cells from it; none without faces."""
+    if not len(surface.corners):
+        return Window(low=(0,) * domain.dimension, shape=(0,) * domain.dimension, cell=domain.cell)
+    corners = surface.corners.reshape(1, -1, domain.dimension)
+    # Of the centre of a cell that lists a face; a step moves a particle by at most a cell.
+    limit = (max(cutoff, 1.0) + 0.5 * math.sqrt(domain.dimension)) * domain.cell
+    low, high = (each[0] for each in boxes_around(domain, corners, limit))
+    shape = np.array(node_shape(domain))
+    low = np.clip(low, 0, shape - 1)
+    high = np.clip(high, low + 1, shape)
+    return Window(low=tuple(low.tolist()), shape=tuple((high - low).tolist()), cell=domain.cell)
+
+
+def window_of(domain: Domain, nodes: Integers) -> Window:
+    """The box around nodes by their indices, shape [N, D]."""
+    low, high = nodes.min(axis=0), nodes.max(axis=0) + 1
+    return Window(low=tuple(low.tolist()), shape=tuple((high - low).tolist()), cell=domain.cell)
+
+
+def boxes_around(domain: Domain | Window, corners: Floats, limit: float) -> tuple[Integers, Integers]:
+    """The boxes [low, high) of cells whose centres may lie within `limit` [m] of corners, [F, K, D]; [F, D] each."""
+    low = np.floor((corners.min(axis=1) - limit) / domain.cell - 0.5).astype(np.int64) + PADDING
+    high = np.ceil((corners.max(axis=1) + limit) / domain.cell - 0.5).astype(np.int64) + PADDING + 1
+    return low, high
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,35 +201,6 @@ def obstacles_in(scene: Scene) -> Obstacles:
 def farthest(scene: Scene) -> float:
     """Distance from solids up to which faces are listed [cells]."""
     return 1.0 + search_distance(scene) / scene.domain.cell
-
-
-def solids_with(scene: Scene) -> tuple[Any, ...]:
-    """All that the faces and the holds of a scene follow from."""
-    return scene.domain, solids_of(scene), farthest(scene), roughest(scene)
-
-
-def faces_and_holds(scene: Scene, nodes: Integers, base: Floats) -> tuple[Floats, Floats, Floats]:
-    """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which those of `nodes` [K, D] are, and
-    the friction of its height field, [P].
-
-    A hold that the scene does not have has no share. What else the kernel needs of solids is not made.
-    """
-    surface, holds = contact_surface_of(scene), base.copy()
-    holds[:, 2] = 0.0
-    if surface is None:
-        return np.zeros((0, 0)), holds, np.zeros(0)
-    field = surface.field
-    terrain = np.zeros(0) if field is None else np.minimum(field.friction, roughest(scene)).ravel()
-    lines = face_lines(limited(surface.faces, roughest(scene)))
-    if not len(nodes):
-        return lines, holds, terrain
-    window, first, ours, _ = holds_at(scene, surface, np.unique(nodes, axis=0))
-    owners, count = np.repeat(np.arange(len(first) - 1), np.diff(first)), int(max(base[:, 0].max(), *ours[:, 0], 0)) + 1
-    rows = (window.numbers(nodes), base), (owners, ours)
-    keys, our_keys = (node * count + each[:, 0].astype(np.int64) for node, each in rows)
-    _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
-    holds[at] = ours[our_at]
-    return lines, holds, terrain
 
 
 def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Window, NDArray[np.int32], Floats, Floats]:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from datasets.geometry.nearest import feet, nearest
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from mpm.arrays.layout import PADDING, node_shape
-from mpm.solids.obstacles import BLEND, FADE, faces_near, holds_of
-from mpm.solids.window import Window
+from mpm.solids.obstacles import BLEND, FADE, Window, faces_near, holds_of
 from tests import scenes
 from tests.datasets.geometry.solids import surface
 
