@@ -112,15 +112,9 @@ def command(
         start = None
     if start is not None and frames.exists():
         start.arrays["positions"] = open_trajectory(frames).positions
-    left = 1.0 if start is None else 1.0 - start.frame / max(1, given.frames - 1)
+    work = plan.work * (1.0 if start is None else 1.0 - start.frame / max(1, given.frames - 1))
     price = expected(
-        given,
-        left * plan.work,
-        memory=plan.bytes,
-        processors=workers,
-        precision=precise,
-        arch=arch,
-        until_rest=until_rest,
+        given, work, memory=plan.bytes, processors=workers, precision=precise, arch=arch, until_rest=until_rest
     )
     print(f"{plan}; {step_spoken(given)}; {price}", flush=True)
     with ExitStack() as stack:
