@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datasets import memory
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.geometry.contact_surface import contact_surface_of
 from datasets.scene import Scene
 from datasets.scene.particles import mass_counts
@@ -96,12 +96,9 @@ def footprint(
     features = features_of([scene], precision, record=record, shared=workers > 1, gpu=gpu)
     substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
     steps = substeps * (scene.frames - 1)
-    if steps > MOST_STEPS:
-        raise InputError(
-            f"expected at most {MOST_STEPS} steps, got {steps:.3g}, {substeps:.3g} in each frame: "
-            "a softer `young`, larger cells or a shorter time",
-            key="duration",
-        )
+    instead = "a softer `young`, larger cells or a shorter time"
+    got = f"{steps:.3g}, {substeps:.3g} in each frame: {instead}"
+    require(steps <= MOST_STEPS, "duration", f"at most {MOST_STEPS} steps", got)
     count, dimension = sum(mass_counts(scene)), features.dimension
     nodes, surface = node_shape(scene.domain), contact_surface_of(scene) if features.listed else None
     real = 4 if features.precision == "f32" else 8
@@ -130,7 +127,7 @@ def require_memory(footprints: list[Footprint]) -> None:
     largest = max(footprints, key=lambda each: each.bytes)
     memory.require(
         extra,
-        f"{'a run' if len(footprints) == 1 else f'{len(footprints)} runs'}",
+        "a run" if len(footprints) == 1 else f"{len(footprints)} runs",
         f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame, --hdf5)",
     )
 

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.files import read_toml
 from datasets.geometry.bodies import height
 from datasets.geometry.placement import connected, corners
@@ -111,10 +111,7 @@ def read_measured() -> tuple[Measured, ...]:
 def read_tolerance(text: str) -> float:
     """`2%` or `0.02` as a fraction in (0, 1). Raises InputError."""
     value = fraction(text)
-    if not 0.0 < value < 1.0:
-        raise InputError(
-            f"expected a percentage such as 2% or a fraction such as 0.02, got {text!r}", key="--tolerance"
-        )
+    require(0.0 < value < 1.0, "--tolerance", "a percentage such as 2% or a fraction such as 0.02", repr(text))
     return value
 
 
@@ -125,14 +122,10 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
     what ships. Raises InputError for a tolerance below the best that was measured.
     """
     known = [each for each in (read_measured() if measured is None else measured) if each.dimension == scene.dimension]
+    best = min((each.promised for each in known), default=math.inf)
+    tightest = f"at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured"
+    require(best <= tolerance, "--tolerance", tightest, f"{100 * tolerance:.3g}%")
     suitable = [each for each in known if each.promised <= tolerance]
-    if not suitable:
-        best = min((each.promised for each in known), default=math.inf)
-        raise InputError(
-            f"expected at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured, "
-            f"got {100 * tolerance:.3g}%",
-            key="--tolerance",
-        )
     cheapest = min(suitable, key=lambda each: each.particle_steps)
     finer = with_resolution(scene, cheapest.resolution)
     return Resolved(scene=finer, measured=cheapest, cost=particle_steps(finer) / particle_steps(scene))

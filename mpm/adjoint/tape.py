@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import InputError, WorkFailed, require
 from datasets.scene import Scene
 from datasets.scene.particles import Particles
 from mpm import runtime
@@ -163,13 +163,9 @@ class Tape:
             steps = math.ceil(length * most + 1) * self.step_bytes
             if (whole := (len(boundaries) - 1) * self.state_bytes + steps) < smallest:
                 best, smallest = boundaries, whole
-        if smallest > budget:
-            raise InputError(
-                f"expected memory for the adjoint of at least {(smallest + self.fixed_bytes) / 2**20:.1f} MiB, "
-                f"got {self.memory_mib:g} MiB: {last} frames of {usual:.0f} steps, {self.state_bytes / 2**20:.2g} MiB "
-                "a state",
-                key="memory_mib",
-            )
+        needed = f"memory for the adjoint of at least {(smallest + self.fixed_bytes) / 2**20:.1f} MiB"
+        states = f"{last} frames of {usual:.0f} steps, {self.state_bytes / 2**20:.2g} MiB a state"
+        require(smallest <= budget, "memory_mib", needed, f"{self.memory_mib:g} MiB: {states}")
         return best
 
     def bytes(self) -> int:
