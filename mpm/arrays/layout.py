@@ -23,8 +23,6 @@ CACHE_LINE = 64
 """Bytes."""
 ALIGNMENT = 128
 """Bytes: loads of a whole vector of lanes fail on less."""
-
-
 GROWTH = 1.5
 """Nodes for which a worker that has too few gets room, over those it needs."""
 

@@ -39,8 +39,6 @@ from mpm.arrays.properties import GAP_CUTOFF
 
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
-
-
 SCATTER, FASTEST = 0.04, 15.0
 """Volume strain [-] that the scatter of particles can feign, and the most that it counts as over the particle's own
 gap [-]: so a gap grows by e^14 in T_g at most."""
