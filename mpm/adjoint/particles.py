@@ -15,7 +15,7 @@ from mpm.adjoint.layout import add_bars, add_property_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
 from mpm.adjoint.transfer import affine_reverse, gather_moments, prepare_weights, transfer_reverse
-from mpm.arrays.access import lane_sum, no_overflow, vectors
+from mpm.arrays.access import dot, lane_sum, no_overflow, vectors
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import Offset, Property, Setting
 from mpm.physics.boundary import is_wall
@@ -169,11 +169,8 @@ def block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays: ti.t
     add_property_bar(block, Property.DENSITY, density_bar, arrays)
     if ti.static(features.contact):
         push_reverse(worker, block, scratch, stress, pushed_bar, volume, dt, arrays)
-    bounded = 0.0 * present
-    for k in ti.static(range(size)):
-        v_bar = arrays.adjoints[own + features.state.velocity + k]
-        bounded = bounded + v_bar * v_bar
-    within = bounded <= arrays.cuts[scene, 0]
+    v_bar = vectors(arrays.adjoints, own + features.state.velocity, size)
+    within = dot(v_bar, v_bar) <= arrays.cuts[scene, 0]
     cut = lane_sum(ti.select(within, 0.0 * present, present), arrays)
     if cut > 0.0:
         arrays.cuts[scene, 1] += ti.cast(cut, float)

@@ -58,10 +58,7 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     x, distance = block * features.state.size, contact_at(block, Contact.DISTANCE, arrays)
     origin = scratch + features.scratch.origin
     moved = [arrays.state[x + k] - arrays.scratch[origin + k] for k in ti.static(range(size))]
-    square = 0.0 * moved[0]
-    for k in ti.static(range(size)):
-        square = square + moved[k] * moved[k]
-    path = 1.001 * ti.sqrt(square)
+    path = 1.001 * ti.sqrt(dot(moved, moved))
     lower_bound = arrays.state[distance] - path
     nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
     if over_lanes(minimum, lower_bound, arrays.features.lanes) >= nearby:
