@@ -102,9 +102,12 @@ def generate(
             price = expected(first, work, memory=size, processors=processes, until_rest=until_rest, after=after)
             print(price, flush=True)
         simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
-        paths = [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
-        described = metadata(definition.name, entries, seed=seed, statistics=statistics_of(workers, paths))
-        write_json(out / "metadata.json", described)
+        paths = [(trajectory_path(entry, out),) for entry in entries if entry.split is Split.TRAIN]
+        each = workers.finished(statistics_of, paths)
+        # Of all trajectories together, added in their order whoever is ready first.
+        found = dict(tqdm(each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True))
+        statistics = reduce(MotionStatistics.__add__, (found[number] for number in range(len(paths))))
+        write_json(out / "metadata.json", metadata(definition.name, entries, seed=seed, statistics=statistics))
 
 
 def trajectory_path(entry: Entry, out: Path) -> Path:
@@ -180,15 +183,7 @@ def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
     )
 
 
-def statistics_of(workers: Workers, paths: list[Path]) -> MotionStatistics:
-    """The statistics of all trajectories together, added in their order whoever is ready first."""
-    each = workers.finished(statistics_of_one, [(path,) for path in paths])
-    bar = tqdm(each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True)
-    found: dict[int, MotionStatistics] = dict(bar)
-    return reduce(MotionStatistics.__add__, (found[number] for number in range(len(paths))))
-
-
-def statistics_of_one(path: Path) -> MotionStatistics:
+def statistics_of(path: Path) -> MotionStatistics:
     """The statistics of the trajectory at `path`; runs in a process of the pool."""
     trajectory = Trajectory.load(path)
     return motion_statistics(trajectory.positions, trajectory.frame_dt)
