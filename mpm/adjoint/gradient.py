@@ -281,10 +281,7 @@ def differences(function: Callable[[float], Any], at: float, name: str, step: fl
 def gradient(
     scene: Scene, objective: Objective, frames: Sequence[int] | None = None, **options: Any
 ) -> tuple[float, Gradient]:
-    """Value of an objective of a run, and its gradient.
-
-    frames: those that it sees, the last alone unless given; options: of `mpm.adjoint.tape.Tape`. Errors as `Tape`.
-    """
+    """Value and gradient of an objective that sees `frames`, the last unless given; options and errors are `Tape`'s."""
     tape = Tape([scene], [scene.frames - 1] if frames is None else frames, **options)
     value, positions, velocities = objective(tape.positions(), tape.velocities())
     ((slope,),) = pull_back_all(tape, [[FlowAdjoints(positions, velocities)]])

@@ -52,10 +52,7 @@ def keep_nodes(worker, arrays: ti.template()):
 
 @ti.func
 def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
-    """Bar of a node (momentum, mass, force) from that of what it became; then the SUMS that it shares.
-
-    node: before its velocity was computed; index: i, j, k.
-    """
+    """Bar of node `index`, i, j, k, (momentum, mass, force) from that of what it became; then the SUMS it shares."""
     features = arrays.features
     dimension = ti.static(features.dimension)
     per_mass = 1.0 / node[dimension]

@@ -60,10 +60,7 @@ def state_before(step, block, arrays: ti.template()):
 
 @ti.func
 def replay(worker, first, last, arrays: ti.template()):
-    """Compute the frames [first, last) of a worker as `mpm.kernel.advance_worker` does, and keep every state.
-
-    It stops where a grid has no room for what is to come.
-    """
+    """Compute the frames [first, last) as `mpm.kernel.advance_worker`, keeping every state, while grids have room."""
     scene = arrays.workers[worker, Worker.SCENE]
     step, moved = 0, 0.0 * arrays.settings[scene, Setting.CELL] + OUTDATED
     for _frame in range(first, last):

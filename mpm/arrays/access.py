@@ -54,9 +54,7 @@ def dot(a: ti.template(), b: ti.template()):
 
 @ti.func
 def over_lanes(operation: ti.template(), a: ti.template(), count: ti.template()):
-    """What an operation of two, `minimum` or `maximum`, makes of `count` lanes, a power of two: of one half with the
-    other, until one is left.
-    """
+    """What `minimum` or `maximum` makes of `count` lanes, a power of two: one half with the other until one is left."""
     if ti.static(count == 1):
         return a
     elif ti.static(count == 2):

@@ -69,10 +69,7 @@ class Processor:
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """What the scenes of a batch need; nothing else is in their kernels.
-
-    `state`, `face`, `node` and `scratch` are addresses of numbers, in the order of memory.
-    """
+    """What the scenes of a batch need; `state`, `face`, `node` and `scratch` are addresses of numbers in memory."""
 
     dimension: int
     precision: Precision

@@ -174,9 +174,7 @@ class Equilibrium:
         return bool(new.any() or back.any())
 
     def warn(self, stress: Floats) -> None:
-        """Say how much of the weight a solution leaves unbalanced, where that is more than single particles: nodal
-        forces, and what no wall takes, pull and shear beyond friction.
-        """
+        """Say how much of the weight is unbalanced: forces, what no wall takes, pull and shear beyond friction."""
         force = self.unbalanced(stress, self.contact.traction)
         held = (self.walls != 0) | self.behind_barriers | self.rough[:, None]
         loose = np.abs(force[self.free]).sum()

@@ -125,9 +125,7 @@ def in_terrain_beyond(side, node, scene, arrays: ti.template()):
 
 @ti.func
 def add_impulse(solid, momentum, lane, worker, arrays: ti.template()):
-    """Add `momentum` [N s], shape [D], to what a solid has taken; behind all solids the sides of the box and, as side
-    2 D, the barriers.
-    """
+    """Add `momentum` [N s], [D], to what a solid has taken; behind these stand the box's sides and the barriers."""
     features = arrays.features
     at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
     for k in ti.static(range(features.dimension)):

@@ -109,9 +109,7 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
 
 @ti.func
 def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.template()):
-    """Contact of the particles of a block whose nearest triangle of a height field is known by one look, of those that
-    `follow_faces` left to search; arguments and result are its.
-    """
+    """As `follow_faces`, of those it left to search whose nearest triangle of a height field is known by one look."""
     features = arrays.features
     position = vectors(arrays.state, block * features.state.size, 3)
     seen, push = scratch + features.scratch.look, scratch + features.scratch.push

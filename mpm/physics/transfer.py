@@ -62,10 +62,7 @@ def volume_of(scene, block, arrays: ti.template()):
 
 @ti.func
 def lowest_column(arrays: ti.template(), scratch, lane, table, deep):
-    """Of the particle in `lane` the column with its lowest node, among all columns, and that node's j.
-
-    table: the first column of its worker, of which `deep` lie along z (`mpm.physics.columns`).
-    """
+    """Of the particle in `lane` the column of its lowest node, of those from `table` on, `deep` along z, and its j."""
     features = arrays.features
     at = no_overflow(scratch * features.lanes + lane) + features.scratch.lowest * features.lanes
     column = table + ti.cast(arrays.scratch_lanes[at], ti.i32) * deep
@@ -261,9 +258,7 @@ def particles_in(scene, block, arrays: ti.template()):
 
 @ti.func
 def grid_to_block(table, scene, block, scratch, per_dx, kappa, arrays: ti.template()):
-    """Give every particle of a block the motion of the nodes in the columns from `table` on: v and C, and where asked
-    their mass.
-    """
+    """Give a block the motion of its nodes in the columns from `table` on, v and C, and where asked their mass."""
     deep = columns_deep(scene, arrays)
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.state.size)

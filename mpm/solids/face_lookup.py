@@ -106,10 +106,7 @@ def solid_of(face, scene, arrays: ti.template()):
 
 @ti.func
 def entry_of(node, scene, arrays: ti.template()):
-    """The entry of a cell, by its lowest node, or of a node in `cell_faces`, `node_holds` and `covered`; node: [D].
-
-    -1 outside of the scene's window, where nothing is listed.
-    """
+    """The entry of a node, [D], or of the cell above it in `cell_faces`, `node_holds` and `covered`; -1 without one."""
     entry, inside = 0, True
     for k in ti.static(range(arrays.features.dimension)):
         along = node[k] - arrays.offsets[scene, Offset.WINDOW_LOW_X + k]
