@@ -17,7 +17,7 @@ from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import add_face, depends, found_reverse, terrain_reverse
 from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar, impulse_bar
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import vectors
+from mpm.arrays.access import put_lane_numbers, vectors
 from mpm.arrays.layout import Contact, Offset, Property, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
@@ -103,9 +103,8 @@ def push_reverse(
             for lane in range(lanes):
                 scene = arrays.workers[worker, Worker.SCENE]
                 solid = solid_of(face_number(arrays.lanes[face * lanes + lane]), scene, arrays)
-                momentum_bar = impulse_bar(solid, worker, arrays)
-                for k in ti.static(range(size)):
-                    arrays.scratch_lanes[(scratch + layout.scratch.before + k) * lanes + lane] = momentum_bar[k]
+                at = (scratch + layout.scratch.before) * lanes + lane
+                put_lane_numbers(arrays.scratch_lanes, at, impulse_bar(solid, worker, arrays), arrays)
             for i in ti.static(range(size)):
                 given = dt * present(block, arrays) * arrays.scratch[scratch + layout.scratch.before + i]
                 bar[i] = bar[i] - volume * given
