@@ -33,8 +33,8 @@ def after_contact(v, normal, friction):
 
 @ti.func
 def apply_walls(v, node, cells, axes: ti.template(), mass, worker, scene, arrays: ti.template()):
-    """Velocity `v` [m/s] of the node `node` of `mass` [kg] that no wall of a box of `cells` stops, after the friction
-    of those across the first `axes`; v, node, cells: [D].
+    """Velocity `v` [m/s] of the node `node` of `mass` [kg] once the walls of a box of `cells` have stopped it and those
+    across the first `axes` have rubbed on it; v, node, cells: [D].
     """
     features, along = arrays.features, v
     for axis in ti.static(range(features.dimension)):
