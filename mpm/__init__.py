@@ -28,27 +28,16 @@ if TYPE_CHECKING:
     from mpm.safety import safety_factor
     from mpm.simulation import ScenesFailed, simulate, simulate_each, simulate_many
 
-_RECORDINGS = ("ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording")
-
-__all__ = [
-    "ALL",
-    "AT_REST",
-    "LAST",
-    "WITH_FIELDS",
-    "Recording",
-    "ScenesFailed",
-    "safety_factor",
-    "simulate",
-    "simulate_each",
-    "simulate_many",
-]
+__all__ = ["ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording", "ScenesFailed"]
+__all__ += ["safety_factor", "simulate", "simulate_each", "simulate_many"]
 
 
 def __getattr__(name: str) -> Any:
     """Import on first use: processes that only read scenes or resolutions need no Taichi."""
     if name not in __all__:
         raise AttributeError(f"module 'mpm' has no attribute {name!r}")
-    home = "output.request" if name in _RECORDINGS else "safety" if name == "safety_factor" else "simulation"
+    solves = name.startswith(("simulate", "Scenes"))
+    home = "simulation" if solves else "safety" if name == "safety_factor" else "output.request"
     return getattr(import_module(f"mpm.{home}"), name)
 
 

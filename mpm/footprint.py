@@ -19,18 +19,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datasets import memory
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.geometry.contact_surface import contact_surface_of
 from datasets.scene import Scene
 from datasets.scene.particles import mass_counts
+from datasets.scene.stiffness import greatest_speed, specific_stress
 from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import Energy, Precision, Span, column_count, node_room, node_shape
-from mpm.arrays.properties import substeps_per_frame
+from mpm.arrays.properties import STABILITY, substeps_per_frame
 from mpm.output.request import ALL, Recording
 from mpm.resolution import particle_steps
 from mpm.runtime import Arch
-from mpm.solids.obstacles import farthest
-from mpm.solids.window import window_around
+from mpm.solids.obstacles import farthest, window_around
 
 PROCESS = 240 * 2**20
 """Bytes of a process with Taichi and a kernel."""
@@ -53,7 +53,8 @@ START = {2: (1.0, 8.0), 3: (2.0, 15.0)}
 """Seconds of a start, from kernels that are on disk to those that are compiled."""
 EARLIEST = 0.5
 """Share of the steps after which flows are taken to rest, where runs end then."""
-
+MUCH = 10.0
+"""Young's modulus over what the flow needs, from which on a softer material is worth a word."""
 INVERSION = 250 * 2**20
 """Bytes of PyTorch and of an inversion in a process that also runs the MPM."""
 
@@ -91,21 +92,15 @@ def footprint(
     gpu: bool = False,
     in_file: bool = False,
 ) -> Footprint:
-    """What a run of `scene` on so many `workers` takes, its frames in a file or in memory.
-
-    Raises InputError for one that no machine could make.
-    """
+    """What a run on so many `workers` takes, its frames in a file or in memory; InputError for too many steps."""
     features = features_of([scene], precision, record=record, shared=workers > 1, gpu=gpu)
     substeps = substeps_per_frame(scene, [scene.material_of(mass) for mass in scene.masses])
     steps = substeps * (scene.frames - 1)
-    if steps > MOST_STEPS:
-        raise InputError(
-            f"expected at most {MOST_STEPS} steps, got {steps:.3g}, {substeps:.3g} in each frame: "
-            "a softer `young`, larger cells or a shorter time",
-            key="duration",
-        )
+    instead = "a softer `young`, larger cells or a shorter time"
+    got = f"{steps:.3g}, {substeps:.3g} in each frame: {instead}"
+    require(steps <= MOST_STEPS, "duration", f"at most {MOST_STEPS} steps", got)
     count, dimension = sum(mass_counts(scene)), features.dimension
-    nodes = node_shape(scene.domain)
+    nodes, surface = node_shape(scene.domain), contact_surface_of(scene) if features.listed else None
     real = 4 if features.precision == "f32" else 8
     particle = 8 * (2 * dimension + dimension**2 + 2) + 8
     room = math.prod(nodes) if gpu else node_room(scene.domain, math.ceil(count / workers))
@@ -113,7 +108,8 @@ def footprint(
         PROCESS,
         count * BESIDE * (particle + real * features.state.size),
         workers * room * real * NODE + workers * column_count(scene.domain) * 4 * (1 + len(Span)),
-        16 * listed_cells(scene) if features.listed else 0,
+        # The cells around the faces of solids, which have lists of them.
+        16 * window_around(scene.domain, surface.faces, farthest(scene)).count if surface else 0,
         STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
     )
     kept = len(record.kept(scene.frames))
@@ -125,21 +121,32 @@ def footprint(
     return Footprint(particles=count, nodes=nodes, frames=scene.frames, steps=steps, bytes=size)
 
 
-def listed_cells(scene: Scene) -> int:
-    """Cells around the faces of a scene's solids, which have lists of them."""
-    surface = contact_surface_of(scene)
-    return 0 if surface is None else window_around(scene.domain, surface.faces, farthest(scene)).count
-
-
 def require_memory(footprints: list[Footprint]) -> None:
     """Raise InputError where runs side by side take more memory than is free: how much, and what to change."""
     extra = sum(each.bytes - PROCESS for each in footprints)
     largest = max(footprints, key=lambda each: each.bytes)
     memory.require(
         extra,
-        f"{'a run' if len(footprints) == 1 else f'{len(footprints)} runs'}",
+        "a run" if len(footprints) == 1 else f"{len(footprints)} runs",
         f"{largest}; larger cells, fewer particles_per_axis or frames (--every, --last-frame, --hdf5)",
     )
+
+
+def step_spoken(scene: Scene) -> str:
+    """Which step a run begins with and what sets it, before it runs; that the material may be softer, where it may."""
+    materials = [scene.material_of(mass) for mass in scene.masses]
+    stiffest = max(materials, key=lambda material: material.wave_speed)
+    wave, speed = stiffest.wave_speed, greatest_speed(scene)
+    slow = (STABILITY / scene.step_fraction - 1.0) * wave
+    step = scene.frame_dt / substeps_per_frame(scene, materials)
+    line = f"time step {step:.2g} s, set by elastic waves of {wave:.3g} m/s"
+    if speed > slow:
+        line += f", by the flow where it is faster than {slow:.3g} m/s: it may reach {speed:.3g} m/s"
+    enough = specific_stress(scene) * stiffest.density
+    if stiffest.modulus > MUCH * enough > 0.0:
+        shares = f"{(enough / stiffest.modulus) ** 0.5:.2g} of the steps"
+        line += f" (young = {stiffest.modulus:.2g} Pa; {float(f'{enough:.1e}'):g} Pa would do, in {shares})"
+    return line
 
 
 @dataclass(frozen=True, kw_only=True)

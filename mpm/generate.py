@@ -84,8 +84,7 @@ def generate(
     [s] of what its caller does next and `beside` [bytes] of what that holds. Raises InputError where `out` holds other
     trajectories than these, WorkFailed where a simulation fails.
     """
-    require(jobs >= 1, "jobs", "at least 1 job", jobs)
-    require(jobs <= MOST_JOBS, "jobs", f"at most {MOST_JOBS} jobs", jobs)
+    require(1 <= jobs <= MOST_JOBS, "jobs", f"at least 1 job and at most {MOST_JOBS} jobs", jobs)
     entries = definition.entries(seed=seed, count=count)
     # Those of an inversion are read each in units of its own.
     alike = definition.storage is None or not definition.storage.deposit
@@ -103,9 +102,12 @@ def generate(
             price = expected(first, work, memory=size, processors=processes, until_rest=until_rest, after=after)
             print(price, flush=True)
         simulate_all(workers, missing, out, total=len(entries), storage=definition.storage)
-        paths = [trajectory_path(entry, out) for entry in entries if entry.split is Split.TRAIN]
-        described = metadata(definition.name, entries, seed=seed, statistics=statistics_of(workers, paths))
-        write_json(out / "metadata.json", described)
+        paths = [(trajectory_path(entry, out),) for entry in entries if entry.split is Split.TRAIN]
+        each = workers.finished(statistics_of, paths)
+        # Of all trajectories together, added in their order whoever is ready first.
+        found = dict(tqdm(each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True))
+        statistics = reduce(MotionStatistics.__add__, (found[number] for number in range(len(paths))))
+        write_json(out / "metadata.json", metadata(definition.name, entries, seed=seed, statistics=statistics))
 
 
 def trajectory_path(entry: Entry, out: Path) -> Path:
@@ -181,15 +183,7 @@ def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
     )
 
 
-def statistics_of(workers: Workers, paths: list[Path]) -> MotionStatistics:
-    """The statistics of all trajectories together, added in their order whoever is ready first."""
-    each = workers.finished(statistics_of_one, [(path,) for path in paths])
-    bar = tqdm(each, total=len(paths), desc="statistics", unit="trajectory", dynamic_ncols=True)
-    found: dict[int, MotionStatistics] = dict(bar)
-    return reduce(MotionStatistics.__add__, (found[number] for number in range(len(paths))))
-
-
-def statistics_of_one(path: Path) -> MotionStatistics:
+def statistics_of(path: Path) -> MotionStatistics:
     """The statistics of the trajectory at `path`; runs in a process of the pool."""
     trajectory = Trajectory.load(path)
     return motion_statistics(trajectory.positions, trajectory.frame_dt)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.errors import InputError
+from datasets.errors import require
 from datasets.files import read_toml
 from datasets.geometry.bodies import height
 from datasets.geometry.placement import connected, corners
@@ -64,9 +64,9 @@ class Measured(Record):
     """What one more scene stays within with probability COVERAGE, here and on all finer grids measured alike [-]."""
     particle_steps: float
     """Mean over the scenes."""
-    thickness: float | None = None
+    thickness: float
     """Error of the thickness over its largest (`datasets.flow.measures.Errors`), rms over scenes and jitters [-]; it
-    is said and not promised, for it is a share of another length. None where it was not measured."""
+    is said and not promised, for it is a share of another length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,12 +93,12 @@ class Resolved:
 
     def __str__(self) -> str:
         scene, what = self.scene, self.measured
-        thick = "" if what.thickness is None else f", thickness {100 * what.thickness:.2g} % of its largest"
         return (
             f"cell {scene.domain.cell:.4g} m ({self.cells:.3g} across the smallest side), "
             f"{scene.particles_per_axis} particles per axis, step {scene.step_fraction:g}, "
             f"{what.resolution.precision}: an error within {100 * what.promised:.2g} % "
-            f"in nine of ten scenes like those measured ({100 * what.expected:.2g} % rms{thick}), "
+            f"in nine of ten scenes like those measured ({100 * what.expected:.2g} % rms, "
+            f"thickness {100 * what.thickness:.2g} % of its largest), "
             f"{self.cost:.3g} times the scene's own particle-steps"
         )
 
@@ -111,10 +111,7 @@ def read_measured() -> tuple[Measured, ...]:
 def read_tolerance(text: str) -> float:
     """`2%` or `0.02` as a fraction in (0, 1). Raises InputError."""
     value = fraction(text)
-    if not 0.0 < value < 1.0:
-        raise InputError(
-            f"expected a percentage such as 2% or a fraction such as 0.02, got {text!r}", key="--tolerance"
-        )
+    require(0.0 < value < 1.0, "--tolerance", "a percentage such as 2% or a fraction such as 0.02", repr(text))
     return value
 
 
@@ -125,14 +122,10 @@ def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None
     what ships. Raises InputError for a tolerance below the best that was measured.
     """
     known = [each for each in (read_measured() if measured is None else measured) if each.dimension == scene.dimension]
+    best = min((each.promised for each in known), default=math.inf)
+    tightest = f"at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured"
+    require(best <= tolerance, "--tolerance", tightest, f"{100 * tolerance:.3g}%")
     suitable = [each for each in known if each.promised <= tolerance]
-    if not suitable:
-        best = min((each.promised for each in known), default=math.inf)
-        raise InputError(
-            f"expected at least {100 * best:.2g}% in {scene.dimension}D, the tightest that was measured, "
-            f"got {100 * tolerance:.3g}%",
-            key="--tolerance",
-        )
     cheapest = min(suitable, key=lambda each: each.particle_steps)
     finer = with_resolution(scene, cheapest.resolution)
     return Resolved(scene=finer, measured=cheapest, cost=particle_steps(finer) / particle_steps(scene))

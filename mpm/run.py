@@ -17,8 +17,7 @@ from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from datasets.scene.particles import particle_count
 from mpm.arrays.layout import Precision
-from mpm.footprint import expected, footprint
-from mpm.output import time_step
+from mpm.footprint import expected, footprint, step_spoken
 from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.request import Recording
 from mpm.resolution import read_tolerance, resolved
@@ -86,10 +85,8 @@ def command(
         others |= {"fields": fields, "until-rest": until_rest, "vtk": vtk, "forces": forces, "hdf5": hdf5}
         if key := next((name for name, given in others.items() if given), ""):
             raise InputError("expected none beside --safety, which takes --out and --precision alone", key=f"--{key}")
-        try:
+        with naming(Path(scene)):
             return write_safety(read_scene(scene), out, precision or "f32")
-        except InputError as error:
-            raise error if error.where else error.at(scene) from None
     given, precise = read_scene(scene), precision or "f32"
     if tolerance is not None:
         what = resolved(given, read_tolerance(tolerance))
@@ -115,17 +112,11 @@ def command(
         start = None
     if start is not None and frames.exists():
         start.arrays["positions"] = open_trajectory(frames).positions
-    left = 1.0 if start is None else 1.0 - start.frame / max(1, given.frames - 1)
+    work = plan.work * (1.0 if start is None else 1.0 - start.frame / max(1, given.frames - 1))
     price = expected(
-        given,
-        left * plan.work,
-        memory=plan.bytes,
-        processors=workers,
-        precision=precise,
-        arch=arch,
-        until_rest=until_rest,
+        given, work, memory=plan.bytes, processors=workers, precision=precise, arch=arch, until_rest=until_rest
     )
-    print(f"{plan}; {time_step.spoken(given)}; {price}", flush=True)
+    print(f"{plan}; {step_spoken(given)}; {price}", flush=True)
     with ExitStack() as stack:
         options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
         if appended:

@@ -10,18 +10,7 @@ side that the step took is taken.
 
 import taichi as ti
 
-from mpm.physics.boundary import along_walls, friction_of, stopping_side, with_friction
-
-
-@ti.func
-def before_friction(v, node, cells, axis: ti.template(), scene, arrays: ti.template()):
-    """Velocity [m/s] that the walls across `axis` rub on: `v` without what moves into walls, after those before."""
-    along = along_walls(v, node, cells, scene, arrays)
-    for k in ti.static(range(axis)):
-        side = stopping_side(v, node, cells, k, scene, arrays)
-        if side >= 0:
-            along = with_friction(along, friction_of(side, scene, arrays) * ti.abs(v[k]))
-    return along
+from mpm.physics.boundary import apply_walls, friction_of, stopping_side
 
 
 @ti.func
@@ -34,7 +23,8 @@ def wall_reverse(bar, v_star, node, cells, scene, arrays: ti.template()):
         side = stopping_side(v_star, node, cells, axis, scene, arrays)
         if side >= 0:
             friction, normal = friction_of(side, scene, arrays), ti.abs(v_star[axis])
-            along = before_friction(v_star, node, cells, axis, scene, arrays)
+            # What this wall rubs on; no impulse of walls is recorded here.
+            along = apply_walls(v_star, node, cells, axis, 0.0, 0, scene, arrays)
             bar, limit_bar = with_friction_reverse(bar, along, friction * normal)
             into[axis] = friction * limit_bar * (v_star[axis] / normal)
             if side == 2:

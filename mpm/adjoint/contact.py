@@ -15,9 +15,9 @@ import taichi as ti
 
 from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import add_face, depends, found_reverse, terrain_reverse
-from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
+from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar, impulse_bar
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import vectors
+from mpm.arrays.access import put_lane_numbers, vectors
 from mpm.arrays.layout import Contact, Offset, Property, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
@@ -40,13 +40,10 @@ from mpm.solids.face_lookup import entry_of, face_number, list_of, normal_of, so
 
 @ti.func
 def touched(block, after, scene, arrays: ti.template()):
-    """1 where a particle of a block depends on a solid before a step or after it, else 0."""
-    result = 0
-    if touches(block, arrays):
-        result = 1
+    """Whether a particle of a block depends on a solid before a step or after it."""
+    result = touches(block, arrays)
     for lane in ti.static(range(arrays.features.lanes)):
-        if depends(after * arrays.features.lanes + lane, scene, arrays):
-            result = 1
+        result = result or depends(after * arrays.features.lanes + lane, scene, arrays)
     return result
 
 
@@ -106,9 +103,8 @@ def push_reverse(
             for lane in range(lanes):
                 scene = arrays.workers[worker, Worker.SCENE]
                 solid = solid_of(face_number(arrays.lanes[face * lanes + lane]), scene, arrays)
-                momentum_bar = impulse_bar(solid, worker, arrays)
-                for k in ti.static(range(size)):
-                    arrays.scratch_lanes[(scratch + layout.scratch.before + k) * lanes + lane] = momentum_bar[k]
+                at = (scratch + layout.scratch.before) * lanes + lane
+                put_lane_numbers(arrays.scratch_lanes, at, impulse_bar(solid, worker, arrays), arrays)
             for i in ti.static(range(size)):
                 given = dt * present(block, arrays) * arrays.scratch[scratch + layout.scratch.before + i]
                 bar[i] = bar[i] - volume * given
@@ -116,14 +112,6 @@ def push_reverse(
         stress_bar, contacts_bar = ti.static(pushed(bar))
         add_bars(block * layout.width + features.state.stress, stress_bar, arrays)
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
-
-
-@ti.func
-def impulse_bar(solid, worker, arrays: ti.template()):
-    """The bar of the impulse of a solid, shape [D]."""
-    features = arrays.features
-    first = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
-    return ti.Vector([arrays.impulse_adjoints[first + k] for k in ti.static(range(features.dimension))])
 
 
 @ti.func
@@ -143,11 +131,11 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     own = block * layout.width
     stress = vectors(arrays.history, after + features.state.stress, features.stresses)
     affine = vectors(arrays.history, after + features.state.affine, size * size)
-    contact = contact_of(block, arrays)
     if ti.static(features.turbulent):
         find_drags(scene, block, scratch, arrays)
     turbulence = turbulence_at(scratch, property_of(scene, block, Property.DENSITY, arrays), arrays)
-    numbers = ti.static(((grid_motion(scratch, arrays), affine), stress, contact, shear, turbulence))
+    motion = grid_motion(scratch, arrays), affine, contact_of(block, arrays)
+    numbers = ti.static((motion, stress, shear, turbulence))
     sheared = ti.static([Pullback(sheared_traction, numbers, (dt, size))])[0]
     before = scratch + layout.scratch.before
     for k in ti.static(range(size)):
@@ -170,7 +158,7 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     q_bar = vectors(arrays.adjoints, shear_at, size)
     for k in ti.static(range(size)):
         arrays.adjoints[shear_at + k] = 0.0 * q_bar[k]
-    motion_bar, stress_bar, contacts_bar, shear_bar, turbulence_bar = ti.static(sheared(q_bar))
+    motion_bar, stress_bar, shear_bar, turbulence_bar = ti.static(sheared(q_bar))
     if ti.static(features.turbulent):
         add_property_bar(block, Property.DENSITY, turbulence_bar[0], arrays)
         add_drag_bars(scene, block, scratch, turbulence_bar[1], arrays)
@@ -178,7 +166,7 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
         arrays.scratch[scratch + layout.scratch.foot + k] = motion_bar[0][k]
     add_bars(own + features.state.affine, motion_bar[1], arrays)
     add_bars(own + features.state.stress, stress_bar, arrays)
-    add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
+    add_bars(contact_bar(block, 0, arrays), motion_bar[2], arrays)
     return shear_bar
 
 
@@ -204,13 +192,14 @@ def jump_reverse(block, scratch, strained: ti.template(), modulus, dt, bar, arra
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
     affine, contact, stress = strained
-    numbers = ti.static(((grid_motion(scratch, arrays), affine), contact, stress, modulus))
+    motion = grid_motion(scratch, arrays), affine, contact
+    numbers = ti.static((motion, stress, modulus))
     jump = ti.static([Pullback(jump_at_contact, numbers, (dt, size))])[0]
-    motion_bar, contacts_bar, stress_bar, modulus_bar = ti.static(jump([bar]))
+    motion_bar, stress_bar, modulus_bar = ti.static(jump([bar]))
     for k in ti.static(range(size)):
         at = scratch + layout.scratch.foot + k
         arrays.scratch[at] = arrays.scratch[at] + motion_bar[0][k]
     add_bars(block * layout.width + features.state.affine, motion_bar[1], arrays)
     add_bars(block * layout.width + features.state.stress, stress_bar, arrays)
-    add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
+    add_bars(contact_bar(block, 0, arrays), motion_bar[2], arrays)
     return modulus_bar

@@ -13,9 +13,10 @@ side. A particle that is put back beyond the end of the face that it crossed, ov
 import taichi as ti
 
 from mpm.adjoint.boundary import after_contact_reverse
+from mpm.adjoint.layout import impulse_bar
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import lane_numbers, put_lane_numbers
-from mpm.arrays.layout import Contact, Setting, Worker
+from mpm.arrays.access import dot, lane_numbers, put_lane_numbers
+from mpm.arrays.layout import Contact, Setting
 from mpm.arrays.properties import GAP_CUTOFF
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import contact_at
@@ -29,7 +30,6 @@ from mpm.solids.face_lookup import (
     reach_of,
     solid_of,
 )
-from mpm.solids.feet import foot_on_segment, foot_on_triangle
 from mpm.solids.obstacles import BLEND
 from mpm.solids.terrain import (
     cell_code,
@@ -94,11 +94,10 @@ def found_reverse(worker, block, scratch, after, put_back: ti.template(), scene,
                         momentum_bar = 0.0 * v_bar
                         if ti.static(layout.impulses):
                             mass = arrays.lanes[contact_at(block, Contact.FREE, arrays) * lanes + lane]
-                            first = arrays.workers[worker, Worker.IMPULSE] + solid_of(face, scene, arrays) * size
                             stopped = lane_numbers(arrays.history_lanes, then + features.state.velocity * lanes, arrays)
-                            for k in ti.static(range(size)):
-                                momentum_bar[k] = mass * arrays.impulse_adjoints[first + k]
-                                mass_bar += arrays.impulse_adjoints[first + k] * (before[k] - stopped[k])
+                            taken_bar = impulse_bar(solid_of(face, scene, arrays), worker, arrays)
+                            momentum_bar = mass * taken_bar
+                            mass_bar += taken_bar.dot(before - stopped)
                         turned, normal_bar, slid = after_contact_reverse(v_bar - momentum_bar, before, n, friction)
                         v_bar = turned + momentum_bar
                         n_bar = n_bar + normal_bar
@@ -143,10 +142,7 @@ def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, scene, arrays: ti
     a, b, c = corners_of(face, scene, arrays)
     facing, mu = normal_of(face, scene, arrays), frictions_of(face, scene, arrays)
     if not back:
-        if ti.static(size == 2):
-            _, part = foot_on_segment(x, a, b)
-        else:
-            _, part = foot_on_triangle(x, a, b, c)
+        _, part, _ = foot_on_face(x, a, b, c, arrays)
     corners = [point[k] for point in ti.static((a, b, c)[:size]) for k in ti.static(range(size))]
     normal = [facing[k] for k in ti.static(range(size))]
     frictions = [mu[k] for k in ti.static(range(size))]
@@ -165,7 +161,7 @@ def foot_reverse(x, n, face, d_bar, n_bar, friction_bar, back, scene, arrays: ti
 def at_face(x, corners, normal, frictions, part, side, dimension):
     """Friction, distance [m] and normal at the point of a face nearest to `x` [m]; traced.
 
-    part: as `mpm.solids.feet.foot_on_triangle` has it; side: roughly the normal.
+    part: as `mpm.solids.face_lookup.foot_on_triangle` has it; side: roughly the normal.
     """
     points = [corners[k * dimension : (k + 1) * dimension] for k in range(dimension)]
     weights = foot_weights(x, points, part, dimension)
@@ -199,14 +195,6 @@ def foot_weights(x, points, part, dimension):
             weight = ti.select(part == 4 + before, along[before], ti.select(part == 4 + k, 1.0 - along[k], weight))
         weights.append(weight)
     return weights
-
-
-def dot(a, b):
-    """The product of two vectors, as lists; traced."""
-    value = a[0] * b[0]
-    for k in range(1, len(a)):
-        value = value + a[k] * b[k]
-    return value
 
 
 def between(a, b):
@@ -264,9 +252,8 @@ def terrain_reverse(bar, v, node, scene, arrays: ti.template()):
                             face = triangle_number(i, k, half, scene, arrays)
                             friction, part = w.dot(frictions_of(face, scene, arrays)), share * weight
                             removed += part * (v - after_contact(v, normal, friction))
-                            through, _normal, friction_bar = after_contact_reverse(
-                                (0.0 - part) * bar, v, normal, friction
-                            )
+                            left_bar = (0.0 - part) * bar
+                            through, _normal, friction_bar = after_contact_reverse(left_bar, v, normal, friction)
                             v_bar += part * bar + through
                             for corner in ti.static(range(3)):
                                 column = ti.static(arrays.features.face.friction + corner)

@@ -22,16 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.geometry.contact_surface import contact_surface_of
+from datasets.geometry.surface import solids_of
 from datasets.scene import Scene
 from datasets.scene.material import Material
 from datasets.scene.particles import Particles, initial_particles
 from mpm.adjoint.tape import FlowAdjoints, Tape
 from mpm.arrays.features import drags_of
 from mpm.arrays.layout import Property
-from mpm.arrays.properties import properties_at, properties_of, settings_row
+from mpm.arrays.properties import properties_at, properties_of, roughest, settings_row
 from mpm.initial.slope import begins_as_slope
 from mpm.initial.stress import initial_tractions
-from mpm.solids.obstacles import faces_and_holds, obstacles_in, solids_with
+from mpm.solids.obstacles import face_lines, farthest, holds_at, limited, obstacles_in
 
 Floats = NDArray[np.float64]
 
@@ -41,6 +43,8 @@ with respect to both, or None for no dependence on velocity."""
 
 STEP = 1.0e-5
 """Relative step of the differences of closed forms."""
+NUMBERS = ("stress", "properties", "settings", "faces", "holds", "terrain", "drags")
+"""What a run begins with besides the motion of its particles, of a `Start` and of a `Gradient`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,10 +125,7 @@ class Gradient:
         return self.along(scene_at, at)
 
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
-        """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this scene.
-
-        Raises InputError where a scene has other particles than this one.
-        """
+        """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this one. Raises InputError for other particles."""
         columns = self.properties.shape[1]
         slopes = differences(lambda value: started(scene_at(value), self.start).numbers(columns), at, "the path", step)
         used = np.flatnonzero(slopes)
@@ -141,9 +142,7 @@ class Gradient:
     def bars(self) -> Floats:
         """Of `Start.numbers`."""
         motion = self.positions, self.velocities, self.velocity_gradients
-        return in_a_row(
-            *motion, self.stress, self.properties, self.settings, self.faces, self.holds, self.terrain, self.drags
-        )
+        return in_a_row(*motion, *(vars(self)[name] for name in NUMBERS))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,15 +161,11 @@ class Start:
     terrain: Floats
     drags: Floats
 
-    @property
-    def others(self) -> tuple[Floats, ...]:
-        """Its numbers after those of particles."""
-        return self.settings, self.faces, self.holds, self.terrain, self.drags
-
     def numbers(self, columns: int) -> Floats:
         """All of it in a row, with so many columns of the properties."""
         motion = self.particles.positions, self.particles.velocities, self.particles.velocity_gradients
-        return in_a_row(*motion, self.stress, self.properties[:, :columns], *self.others)
+        parts = vars(self) | {"properties": self.properties[:, :columns]}
+        return in_a_row(*motion, *(parts[name] for name in NUMBERS))
 
 
 def in_a_row(*parts: Floats) -> Floats:
@@ -185,30 +180,21 @@ def started(scene: Scene, base: Start | None = None) -> Start:
     """
     if base is None:
         particles, solids = initial_particles(scene), obstacles_in(scene)
-        return Start(
-            scene=scene,
-            particles=particles,
-            stress=initial_tractions(scene, particles)[0],
-            properties=properties_of(particles),
-            settings=np.array(settings_row(scene, particles)),
-            faces=solids.faces,
-            holds=solids.holds,
-            held=solids.windows[0].nodes(np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds))),
-            terrain=solids.frictions[0].ravel(),
-            drags=np.array(drags_of(scene)),
-        )
-    particles, properties = particles_with(scene, base)
-    stress, faces, holds, terrain = base.stress, base.faces, base.holds, base.terrain
-    if stress.any() or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
-        stress = initial_tractions(scene, particles)[0]
-    if len(faces) + len(terrain) and solids_with(scene) != solids_with(base.scene):
-        faces, holds, terrain = faces_and_holds(scene, base.held, holds)
-    if len(particles.positions) != len(base.particles.positions):
-        raise InputError("expected scenes with as many particles, a change of their number has no derivative")
-    if faces.shape != base.faces.shape or terrain.shape != base.terrain.shape:
-        raise InputError("expected solids with as many faces, a change of their number has no derivative")
-    return dataclasses.replace(
-        base,
+        stress, properties = initial_tractions(scene, particles)[0], properties_of(particles)
+        faces, holds, terrain = solids.faces, solids.holds, solids.frictions[0].ravel()
+        held = solids.windows[0].nodes(np.repeat(np.arange(len(solids.node_holds) - 1), np.diff(solids.node_holds)))
+    else:
+        particles, properties = particles_with(scene, base)
+        stress, faces, holds, terrain, held = base.stress, base.faces, base.holds, base.terrain, base.held
+        if stress.any() or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
+            stress = initial_tractions(scene, particles)[0]
+        if len(faces) + len(terrain) and solids_with(scene) != solids_with(base.scene):
+            faces, holds, terrain = faces_and_holds(scene, held, holds)
+        if len(particles.positions) != len(base.particles.positions):
+            raise InputError("expected scenes with as many particles, a change of their number has no derivative")
+        if faces.shape != base.faces.shape or terrain.shape != base.terrain.shape:
+            raise InputError("expected solids with as many faces, a change of their number has no derivative")
+    return Start(
         scene=scene,
         particles=particles,
         stress=stress,
@@ -216,9 +202,39 @@ def started(scene: Scene, base: Start | None = None) -> Start:
         settings=np.array(settings_row(scene, particles)),
         faces=faces,
         holds=holds,
+        held=held,
         terrain=terrain,
         drags=np.array(drags_of(scene)),
     )
+
+
+def solids_with(scene: Scene) -> tuple[Any, ...]:
+    """All that the faces and the holds of a scene follow from."""
+    return scene.domain, solids_of(scene), farthest(scene), roughest(scene)
+
+
+def faces_and_holds(scene: Scene, nodes: NDArray[np.int64], base: Floats) -> tuple[Floats, Floats, Floats]:
+    """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which those of `nodes` [K, D] are, and
+    the friction of its height field, [P].
+
+    A hold that the scene does not have has no share. What else the kernel needs of solids is not made.
+    """
+    surface, holds = contact_surface_of(scene), base.copy()
+    holds[:, 2] = 0.0
+    if surface is None:
+        return np.zeros((0, 0)), holds, np.zeros(0)
+    field = surface.field
+    terrain = np.zeros(0) if field is None else np.minimum(field.friction, roughest(scene)).ravel()
+    lines = face_lines(limited(surface.faces, roughest(scene)))
+    if not len(nodes):
+        return lines, holds, terrain
+    window, first, ours, _ = holds_at(scene, surface, np.unique(nodes, axis=0))
+    owners, count = np.repeat(np.arange(len(first) - 1), np.diff(first)), int(max(base[:, 0].max(), *ours[:, 0], 0)) + 1
+    rows = (window.numbers(nodes), base), (owners, ours)
+    keys, our_keys = (node * count + each[:, 0].astype(np.int64) for node, each in rows)
+    _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
+    holds[at] = ours[our_at]
+    return lines, holds, terrain
 
 
 def particles_with(scene: Scene, base: Start) -> tuple[Particles, Floats]:
@@ -265,10 +281,7 @@ def differences(function: Callable[[float], Any], at: float, name: str, step: fl
 def gradient(
     scene: Scene, objective: Objective, frames: Sequence[int] | None = None, **options: Any
 ) -> tuple[float, Gradient]:
-    """Value of an objective of a run, and its gradient.
-
-    frames: those that it sees, the last alone unless given; options: of `mpm.adjoint.tape.Tape`. Errors as `Tape`.
-    """
+    """Value and gradient of an objective that sees `frames`, the last unless given; options and errors are `Tape`'s."""
     tape = Tape([scene], [scene.frames - 1] if frames is None else frames, **options)
     value, positions, velocities = objective(tape.positions(), tape.velocities())
     ((slope,),) = pull_back_all(tape, [[FlowAdjoints(positions, velocities)]])
@@ -277,33 +290,30 @@ def gradient(
 
 def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[list[Gradient]]:
     """Vector-Jacobian products: the gradient of each objective and scene of the tape, from the bars of each flow."""
-    features = tape.features
-    found = []
-    for ours in tape.reverse(adjoints):
-        own = []
-        for index, scene in enumerate(tape.batch.scenes):
-            here, (faces, nodes) = tape.particles(index), tape.solids(index)
+    scenes = range(len(tape.batch.scenes))
+    return [[gradient_of(tape, index, bars) for index in scenes] for bars in tape.reverse(adjoints)]
 
-            def numbers(first: int, count: int, blocks: Any = ours["adjoints"], here: slice = here) -> Floats:
-                return tape.vectors(blocks, first, count)[here].astype(np.float64)
 
-            size = features.dimension
-            own.append(
-                Gradient(
-                    scene=scene,
-                    particles=tape.batch.particles[index],
-                    positions=numbers(0, size),
-                    velocities=numbers(features.state.velocity, size),
-                    velocity_gradients=numbers(features.state.affine, size * size).reshape(-1, size, size),
-                    stress=numbers(features.state.stress, features.stresses),
-                    properties=numbers(features.state.properties, features.columns),
-                    settings=ours["settings"][index].copy(),
-                    faces=ours["face_adjoints"][faces],
-                    cut=float(ours["cut"][index]),
-                    holds=ours["hold_adjoints"][nodes],
-                    terrain=ours["terrain_adjoints"][index, tape.posts(index)],
-                    drags=ours["drag_adjoints"][index, : len(drags_of(scene))],
-                )
-            )
-        found.append(own)
-    return found
+def gradient_of(tape: Tape, index: int, bars: dict[str, Any]) -> Gradient:
+    """The gradient of scene `index` from what `Tape.reverse` gives of an objective."""
+    scene, features, size = tape.batch.scenes[index], tape.features, tape.features.dimension
+    here, (faces, nodes) = tape.particles(index), tape.solids(index)
+
+    def numbers(first: int, count: int) -> Floats:
+        return tape.vectors(bars["adjoints"], first, count)[here].astype(np.float64)
+
+    return Gradient(
+        scene=scene,
+        particles=tape.batch.particles[index],
+        positions=numbers(0, size),
+        velocities=numbers(features.state.velocity, size),
+        velocity_gradients=numbers(features.state.affine, size * size).reshape(-1, size, size),
+        stress=numbers(features.state.stress, features.stresses),
+        properties=numbers(features.state.properties, features.columns),
+        settings=bars["settings"][index].copy(),
+        faces=bars["face_adjoints"][faces],
+        cut=float(bars["cut"][index]),
+        holds=bars["hold_adjoints"][nodes],
+        terrain=bars["terrain_adjoints"][index, tape.posts(index)],
+        drags=bars["drag_adjoints"][index, : len(drags_of(scene))],
+    )

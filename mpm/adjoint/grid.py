@@ -23,16 +23,18 @@ with -kappa and -v times that of the change.
 
 import taichi as ti
 
-from mpm.adjoint.boundary import before_friction, wall_reverse, with_friction_reverse
+from mpm.adjoint.boundary import wall_reverse, with_friction_reverse
 from mpm.adjoint.contact import solids_reverse
-from mpm.arrays.access import box_cells, columns_deep, zero_node
+from mpm.arrays.access import TINY, box_cells, columns_deep, zero_node
 from mpm.arrays.layout import Setting, Span, Worker
 from mpm.physics.barriers import apply_barriers
+from mpm.physics.boundary import apply_walls
 from mpm.physics.contact import apply_solids
-from mpm.physics.grid import SLOW, TINY, acceleration, damping_terms, node_of, own_node, owns, put_node, velocity_before
+from mpm.physics.grid import SLOW, acceleration, damping_terms, node_of, own_node, owns, put_node, velocity_before
 
-SUMS = 6
-"""Bars that nodes share: of the two components of gravity, floor and wall friction, damping and kappa."""
+SHARED = (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
+SUMS = len(SHARED) + 1
+"""Bars that nodes share: of these settings and of kappa."""
 
 
 @ti.func
@@ -50,10 +52,7 @@ def keep_nodes(worker, arrays: ti.template()):
 
 @ti.func
 def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
-    """Bar of a node (momentum, mass, force) from that of what it became; then the SUMS that it shares.
-
-    node: before its velocity was computed; index: i, j, k.
-    """
+    """Bar of node `index`, i, j, k, (momentum, mass, force) from that of what it became; then the SUMS it shares."""
     features = arrays.features
     dimension = ti.static(features.dimension)
     per_mass = 1.0 / node[dimension]
@@ -70,14 +69,14 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
     new_bar = ti.Vector([bar[axis] for axis in ti.static(range(dimension))]) + change_bar
     v_bar = (0.0 - kappa) * change_bar
     kappa_bar = 0.0 - v.dot(change_bar)
-    indices = ti.Vector([index[axis] for axis in ti.static(range(dimension))])
+    indices, cells = ti.Vector([index[axis] for axis in ti.static(range(dimension))]), box_cells(scene, arrays)
     v_star = v + dt * damped
     if ti.static(features.barriers):
         # Barriers take components away and damp: what they do to a velocity they do to its bar.
         new_bar = apply_barriers(new_bar, indices, scene, dt, arrays)
     mass_bar, side_bar = zero, zero
     if ti.static(features.contact or features.channel):
-        stopped = before_friction(v_star, indices, box_cells(scene, arrays), dimension, scene, arrays)
+        stopped = apply_walls(v_star, indices, cells, dimension, node[dimension], worker, scene, arrays)
         if ti.static(features.channel):
             braked = stopped
             if ti.static(features.contact):
@@ -89,7 +88,7 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
         if ti.static(features.contact):
             new_bar, solid_bar = solids_reverse(new_bar, stopped, node[dimension], indices, worker, scene, arrays)
             mass_bar = mass_bar + solid_bar
-    star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, indices, box_cells(scene, arrays), scene, arrays)
+    star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, indices, cells, scene, arrays)
     v_bar = v_bar + star_bar
     a_bar = dt * star_bar
     damping_bar, slow_bar = zero, zero
@@ -141,11 +140,8 @@ def update_grid_reverse(worker, scene, dt, kappa, arrays: ti.template()):
                     for number in ti.static(range(SUMS)):
                         total[number] += ti.cast(shared[number], ti.f64)
                     put_node(arrays.grid_adjoints, bar, column, j, worker, arrays)
-    columns = ti.static(
-        (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
-    )
-    for number in ti.static(range(SUMS - 1)):
-        arrays.sums[worker, ti.static(int(columns[number]))] += total[number]
+    for number in ti.static(range(len(SHARED))):
+        arrays.sums[worker, ti.static(int(SHARED[number]))] += total[number]
     add_kappa_bar(worker, dt, kappa, total[ti.static(SUMS - 1)], arrays)
 
 

@@ -40,12 +40,15 @@ class Pass(Enum):
 
 
 @ti.func
-def keep_state(worker, step, arrays: ti.template()):
-    """Keep the states of a worker's blocks as those before `step`."""
+def copy_state(worker, step, keep: ti.template(), arrays: ti.template()):
+    """Keep the states of a worker's blocks as those before `step`, or bring these back."""
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         at, own = state_before(step, block, arrays), block * arrays.features.state.size
         for k in range(arrays.layout.history):
-            arrays.history[at + k] = arrays.state[own + k]
+            if ti.static(keep):
+                arrays.history[at + k] = arrays.state[own + k]
+            else:
+                arrays.state[own + k] = arrays.history[at + k]
 
 
 @ti.func
@@ -56,20 +59,8 @@ def state_before(step, block, arrays: ti.template()):
 
 
 @ti.func
-def restore_state(worker, step, arrays: ti.template()):
-    """The states of a worker's blocks before `step`."""
-    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        at, own = state_before(step, block, arrays), block * arrays.features.state.size
-        for k in range(arrays.layout.history):
-            arrays.state[own + k] = arrays.history[at + k]
-
-
-@ti.func
 def replay(worker, first, last, arrays: ti.template()):
-    """Compute the frames [first, last) of a worker as `mpm.kernel.advance_worker` does, and keep every state.
-
-    It stops where a grid has no room for what is to come.
-    """
+    """Compute the frames [first, last) as `mpm.kernel.advance_worker`, keeping every state, while grids have room."""
     scene = arrays.workers[worker, Worker.SCENE]
     step, moved = 0, 0.0 * arrays.settings[scene, Setting.CELL] + OUTDATED
     for _frame in range(first, last):
@@ -78,7 +69,7 @@ def replay(worker, first, last, arrays: ti.template()):
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
         for _step in range(substeps):
-            keep_state(worker, step, arrays)
+            copy_state(worker, step, True, arrays)
             arrays.step_times[scene, step] = dt
             moved = advance(worker, scene, dt, kappa, moved, arrays)
             if moved < 0.0:
@@ -87,7 +78,7 @@ def replay(worker, first, last, arrays: ti.template()):
         synchronise(arrays)
         if moved < 0.0:
             break
-    keep_state(worker, step, arrays)
+    copy_state(worker, step, True, arrays)
     arrays.step_counts[scene] = step
 
 
@@ -99,12 +90,10 @@ def reverse(worker, arrays: ti.template()):
     """
     scene = arrays.workers[worker, Worker.SCENE]
     remaining = arrays.step_counts[scene]
-    room = True
     while remaining > 0:
         make_grid(worker, scene, remaining - 1, arrays)
         synchronise(arrays)
-        room = has_room(worker, arrays)
-        if not room:
+        if not has_room(worker, arrays):
             break
         remaining -= 1
         reverse_step(worker, scene, remaining, arrays)
@@ -115,7 +104,7 @@ def reverse(worker, arrays: ti.template()):
 @ti.func
 def make_grid(worker, scene, step, arrays: ti.template()):
     """The states of a worker before `step`, and what they give to its nodes, if it has room for them."""
-    restore_state(worker, step, arrays)
+    copy_state(worker, step, False, arrays)
     make_columns(worker, scene, arrays)
     if arrays.workers[worker, Worker.USED] <= arrays.workers[worker, Worker.ROOM]:
         clear(worker, arrays)

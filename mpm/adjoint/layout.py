@@ -11,6 +11,7 @@ from typing import ClassVar
 import taichi as ti
 
 from mpm.arrays.features import NODE, Addresses, Features
+from mpm.arrays.layout import Worker
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,14 @@ def add_property_bar(block, column: ti.template(), value, arrays: ti.template())
     at = block * arrays.layout.width + arrays.features.state.properties + ti.static(int(column))
     present = arrays.state[block * arrays.features.state.size + arrays.features.state.present]
     arrays.adjoints[at] = arrays.adjoints[at] + present * value
+
+
+@ti.func
+def impulse_bar(solid, worker, arrays: ti.template()):
+    """The bar of the impulse of a solid, shape [D]."""
+    features = arrays.features
+    first = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
+    return ti.Vector([arrays.impulse_adjoints[first + k] for k in ti.static(range(features.dimension))])
 
 
 @ti.func

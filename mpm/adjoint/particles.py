@@ -15,7 +15,7 @@ from mpm.adjoint.layout import add_bars, add_property_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
 from mpm.adjoint.transfer import affine_reverse, gather_moments, prepare_weights, transfer_reverse
-from mpm.arrays.access import lane_sum, no_overflow, vectors
+from mpm.arrays.access import dot, lane_sum, no_overflow, vectors
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import Offset, Property, Setting
 from mpm.physics.boundary import is_wall
@@ -54,9 +54,7 @@ def update_block_reverse(worker, table, scene, block, scratch, after, dt, kappa,
             moment = arrays.scratch[scratch + layout.scratch.sums + (1 + k) * NODE + size]
             arrays.scratch[scratch + features.scratch.density + 1 + k] = (4.0 * per_dx * per_dx) * moment
     stress_reverse(worker, table, scene, block, scratch, after, dt, arrays)
-    slope_bar, change_bar, affine_bar, kappa_bar, slow_bar = affine_reverse(
-        scene, block, scratch, per_dx, kappa, arrays
-    )
+    slope_bar, change_bar, affine_bar, kappa_bar, slow_bar = affine_reverse(scene, block, scratch, kappa, arrays)
     slow_total = lane_sum(arrays.state[first + features.state.present] * slow_bar, arrays)
     arrays.sums[worker, ti.static(int(Setting.SLOW_AFFINE))] += ti.cast(slow_total, ti.f64)
     for i in ti.static(range(size)):
@@ -147,12 +145,10 @@ def block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays: ti.t
     numbers = ti.static(((velocity, affine, stress), volume, density, pushed, grip))
     given = ti.static([Pullback(given_of, numbers, (dx, features))])[0]
     # Of what is given at the particle itself, then of its slopes per cell.
-    places = ti.static(
-        [(1 + k % size) * NODE + k // size + number for number in (0, features.node.force) for k in range(size * size)]
-    )
-    bars = vectors(arrays.scratch, sums, features.node.size) + [
-        per_dx * arrays.scratch[sums + n] for n in ti.static(places)
-    ]
+    shifts = ti.static((0, features.node.force))
+    places = ti.static([shift + (1 + k % size) * NODE + k // size for shift in shifts for k in range(size * size)])
+    slopes = [per_dx * arrays.scratch[sums + n] for n in ti.static(places)]
+    bars = vectors(arrays.scratch, sums, features.node.size) + slopes
     carried_bar, volume_bar, density_bar, pushed_bar, grip_bar = ti.static(given(bars))
     for k in ti.static(range(size)):
         moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.scratch.forces + k]
@@ -173,11 +169,8 @@ def block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays: ti.t
     add_property_bar(block, Property.DENSITY, density_bar, arrays)
     if ti.static(features.contact):
         push_reverse(worker, block, scratch, stress, pushed_bar, volume, dt, arrays)
-    bounded = 0.0 * present
-    for k in ti.static(range(size)):
-        v_bar = arrays.adjoints[own + features.state.velocity + k]
-        bounded = bounded + v_bar * v_bar
-    within = bounded <= arrays.cuts[scene, 0]
+    v_bar = vectors(arrays.adjoints, own + features.state.velocity, size)
+    within = dot(v_bar, v_bar) <= arrays.cuts[scene, 0]
     cut = lane_sum(ti.select(within, 0.0 * present, present), arrays)
     if cut > 0.0:
         arrays.cuts[scene, 1] += ti.cast(cut, float)

@@ -129,10 +129,7 @@ def flat(values: Any) -> list[Any]:
 
 
 class Pullback:
-    """A function at its arguments, which are expressions of Taichi nested in lists, and its reverse.
-
-    constants: arguments that follow them and have no bars.
-    """
+    """A function at arguments, expressions of Taichi nested in lists, and constants without bars, and its reverse."""
 
     _data_oriented = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""

@@ -22,11 +22,10 @@ from mpm.adjoint.contact import grid_motion, jump_reverse, slip_reverse, touched
 from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.pullback import Pullback, traceable
 from mpm.adjoint.transfer import gather_moments
-from mpm.arrays.access import lane_sum, magnitude, maximum, minimum, no_overflow, vectors
+from mpm.arrays.access import TINY, lane_sum, magnitude, maximum, minimum, no_overflow, vectors
 from mpm.arrays.layout import Offset, Property, Setting, component
 from mpm.physics.contact import contact_of, jump_at_contact, with_jump
 from mpm.physics.particles import law_values, strengths_of
-from mpm.physics.principal import TINY
 from mpm.physics.stress import equivalent_strain, midpoint_increment, strain_between, trial_stress, with_cracks
 from mpm.physics.transfer import property_of
 from mpm.physics.volume_correction import LEAST, grid_gap, updated_gap
@@ -44,7 +43,7 @@ def trial_of(strained, moduli, opening, limits, box, dt, features):
     opened = None
     if features.volume_correction:
         gap, rate, mass, x, density = opening
-        around = grid_gap(mass, x, strained[3], density, *box, features)
+        around = grid_gap(mass, x, strained[3], density, box, features)
         opened = updated_gap(gap[0], limits[0], moduli[0] + moduli[1] * (2.0 / 3.0), rate, around)
     cracked = with_cracks(strained[0], opened, limits, *moduli, features)
     return trial_stress(cracked, increment_of(strained, dt, features), *moduli, features.dimension)
@@ -86,15 +85,15 @@ def stress_reverse(worker, table, scene, block, scratch, after, dt, arrays: ti.t
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     affine = vectors(arrays.history, after + features.state.affine, size * size)
     contact = contact_of(block, arrays)
-    touching, zero = 0, 0.0 * stress[0]
+    touching, zero = False, 0.0 * stress[0]
     jump, slip_shear_bar, modulus, modulus_bar = zero, zero, lame + 2.0 * shear, zero
     if ti.static(features.contact):
         touching = touched(block, after, scene, arrays)
         for k in ti.static(range(size)):
             arrays.scratch[scratch + layout.scratch.foot + k] = zero
-        if touching == 1:
+        if touching:
             gather_moments(table, scene, block, scratch, arrays)
-            jump = jump_at_contact((grid_motion(scratch, arrays), affine), contact, stress, modulus, dt, size)
+            jump = jump_at_contact((grid_motion(scratch, arrays), affine, contact), stress, modulus, dt, size)
             slip_shear_bar = slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays)
     gap = [arrays.state[first + features.state.gap] for _ in ti.static(range(corrected))]
     around = vectors(arrays.scratch, scratch + features.scratch.density, corrected * (1 + size))
@@ -131,7 +130,7 @@ def stress_reverse(worker, table, scene, block, scratch, after, dt, arrays: ti.t
     if ti.static(features.contact):
         add_bars(contact_bar(block, 0, arrays), contacts_bar, arrays)
         add_bars(contact_bar(block, 0, arrays), touched_bar, arrays)
-        if touching == 1:
+        if touching:
             moved = affine, contact, stress
             modulus_bar = jump_reverse(block, scratch, moved, modulus, dt, jump_bar + jumped_bar, arrays)
     if ti.static(features.volume_correction):
@@ -219,9 +218,8 @@ def plastic_return_reverse(
         a_bar = ti.select(above, g[1], g[0])
         z_bar = ti.select(above, g[0], ti.select(below, g[2], g[1]))
         b_bar = ti.select(below, g[1], g[2])
-        free = features.law.elastic_at(s, strengths, features) | (
-            above & features.law.fell_alike(s, t, strengths, lame, shear, features)
-        )
+        alike = above & features.law.fell_alike(s, t, strengths, lame, shear, features)
+        free = features.law.elastic_at(s, strengths, features) | alike
         apart, turned_bar = a_bar - b_bar, theta(top - bottom, a - b, free) * turning
         half_bar, middle = cosine * apart - sine * turned_bar, 0.5 * (a_bar + b_bar)
         trial_bar = [middle + 0.5 * half_bar, middle - 0.5 * half_bar, z_bar, sine * apart + cosine * turned_bar]

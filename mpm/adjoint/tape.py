@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import InputError, WorkFailed, require
 from datasets.scene import Scene
 from datasets.scene.particles import Particles
 from mpm import runtime
@@ -138,19 +138,16 @@ class Tape:
         self.bar_bytes = outputs * self.layout.width * vector
         """Of the bars of particles."""
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
-        self.boundaries = self.plan(usual, SPARE * usual)
-        self.run()
+        self.run(usual, SPARE * usual)
         opened = {frame for frame in self.batch.retained[:, Retained.OPENED].tolist() if 0 < frame < self.frames[-1]}
         if missing := opened - set(self.boundaries):
             # Barriers are open or closed over a whole segment.
             self.released = missing
-            self.boundaries = self.plan(usual, SPARE * usual)
-            self.run()
+            self.run(usual, SPARE * usual)
         if self.bytes() > memory_mib * 2**20:
             # More steps than planned for: now their number is known.
             most = float(np.max(self.steps / np.diff(self.boundaries)[:, None]))
-            self.boundaries = self.plan(most, most)
-            self.run()
+            self.run(most, most)
 
     @property
     def fixed_bytes(self) -> int:
@@ -166,13 +163,9 @@ class Tape:
             steps = math.ceil(length * most + 1) * self.step_bytes
             if (whole := (len(boundaries) - 1) * self.state_bytes + steps) < smallest:
                 best, smallest = boundaries, whole
-        if smallest > budget:
-            raise InputError(
-                f"expected memory for the adjoint of at least {(smallest + self.fixed_bytes) / 2**20:.1f} MiB, "
-                f"got {self.memory_mib:g} MiB: {last} frames of {usual:.0f} steps, {self.state_bytes / 2**20:.2g} MiB "
-                "a state",
-                key="memory_mib",
-            )
+        needed = f"memory for the adjoint of at least {(smallest + self.fixed_bytes) / 2**20:.1f} MiB"
+        states = f"{last} frames of {usual:.0f} steps, {self.state_bytes / 2**20:.2g} MiB a state"
+        require(smallest <= budget, "memory_mib", needed, f"{self.memory_mib:g} MiB: {states}")
         return best
 
     def bytes(self) -> int:
@@ -188,8 +181,9 @@ class Tape:
         """Go back to a state."""
         self.batch.state[:, self.changing] = checkpoint
 
-    def run(self) -> None:
-        """Forwards, by the solver's kernel."""
+    def run(self, usual: float, most: float) -> None:
+        """Forwards, by the solver's kernel, in the segments of a `plan`."""
+        self.boundaries = self.plan(usual, most)
         self.restore(self.start)
         self.batch.impulse[:], self.batch.recorded_impulse[:] = 0.0, 0.0
         self.batch.retained[:], self.batch.settling[:] = self.barriers

@@ -45,8 +45,7 @@ def prepare_weights(scene, block, scratch, arrays: ti.template()):
 
 @ti.func
 def transfer_reverse(table, scene, block, scratch, scatters: ti.template(), arrays: ti.template()):
-    """The reverse of one transfer, between a block and its nodes, in the columns from `table` on; leaves
-    the `weight_forces`.
+    """The reverse of one transfer, between a block and its nodes in the columns from `table` on, and `weight_forces`.
 
     scatters: add the values and slopes that the block has left in `scratch` to the bars of the nodes, and leave the sum
     of w_ip n_i of what lies at the nodes. Else leave Z, Y_j of each particle from the bars of the nodes.
@@ -145,7 +144,7 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
 
 
 @ti.func
-def affine_reverse(scene, block, scratch, per_dx, kappa, arrays: ti.template()):
+def affine_reverse(scene, block, scratch, kappa, arrays: ti.template()):
     """Bars of the D x D slopes of the grid's velocity u and of its change, of C before the step, of kappa and of C_s^2.
 
     From that of C after it. Only where a loose particle is held back, C is not the slope of u alone.
@@ -156,6 +155,7 @@ def affine_reverse(scene, block, scratch, per_dx, kappa, arrays: ti.template()):
     bar = vectors(arrays.adjoints, own + features.state.affine, size * size)
     if ti.static(features.volume_correction):
         at = [scratch + layout.scratch.sums + (1 + k % size) * NODE + k // size for k in ti.static(range(size * size))]
+        per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
         slopes = [(4.0 * per_dx * per_dx) * arrays.scratch[n] for n in ti.static(at)]
         changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.node.change] for n in ti.static(at)]
         affine = vectors(arrays.state, first + features.state.affine, size * size)

@@ -15,6 +15,9 @@ import taichi as ti
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset
 
+TINY = 1.0e-30
+"""Keeps a quotient finite where its denominator is zero and its numerator is smaller still."""
+
 
 @ti.func
 def maximum(a, b):
@@ -41,14 +44,17 @@ def magnitude(a):
 
 
 @ti.func
-def over_lanes(operation: ti.template(), a: ti.template(), arrays: ti.template()):
-    """What an operation of two, `minimum` or `maximum`, makes of all lanes."""
-    return over_range(operation, a, arrays.features.lanes)
+def dot(a: ti.template(), b: ti.template()):
+    """The product of two vectors that are lists of their components, lane by lane."""
+    value = a[0] * b[0]
+    for k in ti.static(range(1, len(a))):
+        value = value + a[k] * b[k]
+    return value
 
 
 @ti.func
-def over_range(operation: ti.template(), a: ti.template(), count: ti.template()):
-    """What it makes of `count` lanes, a power of two: of one half with the other, until one is left."""
+def over_lanes(operation: ti.template(), a: ti.template(), count: ti.template()):
+    """What `minimum` or `maximum` makes of `count` lanes, a power of two: one half with the other until one is left."""
     if ti.static(count == 1):
         return a
     elif ti.static(count == 2):
@@ -57,7 +63,7 @@ def over_range(operation: ti.template(), a: ti.template(), count: ti.template())
         half = ti.static(count // 2)
         low = ti.Vector([a[lane] for lane in ti.static(range(half))])
         high = ti.Vector([a[lane] for lane in ti.static(range(half, count))])
-        return over_range(operation, operation(low, high), half)
+        return over_lanes(operation, operation(low, high), half)
 
 
 @ti.func

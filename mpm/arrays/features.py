@@ -69,10 +69,7 @@ class Processor:
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """What the scenes of a batch need; nothing else is in their kernels.
-
-    `state`, `face`, `node` and `scratch` are addresses of numbers, in the order of memory.
-    """
+    """What the scenes of a batch need; `state`, `face`, `node` and `scratch` are addresses of numbers in memory."""
 
     dimension: int
     precision: Precision
@@ -189,11 +186,9 @@ class Features:
     @cached_property
     def node(self) -> Addresses:
         """Numbers of a node, of which there are NODE; the others stay zero."""
-        size = self.dimension
-        found = Addresses(momentum=size, mass=1, force=size, side_friction=int(self.channel))
+        size, braked = self.dimension, int(self.channel)
         # The change of a node's velocity stands in place of its force, which is done with.
-        vars(found).update(change=found.force)
-        return found
+        return Addresses(momentum=size, mass=1, change=0, force=size, side_friction=braked)
 
     @cached_property
     def scratch(self) -> Addresses:

@@ -23,8 +23,6 @@ CACHE_LINE = 64
 """Bytes."""
 ALIGNMENT = 128
 """Bytes: loads of a whole vector of lanes fail on less."""
-
-
 GROWTH = 1.5
 """Nodes for which a worker that has too few gets room, over those it needs."""
 
@@ -59,10 +57,7 @@ class Setting(Column):
 
 
 class Property(Column):
-    """First columns of `properties`, real, shape [scenes, columns]; of each particle where scenes are heterogeneous.
-
-    Those of the material's law follow (`mpm.laws`).
-    """
+    """First columns of `properties`, real, shape [scenes, columns], or of each particle; those of its law follow."""
 
     VOLUME = auto()  # initial [m^D]
     DENSITY = auto()  # [kg/m^3]

@@ -1,4 +1,12 @@
-"""The lines that describe scenes and particles to the kernels: settings, material properties, and steps in a frame."""
+"""The lines that describe scenes and particles to the kernels: settings, material properties, and steps in a frame.
+
+The elastic waves of the stiffest material set the time step, or the speed of the flow:
+
+    dt = min( f dx / c,  s dx / (c + v) ),    f: `step_fraction`,  s: `STABILITY`
+
+with the wave speed c and the largest speed v of a particle at the start of a frame. The flow takes over where it is
+faster than (s / f - 1) c, 1.5 c as it comes: a stiffer material then shortens the step by less than it would elsewhere.
+"""
 
 import math
 from collections.abc import Sequence
@@ -27,8 +35,8 @@ GAP_CUTOFF = 1.7
 """Cells from a wall or a solid within which it hides mass from a particle."""
 CONTACT_WIDTH = 1.0
 """Width h of the contact with solids [cells] (`mpm.physics.contact`)."""
-
-
+STABILITY = 1.0
+"""Largest (wave speed + particle speed) dt / dx. Measured clean up to 1.1 in 2D and 1.2 in 3D."""
 DRY_GRIP = 2.0
 """Coulomb coefficient beyond which no dry sand can tell a surface's friction."""
 
@@ -53,10 +61,7 @@ def search_distance(scene: Scene) -> float:
 
 
 def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
-    """Steps in a frame: the fewest whose dt is at most `step_fraction` * cell / (fastest wave speed).
-
-    The kernel takes more in a frame whose particles move so fast that (wave speed + speed) dt would leave the cell.
-    """
+    """Steps in a frame: the fewest whose dt is at most `step_fraction` * cell / (fastest wave speed)."""
     fastest = max(material.wave_speed for material in materials)
     return math.ceil(scene.frame_dt * fastest / (scene.step_fraction * scene.domain.cell))
 
@@ -102,10 +107,7 @@ def in_precision(
 
 
 def properties_row(material: Material, volume: float) -> Array:
-    """One line of `properties`; `volume` of a particle [m^D].
-
-    Of a material whose strength grows with depth, that at its top.
-    """
+    """One line of `properties`, where strength grows with depth that of the top; `volume` of a particle [m^D]."""
     return np.asarray(properties_at(material, np.zeros(1), volume=volume)[0])
 
 

@@ -23,6 +23,11 @@ Range = NDArray[np.int32]
 def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:
     """Axis across which it stands, and nodes that it holds, of a barrier at each lateral face of `mass` in the box."""
     found = []
+    lowest = [floor_node(scene, length) - BEYOND for length in mass.lower]
+    highest = [ceiling_node(scene, a + b) + BEYOND + 1 for a, b in zip(mass.lower, mass.size, strict=True)]
+    if mass.lower[1] > TOLERANCE:
+        # What lies below is another mass's: its barriers are its own.
+        lowest[1] = ceiling_node(scene, mass.lower[1])
     for axis in (0, 2)[: scene.dimension - 1]:
         low, high = mass.lower[axis], mass.lower[axis] + mass.size[axis]
         first, last = floor_node(scene, low), ceiling_node(scene, high)
@@ -30,20 +35,10 @@ def barriers(scene: Scene, mass: Mass) -> list[tuple[int, Range]]:
         high_side = high < scene.domain.size[axis] - TOLERANCE, (last, last + BEYOND + 1)
         for stands, rows in (low_side, high_side):
             if stands:
-                nodes = nodes_around(scene, mass)
+                nodes = np.array([lowest, highest], np.int32)
                 nodes[:, axis] = rows
                 found.append((axis, nodes))
     return found
-
-
-def nodes_around(scene: Scene, mass: Mass) -> Range:
-    """The nodes in the box of `mass` and up to BEYOND cells around it; below it only where it stands on the floor."""
-    low = [floor_node(scene, length) - BEYOND for length in mass.lower]
-    high = [ceiling_node(scene, a + b) + BEYOND + 1 for a, b in zip(mass.lower, mass.size, strict=True)]
-    if mass.lower[1] > TOLERANCE:
-        # What lies below is another mass's: its barriers are its own.
-        low[1] = ceiling_node(scene, mass.lower[1])
-    return np.array([low, high], np.int32)
 
 
 def floor_node(scene: Scene, length: float) -> int:

@@ -174,17 +174,7 @@ class Equilibrium:
         return bool(new.any() or back.any())
 
     def warn(self, stress: Floats) -> None:
-        """Say how much of the weight a solution leaves unbalanced, where that is more than single particles."""
-        missing = self.missing(stress)
-        if missing > UNBALANCED:
-            warnings.warn(
-                f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
-                "unbalanced at the start",
-                stacklevel=6,
-            )
-
-    def missing(self, stress: Floats) -> float:
-        """Unbalanced nodal forces over the weight [-], and what no wall takes: pull, shear beyond friction."""
+        """Say how much of the weight is unbalanced: forces, what no wall takes, pull and shear beyond friction."""
         force = self.unbalanced(stress, self.contact.traction)
         held = (self.walls != 0) | self.behind_barriers | self.rough[:, None]
         loose = np.abs(force[self.free]).sum()
@@ -199,7 +189,13 @@ class Equilibrium:
         across = (borne * self.contact.normals).sum(axis=1)
         along = np.linalg.norm(borne - across[:, None] * self.contact.normals, axis=1)
         slides = max(float(along.sum() - self.contact.frictions @ np.maximum(-across, 0.0)), 0.0)
-        return float(loose + pulled + slips + slides) / self.weight
+        missing = float(loose + pulled + slips + slides) / self.weight
+        if missing > UNBALANCED:
+            warnings.warn(
+                f"no initial stress within the yield surface balances gravity: {missing:.2g} of the weight is "
+                "unbalanced at the start",
+                stacklevel=6,
+            )
 
     def unbalanced(self, stress: Floats, tractions: Floats) -> Floats:
         """r_i = m_i g + f_i(stress, shear tractions) [N], shape [n, D]."""
@@ -230,10 +226,7 @@ class Equilibrium:
         return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
-        """`stress` without tension beyond the limit, then scaled towards its mean until its law admits it.
-
-        Where that was needed, by a factor `inside` further.
-        """
+        """`stress` without tension beyond the limit, then scaled to its mean, to `inside` of yield where beyond it."""
         beyond = np.linalg.eigvalsh(stress)[:, 2] > self.limit
         principal, axes = np.linalg.eigh(stress[beyond])
         stress = stress.copy()
@@ -259,29 +252,21 @@ class Equilibrium:
         used = np.flatnonzero(np.diff(parts[0].indptr))
         parts = [part[used] for part in parts]
         lame, shear = (sparse.diags_array((stiff * value)[used]) for value in (self.lame, self.shear))
-        first = [[(parts[i].T @ (lame @ parts[j])).tocsr() for j in range(dimension)] for i in range(dimension)]
-        second = [[(parts[i].T @ (shear @ parts[j])).tocsr() for j in range(dimension)] for i in range(dimension)]
-        trace = sum(second[axis][axis] for axis in range(dimension))
-        block = sparse.block_array(
-            [
-                [first[i][j] + second[j][i] + (trace if i == j else 0.0 * trace) for j in range(dimension)]
-                for i in range(dimension)
-            ]
-        ).tocsr()
-        block = block + self.contact.block(*contact, self.direct)
+        axes = range(dimension)
+        first = [[(parts[i].T @ (lame @ parts[j])).tocsr() for j in axes] for i in axes]
+        second = [[(parts[i].T @ (shear @ parts[j])).tocsr() for j in axes] for i in axes]
+        trace = sum(second[axis][axis] for axis in axes)
+        rows = [[first[i][j] + second[j][i] + (trace if i == j else 0.0 * trace) for j in axes] for i in axes]
+        block = sparse.block_array(rows).tocsr() + self.contact.block(*contact, self.direct)
         block = block + sparse.diags_array(np.tile(self.inertia[self.direct, 0], dimension))
         # Components of a node side by side: the factorisation then orders nodes, not components.
-        order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()
         free = self.free[self.direct].ravel()
-        order = order[free]
+        order = np.arange(dimension * len(self.direct)).reshape(dimension, -1).T.ravel()[free]
         scale = np.sqrt(inverse[self.direct].ravel()[free])
         scaled = sparse.diags_array(scale) @ block[order][:, order] @ sparse.diags_array(scale)
-        factors = splu(
-            (scaled + SHIFT * sparse.eye_array(len(order))).tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        matrix = (scaled + SHIFT * sparse.eye_array(len(order))).tocsc()
+        symmetric = {"SymmetricMode": True}
+        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
 
         def precondition(force: Floats) -> Floats:
             result = inverse * force

@@ -73,9 +73,7 @@ class ContactOperator:
         """Of the solids that hold nodes, shapes [n, D] and [n]; `fixed_components` finds them."""
 
     def gradient(self, displacements: Floats) -> Floats:
-        """What contact adds to the displacement gradient of the touching particles [-], shape [M, 3, 3], by nodal
-        displacements [m], shape [n, D].
-        """
+        """What contact adds to the displacement gradient [-], [M, 3, 3], by nodal displacements [m], shape [n, D]."""
         strain = self.delta * (self.normal * (self.foot @ displacements)).sum(axis=1)
         space = np.pad(self.normal, ((0, 0), (0, 3 - self.normal.shape[1])))
         return np.asarray(strain[:, None, None] * space[:, :, None] * space[:, None, :])

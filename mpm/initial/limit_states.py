@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.scene import Scene
-from datasets.scene.particles import Particles
 from mpm.initial.equilibrium import BALANCED, Equilibrium, conjugate_gradients
 from mpm.initial.grid_operators import clings
 
@@ -85,48 +84,38 @@ class WithThrust:
             stress = stress + np.tensordot(factors, self.modes, 1)
         return np.asarray(stress)
 
+    def sought(self, start: Floats) -> Floats:
+        """The best stress of E that is admitted, [N, 3, 3], sought from `start`; walls may pull."""
+        problem = self.problem
+        best, smallest, patience, moving = start, np.inf, PATIENCE, start
+        for step in range(ITERATIONS):
+            stress = self.nearest(moving)
+            if step % BETWEEN == 0:
+                admitted = problem.admitted(stress)
+                force = np.where(problem.free, problem.unbalanced(admitted, problem.contact.traction), 0.0)
+                off = np.abs(self.sums(admitted) / self.thrusts - 1.0).max(initial=0.0)
+                left = float(np.abs(force).sum()) / problem.weight + float(off)
+                patience = PATIENCE if left < 0.9 * smallest else patience - 1
+                if left < smallest:
+                    best, smallest = admitted, left
+                if smallest <= BALANCED or patience == 0:
+                    break
+            principal, axes = np.linalg.eigh(2.0 * stress - moving)
+            projected = np.einsum("nik,nk,njk->nij", axes, problem.law.nearest(principal, problem.properties), axes)
+            moving = moving + RELAXED * (projected - stress)
+        return best
 
-def with_thrusts(
-    problem: Equilibrium, scene: Scene, particles: Particles, start: Floats, guess: Floats, chosen: NDArray[np.int64]
-) -> Floats:
-    """The stress of `chosen` particles, [N, 3, 3], in equilibrium with the thrusts of `guess`, sought from `start`.
+
+def with_thrusts(problem: Equilibrium, scene: Scene, mass: NDArray[np.int32], start: Floats, guess: Floats) -> Floats:
+    """The stress of the chosen particles, [N, 3, 3], in equilibrium with the thrusts of `guess`, sought from `start`.
 
     The best admitted one where there is none within ITERATIONS. Changes the stiffness of `problem`, and frees the nodes
-    that walls would have to pull.
+    that walls would have to pull. mass: as of `WithThrust`.
     """
     for _ in range(RELEASES):
-        found = sought_with_thrusts(problem, scene, particles, start, guess, chosen)
+        found = WithThrust(problem, scene, mass, guess).sought(start)
         pulled = problem.pulled(problem.unbalanced(found, problem.contact.traction))
         if not pulled.any():
             break
         start, problem.free = found, problem.free | pulled
     return found
-
-
-def sought_with_thrusts(
-    problem: Equilibrium, scene: Scene, particles: Particles, start: Floats, guess: Floats, chosen: NDArray[np.int64]
-) -> Floats:
-    """`with_thrusts` where walls may pull."""
-    balanced = WithThrust(problem, scene, particles.mass[chosen], guess)
-    best, smallest, patience, moving = start, np.inf, PATIENCE, start
-    for step in range(ITERATIONS):
-        stress = balanced.nearest(moving)
-        if step % BETWEEN == 0:
-            admitted = problem.admitted(stress)
-            force = np.where(problem.free, problem.unbalanced(admitted, problem.contact.traction), 0.0)
-            off = np.abs(balanced.sums(admitted) / balanced.thrusts - 1.0).max(initial=0.0)
-            left = float(np.abs(force).sum()) / problem.weight + float(off)
-            patience = PATIENCE if left < 0.9 * smallest else patience - 1
-            if left < smallest:
-                best, smallest = admitted, left
-            if smallest <= BALANCED or patience == 0:
-                break
-        moving = moving + RELAXED * (nearest_admissible(problem, 2.0 * stress - moving) - stress)
-    return best
-
-
-def nearest_admissible(problem: Equilibrium, stress: Floats) -> Floats:
-    """P_Y(stress), [N, 3, 3]."""
-    principal, axes = np.linalg.eigh(stress)
-    changed = problem.law.nearest(principal, problem.properties)
-    return np.asarray(np.einsum("nik,nk,njk->nij", axes, changed, axes))

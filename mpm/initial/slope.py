@@ -168,14 +168,16 @@ def slope_stress(scene: Scene, particles: Particles, positions: Floats) -> tuple
         level_x = np.broadcast_to(np.eye(scene.dimension)[0], along.shape).copy()
         downhill = np.divide(along, steep[:, None], out=level_x, where=steep[:, None] > 1.0e-9)
         material, up = scene.material_of(mass), normal[:, 1]
-        sine = math.sin(math.radians(material.phi_deg))
         weight = material.density * np.abs(across)
         load = np.abs(across) * mass_above(scene, mass, positions[own])
         foot = np.maximum(weight * height(scene, mass) * up + load, 1.0e-9)
         strength = material.friction + material.cohesion / foot
         ratio = np.minimum(np.minimum(steep / np.abs(across), friction), strength)
         across_stress = -weight * depth_below_top(scene, mass, positions[own], particles.depth[own]) * up - load
-        level = lateral_ratio(material.poisson, sine, ratio) * across_stress
+        square = (math.sin(math.radians(material.phi_deg)) * (1.0 - MARGIN)) ** 2
+        half = 2.0 * np.sqrt(np.maximum(square - (1.0 - square) * ratio**2, 0.0))
+        least, most = ((1.0 + square + sign * half) / (1.0 - square) for sign in (-1.0, 1.0))
+        level = np.clip(material.poisson / (1.0 - material.poisson), least, most) * across_stress
         shear = -ratio * across_stress
         third = material.poisson * (across_stress + level)
         n, e = (np.pad(each, ((0, 0), (0, 3 - scene.dimension))) for each in (normal, downhill))
@@ -201,25 +203,12 @@ def mass_above(scene: Scene, mass: Mass, positions: Floats) -> Floats:
 
 def ground_beneath(scene: Scene, mass: Mass, positions: Floats) -> tuple[Floats, Floats]:
     """Unit normal of the ground, [N, D], over a cell, and its Coulomb coefficient, [N], beneath `positions` [m]."""
-    level, floor = plan_axes(scene.dimension), coefficient(scene.floor_friction)
-    plan, half = positions[:, level], 0.5 * scene.domain.cell
-    base = foundation(scene, mass)
-    if base is not None:
-        return np.tile(np.eye(scene.dimension)[1], (len(plan), 1)), level_ground(scene, plan, base.lower[1])[1]
-    _, friction, top = highest(scene.solids, scene.domain, plan, floor)
-    stuck = np.array([*(solid.contact == "no-slip" for solid in scene.solids), False])[top]
-    normal = np.zeros(positions.shape)
-    normal[:, 1] = 1.0
-    for column, axis in enumerate(level):
+    level, half, base = plan_axes(scene.dimension), 0.5 * scene.domain.cell, foundation(scene, mass)
+    plan = positions[:, level]
+    friction = level_ground(scene, plan, -math.inf if base is None else base.lower[1])[1]
+    normal = np.tile(np.eye(scene.dimension)[1], (len(plan), 1))
+    for column, axis in enumerate(level if base is None else []):
         step = half * np.eye(len(level))[column]
-        ends = [highest(scene.solids, scene.domain, plan + side * step, floor)[0] for side in (-1.0, 1.0)]
+        ends = [highest(scene.solids, scene.domain, plan + side * step, 0.0)[0] for side in (-1.0, 1.0)]
         normal[:, axis] = (ends[0] - ends[1]) / (2.0 * half)
-    return normal / np.linalg.norm(normal, axis=1)[:, None], np.where(stuck, np.inf, friction)
-
-
-def lateral_ratio(poisson: float, sine: float, ratio: Floats) -> Floats:
-    """K = sigma_t / sigma_n [-] beside shear of tau / |sigma_n| = `ratio`, [N]."""
-    square = (sine * (1.0 - MARGIN)) ** 2
-    half = 2.0 * np.sqrt(np.maximum(square - (1.0 - square) * ratio**2, 0.0))
-    low, high = ((1.0 + square + sign * half) / (1.0 - square) for sign in (-1.0, 1.0))
-    return np.asarray(np.clip(poisson / (1.0 - poisson), low, high))
+    return normal / np.linalg.norm(normal, axis=1)[:, None], friction

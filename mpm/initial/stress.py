@@ -31,13 +31,14 @@ have them do.
 LU of the block of the nodes that few particles support (surfaces and edges); in 2D of all nodes. Everything is in f64.
 """
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import Scene
+from datasets.scene import TOLERANCE, Mass, Scene, keyed
 from datasets.scene.particles import Particles
 from mpm.initial.equilibrium import Equilibrium
-from mpm.initial.geostatic import geostatic, lateral_shortfall, warn_of_ratio
 from mpm.initial.grid_operators import clings
 from mpm.initial.limit_states import FEW_NODES, with_thrusts
 from mpm.initial.slope import slope_stress
@@ -45,7 +46,7 @@ from mpm.initial.slope import slope_stress
 Floats = NDArray[np.float64]
 
 NEAR = 0.01
-"""Share of a box's thrust that an elastic solution may miss."""
+"""Share of a box's thrust that an elastic solution may miss, and any solution without a word."""
 
 
 def initial_tractions(scene: Scene, particles: Particles, positions: Floats | None = None) -> tuple[Floats, Floats]:
@@ -70,10 +71,72 @@ def initial_tractions(scene: Scene, particles: Particles, positions: Floats | No
             alone = False
         lacking = lateral_shortfall(scene, particles, guess, stress)
         if any(boxes) and (alone or np.abs(lacking).max() > NEAR):
-            stress[chosen] = with_thrusts(problem, scene, particles, stress[chosen], guess[chosen], numbers)
+            stress[chosen] = with_thrusts(problem, scene, particles.mass[chosen], stress[chosen], guess[chosen])
             lacking = lateral_shortfall(scene, particles, guess, stress)
         problem.warn(stress[chosen])
         warn_of_ratio(scene, particles, lacking)
         shear[numbers[problem.contact.touching]] = problem.contact.traction
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)][: 4 if dimension == 2 else 6]
     return np.stack([stress[:, i, j] for i, j in pairs], axis=1), shear
+
+
+def geostatic(scene: Scene, particles: Particles, positions: Floats) -> Floats:
+    """sigma_v = -overburden and sigma_h = K0 sigma_v of the masses with a number for `k0` [Pa], shape [N, 3, 3]."""
+    stress = np.zeros((len(positions), 3, 3))
+    for number, mass in enumerate(scene.masses):
+        if mass.k0 is None or isinstance(mass.k0, str):
+            continue
+        selected = particles.mass == number
+        vertical = -overburden(scene, mass, positions[selected], particles.depth[selected])
+        stress[selected] = vertical[:, None, None] * np.diag([mass.k0, 1.0, mass.k0])
+    return stress
+
+
+def lateral_shortfall(scene: Scene, particles: Particles, guess: Floats, stress: Floats) -> Floats:
+    """Which share of the level stresses of `guess` is missing in `stress` on average over a mass [-], [N, 3, 3].
+
+    Of boxes with a number for `k0`, between smooth walls: this mean is the thrust through each section of a box,
+    whatever the jitter does to single particles (virtual work of a uniform strain). 0 elsewhere.
+    """
+    lacking = np.zeros_like(stress)
+    for number, mass in enumerate(scene.masses):
+        if mass.k0 is None or clings(mass):
+            continue
+        own = particles.mass == number
+        for axis in (0, 2)[: scene.dimension - 1]:
+            required, found = (float(particles.volume[own] @ each[own, axis, axis]) for each in (guess, stress))
+            lacking[own, axis, axis] = 1.0 - found / required if required < 0.0 else 0.0
+    return lacking
+
+
+def warn_of_ratio(scene: Scene, particles: Particles, lacking: Floats) -> None:
+    """One UserWarning for each box whose thrust is not that of its `k0`."""
+    for number, (key, mass) in enumerate(keyed(scene, "masses").items()):
+        share = float(np.abs(lacking[particles.mass == number]).max(initial=0.0))
+        if share > NEAR:
+            warnings.warn(
+                f"no initial stress within the yield surface has the ratio {key}.k0 = {mass.k0:g} on this grid: "
+                f"the thrust is {100.0 * share:.2g} % off",
+                stacklevel=5,
+            )
+
+
+def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Floats:
+    """Weight per area of what lies above `positions` in `mass` [Pa], shape [n], `depth` [m] below its surface.
+
+    It counts masses that rest on it without a gap and have a `k0` themselves: others bear nothing yet, and so press on
+    nothing.
+    """
+    gravity = -scene.gravity_vector[1]
+    top = positions[:, 1] + depth if mass.kind == "layer" else np.full(len(positions), mass.lower[1] + mass.size[1])
+    load = scene.material_of(mass).density * (top - positions[:, 1])
+    level = [axis for axis in range(scene.dimension) if axis != 1]
+    for above in sorted(scene.masses, key=lambda each: each.lower[1]):
+        if above is mass or above.k0 is None:
+            continue
+        low, size = np.array(above.lower)[level], np.array(above.size)[level]
+        inside = (positions[:, level] >= low) & (positions[:, level] <= low + size)
+        rests = inside.all(axis=1) & (np.abs(above.lower[1] - top) <= TOLERANCE)
+        load = load + np.where(rests, scene.material_of(above).density * above.size[1], 0.0)
+        top = np.where(rests, above.lower[1] + above.size[1], top)
+    return np.asarray(gravity * load)

@@ -48,10 +48,9 @@ from numpy.typing import NDArray
 from datasets.scene import Stage
 from datasets.scene.material import Material
 from datasets.schema import Record
-from mpm.arrays.access import clamp, maximum, minimum
+from mpm.arrays.access import TINY, clamp, maximum, minimum
 from mpm.laws import LawColumn
 from mpm.physics.inertial import sin_phi_at_rate
-from mpm.physics.principal import TINY
 
 Floats = NDArray[np.float64]
 

@@ -24,19 +24,18 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import auto
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, require
+from datasets.errors import InputError
 from datasets.scene import Stage
 from datasets.scene.material import STIFFEST, Material
-from datasets.schema import Record
-from mpm.arrays.access import maximum
+from datasets.schema import Bounds, Record
+from mpm.arrays.access import TINY, maximum
 from mpm.laws import LawColumn, parameters_of
-from mpm.physics.principal import TINY
 
 Floats = NDArray[np.float64]
 
@@ -47,16 +46,10 @@ OPENS = False
 class Parameters(Record):
     """The keys of `[material]` with `law = "von-mises"`, beside density and elasticity."""
 
-    strength: float
+    strength: Annotated[float, Bounds(f"a shear strength in Pa, above 0 up to {STIFFEST:g}", gt=0.0, le=STIFFEST)]
     """Shear strength s_u [Pa] before any plastic strain."""
-    hardening: float = 0.0
+    hardening: Annotated[float, Bounds(f"a modulus in Pa, at least 0 up to {STIFFEST:g}", ge=0.0, le=STIFFEST)] = 0.0
     """H [Pa], growth of the strength with the plastic shear strain."""
-
-    def __post_init__(self) -> None:
-        bounds = f"Pa, above 0 up to {STIFFEST:g}"
-        require(0.0 < self.strength <= STIFFEST, "strength", f"a shear strength in {bounds}", f"{self.strength:g}")
-        bounds = f"Pa, at least 0 up to {STIFFEST:g}"
-        require(0.0 <= self.hardening <= STIFFEST, "hardening", f"a modulus in {bounds}", f"{self.hardening:g}")
 
 
 class Column(LawColumn):
@@ -131,10 +124,8 @@ def return_tensor(trial: ti.template(), strengths: ti.template(), lame, shear, f
     slip = maximum(tau - strength, 0.0) / (shear + hardening)
     # tau - G dgamma over tau, without a difference of large numbers.
     share = (shear * strength + hardening * tau) / ((shear + hardening) * maximum(tau, TINY))
-    admitted = [mean + share * xx, mean + share * yy, mean + share * zz] + [
-        share * trial[k] for k in ti.static(range(3, features.stresses))
-    ]
-    return [ti.select(yields, admitted[k], trial[k]) for k in ti.static(range(features.stresses))] + [
-        slip / 3.0**0.5,
-        0.0 * slip,
-    ]
+    normal = [mean + share * xx, mean + share * yy, mean + share * zz]
+    admitted = normal + [share * trial[k] for k in ti.static(range(3, features.stresses))]
+    stress = [ti.select(yields, admitted[k], trial[k]) for k in ti.static(range(features.stresses))]
+    strain_and_opening = [slip / 3.0**0.5, 0.0 * slip]
+    return stress + strain_and_opening

@@ -51,19 +51,13 @@ class Checkpoint:
         )
 
     def restore(self, batch: "Batch") -> None:
-        """Bring a batch of one scene, as it is at its start, to where this run ended.
-
-        Raises InputError where the run is one of another scene, recording or precision.
-        """
+        """Bring a batch of one scene from its start to where this run ended. Raises InputError for another run's."""
         if self.run != described(batch.scenes[0], batch.recording, batch.features.precision):
             raise InputError("expected the run of the checkpoint, got another scene, recording or precision")
         for key, part in arrays_of(batch, self.frame).items():
-            if key not in self.arrays:
-                raise InputError("expected a checkpoint of this version of Talus, the key is missing", key=key)
-            array = self.arrays[key]
-            if array.shape != part.shape or array.dtype != part.dtype:
-                got = f"{array.dtype} of shape {array.shape}"
-                raise InputError(f"expected {part.dtype} of shape {part.shape}, got {got}", key=key)
+            array = self.arrays.get(key)
+            if array is None or (array.shape, array.dtype) != (part.shape, part.dtype):
+                raise InputError("expected a checkpoint of this version of Talus", key=key)
             part[...] = array
         if batch.file is not None:
             # Where the first frame is kept, it is in the file already.

@@ -10,24 +10,48 @@ from datasets.errors import WorkFailed
 from datasets.flow.caveats import caveats
 from datasets.flow.measures import extents
 from datasets.flow.trajectory import Trajectory, solid_names
-from datasets.scene import DOMAIN_SIDES, Scene
-from datasets.scene.particles import Particles
+from datasets.scene import DOMAIN_SIDES
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Energy, Offset, Retained
 from mpm.initial.barriers import retained_masses
 from mpm.output.recorder import RUNAWAY
 from mpm.output.smoothing import smoothed
-from mpm.output.time_step import limit
 from mpm.runtime import Arch
 
 
 def failure(batch: Batch, index: int) -> WorkFailed | None:
-    """Why scene `index` of a batch blew up; None where it did not."""
-    scene, features, frames = batch.scenes[index], batch.features, int(batch.offsets[index, Offset.FRAMES])
+    """Why scene `index` of a batch blew up, in one line; None where it did not.
+
+    A particle faster than RUNAWAY times the wave speed ends a scene. Where gravity and the initial velocities can make
+    it that fast, v^2 <= v_0^2 + 2 sum_k |g_k| L_k in a box of lengths L, that is the flow itself, and the material is
+    too soft for it; where they cannot, or where there is no number, the integration was unstable.
+    """
+    scene, features, particles = batch.scenes[index], batch.features, batch.particles[index]
+    frames = int(batch.offsets[index, Offset.FRAMES])
     motion = batch.numbers(index, 0, features.state.velocity + features.dimension)
     if frames == scene.frames and np.isfinite(motion).all():
         return None
-    return WorkFailed(explain(scene, batch.particles[index], motion[features.state.velocity :].T, frames - 1))
+    when, speed = f"t = {scene.frame_dt * (frames - 1):g} s", fastest(motion[features.state.velocity :].T)
+    fall = 2.0 * sum(abs(g) * length for g, length in zip(scene.gravity_vector, scene.domain.size, strict=True))
+    possible = math.sqrt(fastest(particles.velocities) ** 2 + fall)
+    # Some slack: a pile-up transfers energy to the few particles that it throws.
+    if not math.isfinite(speed) or speed > 2.0 * possible:
+        return WorkFailed(f"the simulation blew up at {when}; try a step_fraction below {scene.step_fraction:g}")
+    stiffest = max(particles.materials, key=lambda material: material.wave_speed)
+    young = stiffest.modulus * (max(speed, possible) / (RUNAWAY * stiffest.wave_speed)) ** 2
+    # The next larger number of two digits.
+    unit = 10.0 ** (math.floor(math.log10(young)) - 1)
+    young = math.ceil(1.001 * young / unit) * unit
+    return WorkFailed(
+        f"a particle moves at {speed:.3g} m/s at {when}, more than {RUNAWAY:g} times the wave speed of "
+        f"{stiffest.wave_speed:.3g} m/s: a shorter step does not help; "
+        f"a young of at least {young:.2g} Pa or a lower velocity does"
+    )
+
+
+def fastest(velocities: NDArray[np.floating]) -> float:
+    """The largest speed [m/s] of velocities [N, D]; nan where one is."""
+    return float(np.linalg.norm(velocities.astype(np.float64), axis=1).max())
 
 
 def outflow(batch: Batch, index: int) -> dict[str, float]:
@@ -59,8 +83,8 @@ def fields_of(batch: Batch, index: int) -> dict[str, Any]:
 def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s: float) -> Trajectory | WorkFailed:
     """What scene `index` did; the frames after it came to rest are filled with the last one that was computed.
 
-    Its summary: lengths in metres; `step_limit`, what set the time step, "waves" of `wave_speed` [m/s] or the speed of
-    the "flow"; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
+    Its summary: lengths in metres; `step_limit`, what set the time step, "waves" of `wave_speed` [m/s] or in some
+    frames the speed of the "flow"; `energy` [J, in 2D per metre of width], a series with a value at every frame of the
     scene; `rest_time` [s], when the deposit came to rest, where the run may end there, and `end_time` [s], until when
     it was computed; `release_time` [s], when each mass was let go, where barriers hold one, None where it still is;
     `stage_time` [s], when each stage began, None where it did not; where asked for the momentum that the sides of the
@@ -87,7 +111,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     summary: dict[str, Any] = {
         **extents(scene, deposit, particles.volume),
         "steps": (steps := int(offset[Offset.STEPS])),
-        "step_limit": limit(steps, int(offset[Offset.SUBSTEPS]), rest or scene.frames - 1),
+        "step_limit": "flow" if steps > int(offset[Offset.SUBSTEPS]) * (rest or scene.frames - 1) else "waves",
         "wave_speed": max(material.wave_speed for material in particles.materials),
         "particles": len(deposit),
         "rest_time": began * scene.frame_dt if rest else None,
@@ -107,8 +131,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         names = DOMAIN_SIDES[: 2 * scene.dimension]
         summary["wall_impulse"] = rounded(walls.sum(axis=1))
         summary["side_impulse"] = {side: rounded(walls[:, number]) for number, side in enumerate(names)}
-    left = outflow(batch, index) if scene.open_sides else {}
-    if scene.open_sides:
+    if left := outflow(batch, index) if scene.open_sides else {}:
         summary["outflow"] = left
     end_time = summary["end_time"]
     kinetic = energies[:, Energy.KINETIC]
@@ -134,34 +157,3 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
 def rounded(series: NDArray[np.float64]) -> Any:
     """A series of numbers or vectors, shape [T, ...], with six digits, as lists."""
     return [rounded(each) if each.ndim else float(f"{each:.6g}") for each in series]
-
-
-def explain(scene: Scene, particles: Particles, velocities: NDArray[np.floating], frame: int) -> str:
-    """One line on a scene that ended after `frame` with `velocities` [m/s], shape [N, D].
-
-    A particle faster than RUNAWAY times the wave speed ends a scene. Where gravity and the initial velocities can make
-    it that fast, v^2 <= v_0^2 + 2 sum_k |g_k| L_k in a box of lengths L, that is the flow itself, and the material is
-    too soft for it; where they cannot, or where there is no number, the integration was unstable.
-    """
-    when, speed = f"t = {scene.frame_dt * frame:g} s", _fastest(velocities)
-    fall = 2.0 * sum(abs(g) * length for g, length in zip(scene.gravity_vector, scene.domain.size, strict=True))
-    possible = math.sqrt(_fastest(particles.velocities) ** 2 + fall)
-    # Some slack: a pile-up transfers energy to the few particles that it throws.
-    if not math.isfinite(speed) or speed > 2.0 * possible:
-        return f"the simulation blew up at {when}; try a step_fraction below {scene.step_fraction:g}"
-    stiffest = max(particles.materials, key=lambda material: material.wave_speed)
-    wave_speed = stiffest.wave_speed
-    young = stiffest.modulus * (max(speed, possible) / (RUNAWAY * wave_speed)) ** 2
-    # The next larger number of two digits.
-    unit = 10.0 ** (math.floor(math.log10(young)) - 1)
-    young = math.ceil(1.001 * young / unit) * unit
-    return (
-        f"a particle moves at {speed:.3g} m/s at {when}, more than {RUNAWAY:g} times the wave speed of "
-        f"{wave_speed:.3g} m/s: a shorter step does not help; "
-        f"a young of at least {young:.2g} Pa or a lower velocity does"
-    )
-
-
-def _fastest(velocities: NDArray[np.floating]) -> float:
-    """The largest speed [m/s] of velocities [N, D]; nan where one is."""
-    return float(np.linalg.norm(velocities.astype(np.float64), axis=1).max())

@@ -2,10 +2,10 @@
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_sum, maximum, over_lanes
+from mpm.arrays.access import add, dot, lane_sum, maximum, over_lanes, vectors
 from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
+from mpm.arrays.properties import STABILITY
 from mpm.output.request import BALANCED, REST
-from mpm.output.time_step import STABILITY
 from mpm.physics.barriers import free_since, measure_retained, open_barriers
 from mpm.physics.transfer import particles_in, property_of
 
@@ -29,16 +29,15 @@ def steps_of_frame(scene, arrays: ti.template()):
     fastest = 0.0 * arrays.state[arrays.offsets[scene, Offset.BLOCK] * arrays.features.state.size]
     for block in range(arrays.offsets[scene, Offset.BLOCK], last_block(scene, arrays)):
         fastest = maximum(fastest, squared_speed(block, arrays))
-    return steps_at_speed(scene, ti.sqrt(over_lanes(maximum, fastest, arrays)), arrays)
+    return steps_at_speed(scene, ti.sqrt(over_lanes(maximum, fastest, arrays.features.lanes)), arrays)
 
 
 @ti.func
 def squared_speed(block, arrays: ti.template()):
     """|v|^2 [m^2/s^2] of each lane, huge where it is not a number: a comparison with NaN is false."""
-    v = block * arrays.features.state.size + arrays.features.state.velocity
-    square = arrays.state[v] * arrays.state[v]
-    for k in ti.static(range(1, arrays.features.dimension)):
-        square = square + arrays.state[v + k] * arrays.state[v + k]
+    first = block * arrays.features.state.size + arrays.features.state.velocity
+    velocity = vectors(arrays.state, first, arrays.features.dimension)
+    square = dot(velocity, velocity)
     return ti.select(square < 1.0e30, square, 1.0e30)
 
 
@@ -98,11 +97,9 @@ def record_block(scene, frame, block, arrays: ti.template()):
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present
     if ti.static(features.barriers):
         measure_retained(scene, block, arrays)
-    vv, cc, ss, trace = 0.0 * mass, 0.0 * mass, 0.0 * mass, 0.0 * mass
-    for k in ti.static(range(features.dimension)):
-        vv = vv + arrays.state[first + features.state.velocity + k] * arrays.state[first + features.state.velocity + k]
-    for k in ti.static(range(features.dimension * features.dimension)):
-        cc = cc + arrays.state[first + features.state.affine + k] * arrays.state[first + features.state.affine + k]
+    velocity = vectors(arrays.state, first + features.state.velocity, features.dimension)
+    affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
+    vv, cc, ss, trace = dot(velocity, velocity), dot(affine, affine), 0.0 * mass, 0.0 * mass
     for k in ti.static(range(features.stresses)):
         s = arrays.state[first + features.state.stress + k]
         ss = ss + ti.static(1.0 if k < 3 else 2.0) * s * s

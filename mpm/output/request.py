@@ -19,13 +19,12 @@ REST_ENERGY of M g H counts as none.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
-from datasets.errors import InputError
 from datasets.geometry.bodies import scene_height
 from datasets.scene import Scene
 from datasets.scene.material import Material
-from datasets.schema import Record
+from datasets.schema import Bounds, Record
 
 REST = 1.0e-3
 """Kinetic energy of a deposit at rest, as a fraction of the largest so far."""
@@ -48,7 +47,9 @@ class Recording(Record):
     solids. Raises InputError for what cannot be recorded.
     """
 
-    frames: Literal["all", "last"] | int = "all"
+    frames: Annotated[
+        Literal["all", "last"] | int, Bounds("all, last or every how many, from 1 on", ge=1, words=("all", "last"))
+    ] = "all"
     """Which frames keep positions and fields: all, the last alone, or every k-th from the first on and the last."""
     fields: bool = False
     """Whether velocity, stress, pressure and plastic strain of every particle are recorded besides its position; stress
@@ -59,19 +60,10 @@ class Recording(Record):
     """End a scene when its deposit has come to rest (above), and fill the frames that are left with the
     last one; the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
 
-    def __post_init__(self) -> None:
-        if isinstance(self.frames, str):
-            if self.frames not in ("all", "last"):
-                raise InputError(f"expected all, last or every how many, got {self.frames!r}", key="frames")
-        elif self.frames < 1:
-            raise InputError(f"expected every first frame or more seldom, got every {self.frames}th", key="frames")
-
     @property
     def every(self) -> int:
         """Frames from one that is kept to the next; 0 where the last is kept alone."""
-        if isinstance(self.frames, str):
-            return 1 if self.frames == "all" else 0
-        return self.frames
+        return {"all": 1, "last": 0}[self.frames] if isinstance(self.frames, str) else self.frames
 
     def kept(self, frames: int) -> list[int]:
         """The numbers of the frames that are kept of `frames`, ascending."""

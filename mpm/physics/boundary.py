@@ -32,21 +32,15 @@ def after_contact(v, normal, friction):
 
 
 @ti.func
-def along_walls(v, node, cells, scene, arrays: ti.template()):
-    """Velocity `v` [m/s] of a node without what moves into walls, before friction."""
-    along = v
-    for axis in ti.static(range(arrays.features.dimension)):
+def apply_walls(v, node, cells, axes: ti.template(), mass, worker, scene, arrays: ti.template()):
+    """Velocity `v` [m/s] of the node `node` of `mass` [kg] once the walls of a box of `cells` have stopped it and those
+    across the first `axes` have rubbed on it; v, node, cells: [D].
+    """
+    features, along = arrays.features, v
+    for axis in ti.static(range(features.dimension)):
         if stopping_side(v, node, cells, axis, scene, arrays) >= 0:
             along[axis] = 0.0
-    return along
-
-
-@ti.func
-def apply_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
-    """Velocity `v` [m/s] of the node `node` of `mass` [kg] after all walls of a box of `cells`; v, node, cells: [D]."""
-    features = arrays.features
-    along = along_walls(v, node, cells, scene, arrays)
-    for axis in ti.static(range(features.dimension)):
+    for axis in ti.static(range(axes)):
         side = stopping_side(v, node, cells, axis, scene, arrays)
         if side >= 0:
             taken = along
@@ -54,7 +48,7 @@ def apply_walls(v, node, cells, mass, worker, scene, arrays: ti.template()):
             if ti.static(features.recorded.walls):
                 taken = taken - along
                 taken[axis] = v[axis]
-                add_wall_impulse(side, mass * taken, worker, scene, arrays)
+                add_impulse(arrays.offsets[scene, Offset.OBSTACLES] + side, mass * taken, 0, worker, arrays)
     return along
 
 
@@ -130,10 +124,9 @@ def in_terrain_beyond(side, node, scene, arrays: ti.template()):
 
 
 @ti.func
-def add_wall_impulse(side, momentum, worker, scene, arrays: ti.template()):
-    """Add `momentum` [N s], shape [D], to what a side of the box has taken; side 2 D: the barriers."""
+def add_impulse(solid, momentum, lane, worker, arrays: ti.template()):
+    """Add `momentum` [N s], [D], to what a solid has taken; behind these stand the box's sides and the barriers."""
     features = arrays.features
-    number = arrays.offsets[scene, Offset.OBSTACLES] + side
-    at = arrays.workers[worker, Worker.IMPULSE] + number * features.dimension
+    at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
     for k in ti.static(range(features.dimension)):
-        add(arrays.impulse_lanes, (at + k) * features.lanes, momentum[k], arrays)
+        add(arrays.impulse_lanes, (at + k) * features.lanes + lane, momentum[k], arrays)

@@ -6,22 +6,16 @@ Walls W apart, with the coefficient mu, press on the flow with its own stress ac
 
 on all of its depth (of the kind of Taberlet et al. 2003; Jop, Forterre & Pouliquen 2006). Particles give a node the
 most that friction can take, N_i = sum_p w_ip V0 (2 mu / W) max(-sigma_zz, 0); of the velocity that forces and surfaces
-have left it, the node then loses at most dt N_i / m_i, and stops where that is more: what stands, stays.
+have left it, the node then loses at most dt N_i / m_i, and stops where that is more: what stands, stays
+(`mpm.physics.grid.moved_node`).
 """
 
 import taichi as ti
 
 from mpm.arrays.access import maximum
-from mpm.physics.boundary import with_friction
 
 
 @ti.func
 def side_friction(stress: ti.template(), volume, grip):
     """The most that side walls brake a particle with [N per metre of width], from `grip` = 2 mu / W [1/m]."""
     return volume * grip * maximum(0.0 - stress[2], 0.0)
-
-
-@ti.func
-def after_side_walls(v, node, dt, features: ti.template()):
-    """Velocity `v` [m/s] of a node (momentum, mass, force, side friction) after the side walls, shape [D]."""
-    return with_friction(v, dt * node[features.node.side_friction] / node[features.dimension])

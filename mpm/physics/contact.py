@@ -49,7 +49,7 @@ import taichi as ti
 
 from mpm.arrays.access import add, maximum, minimum, over_lanes, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Worker, component
-from mpm.physics.boundary import after_contact
+from mpm.physics.boundary import add_impulse, after_contact
 from mpm.solids.face_lookup import TINY, entry_of, face_number, list_of, normal_of, solid_of
 from mpm.solids.terrain_holds import removed_by_terrain
 
@@ -72,7 +72,7 @@ def contact_of(block, arrays: ti.template()):
 @ti.func
 def touches(block, arrays: ti.template()):
     """Whether a particle of a block is within the width of the contact; most blocks have none."""
-    return over_lanes(maximum, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays) > 0.0
+    return over_lanes(maximum, arrays.state[contact_at(block, Contact.DELTA, arrays)], arrays.features.lanes) > 0.0
 
 
 @ti.func
@@ -98,9 +98,9 @@ def surface_force(stress: ti.template(), contact: ti.template(), dimension: ti.t
 
 
 @ti.func
-def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.template()):
-    """v_f [m/s], of the material at the foot, a list of D, and n . v_f; `motion`: the grid's velocity and C."""
-    velocity, affine = motion
+def foot_velocity(motion: ti.template(), dimension: ti.template()):
+    """v_f [m/s], of the material at the foot, a list of D, and n . v_f; motion: the grid's velocity, C, and contact."""
+    velocity, affine, contact = motion
     foot = [velocity[i] for i in ti.static(range(dimension))]
     for i in ti.static(range(dimension)):
         rotation = 0.0 * contact[Contact.NORMAL]
@@ -114,16 +114,11 @@ def foot_velocity(motion: ti.template(), contact: ti.template(), dimension: ti.t
 
 
 @ti.func
-def jump_at_contact(
-    motion: ti.template(), contact: ti.template(), stress: ti.template(), modulus, dt, dimension: ti.template()
-):
-    """What contact adds along n to the strain increment of a particle, min(dt delta n . v_f, (-sigma_nn)_+ / M) [-].
-
-    modulus: M [Pa].
-    """
-    _, opening = foot_velocity(motion, contact, dimension)
-    pressure = maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
-    return minimum(dt * contact[Contact.DELTA] * opening, pressure / modulus)
+def jump_at_contact(motion: ti.template(), stress: ti.template(), modulus, dt, dimension: ti.template()):
+    """The strain increment [-] of contact along n, min(dt delta n . v_f, (-sigma_nn)_+ / M); modulus: M [Pa]."""
+    _, opening = foot_velocity(motion, dimension)
+    pressure = maximum(0.0 - normal_stress(stress, motion[2], dimension), 0.0)
+    return minimum(dt * motion[2][Contact.DELTA] * opening, pressure / modulus)
 
 
 @ti.func
@@ -137,19 +132,14 @@ def with_jump(increment: ti.template(), jump, contact: ti.template(), dimension:
 
 @ti.func
 def sheared_traction(
-    motion: ti.template(),
-    stress: ti.template(),
-    contact: ti.template(),
-    shear,
-    turbulence: ti.template(),
-    dt,
-    dimension: ti.template(),
+    motion: ti.template(), stress: ti.template(), shear, turbulence: ti.template(), dt, dimension: ti.template()
 ):
     """The shear traction q [Pa] after a step, a list of D, within the bound for the new `stress`.
 
     turbulence: rho [kg/m^3] and g / xi [1/m] where solids have it, else nothing; a list.
     """
-    foot, opening = foot_velocity(motion, contact, dimension)
+    contact = motion[2]
+    foot, opening = foot_velocity(motion, dimension)
     square, stiffness = TINY + 0.0 * foot[0], dt * shear * contact[Contact.DELTA]
     q = [contact[Contact.NORMAL + dimension + k] for k in ti.static(range(dimension))]
     slip = [foot[k] - opening * contact[Contact.NORMAL + k] for k in ti.static(range(dimension))]
@@ -181,20 +171,19 @@ def find_drags(scene, block, scratch, arrays: ti.template()):
 def turbulence_at(scratch, density, arrays: ti.template()):
     """What `sheared_traction` takes of a block, after `find_drags`; density: of its particles [kg/m^3]."""
     count = ti.static(int(arrays.features.turbulent))
-    return [density for _ in ti.static(range(count))] + vectors(
-        arrays.scratch, scratch + arrays.features.scratch.drag, count
-    )
+    drags = vectors(arrays.scratch, scratch + arrays.features.scratch.drag, count)
+    return [density for _ in ti.static(range(count))] + drags
 
 
 @ti.func
 def motion_and_stress(block, scratch, arrays: ti.template()):
-    """The motion of a block, the grid's velocity at its particles and their C, and their stress; lists of vectors."""
+    """The motion of a block, as `foot_velocity` takes it, and the stress of its particles; lists of vectors."""
     features = arrays.features
     first, moved = block * features.state.size, scratch + features.scratch.lowest + features.dimension
     velocity = vectors(arrays.scratch, moved, features.dimension)
     affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
-    return (velocity, affine), stress
+    return (velocity, affine, contact_of(block, arrays)), stress
 
 
 @ti.func
@@ -216,7 +205,7 @@ def shear_traction_step(scene, block, scratch, dt, shear, density, arrays: ti.te
         find_drags(scene, block, scratch, arrays)
     motion, stress = motion_and_stress(block, scratch, arrays)
     turbulence = turbulence_at(scratch, density, arrays)
-    q = sheared_traction(motion, stress, contact_of(block, arrays), shear, turbulence, dt, dimension)
+    q = sheared_traction(motion, stress, shear, turbulence, dt, dimension)
     for k in ti.static(range(dimension)):
         arrays.state[contact_at(block, Contact.NORMAL + dimension + k, arrays)] = q[k]
 
@@ -235,28 +224,20 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
         # All triangles of a terrain are of one solid.
         triangle = 1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE
         faces = ti.select(faces >= triangle, triangle, faces)
-    face = over_lanes(maximum, faces, arrays)
+    face = over_lanes(maximum, faces, features.lanes)
     while face > NO_FACE:
         solid = solid_of(face_number(face), scene, arrays)
         at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
         for k in ti.static(range(features.dimension)):
             add(arrays.impulse, at + k, ti.select(faces == face, arrays.scratch[pushed + k], 0.0), arrays)
         faces = ti.select(faces == face, NO_FACE, faces)
-        face = over_lanes(maximum, faces, arrays)
+        face = over_lanes(maximum, faces, features.lanes)
 
 
 @ti.func
 def present(block, arrays: ti.template()):
     """1 for each particle of a block, 0 for the lanes that only mirror one."""
     return arrays.state[block * arrays.features.state.size + arrays.features.state.present]
-
-
-@ti.func
-def add_impulse(solid, k: ti.template(), value, lane, worker, arrays: ti.template()):
-    """Add `value` [N s] to component k of the impulse of a solid."""
-    features = arrays.features
-    at = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension + k
-    add(arrays.impulse_lanes, at * features.lanes + lane, value, arrays)
 
 
 @ti.func
@@ -270,15 +251,15 @@ def apply_solids(v, mass, node, worker, scene, recorded: ti.template(), arrays: 
     for hold in range(first, end):
         face, removed = removed_by(hold, v, scene, arrays)
         after = after - removed
-        for k in ti.static(range(arrays.features.dimension if recorded else 0)):
-            add_impulse(solid_of(face, scene, arrays), k, mass * removed[k], 0, worker, arrays)
+        if ti.static(recorded):
+            add_impulse(solid_of(face, scene, arrays), mass * removed, 0, worker, arrays)
     if ti.static(arrays.features.terrain):
         _, listed = list_of(entry, arrays)
         if listed == 0:
             removed = removed_by_terrain(v, node, worker, scene, arrays)
             after = after - removed
-            for k in ti.static(range(arrays.features.dimension if recorded else 0)):
-                add_impulse(arrays.offsets[scene, Offset.TERRAIN_SOLID], k, mass * removed[k], 0, worker, arrays)
+            if ti.static(recorded):
+                add_impulse(arrays.offsets[scene, Offset.TERRAIN_SOLID], mass * removed, 0, worker, arrays)
     return after
 
 

@@ -15,10 +15,10 @@ clear down to CUT_BUMP below that: a particle may cut such a bump of the ground,
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
+from mpm.arrays.access import add, dot, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Look, Offset, Setting, Worker
-from mpm.physics.boundary import after_contact
-from mpm.physics.contact import add_impulse, contact_at, present
+from mpm.physics.boundary import add_impulse, after_contact
+from mpm.physics.contact import contact_at, present
 from mpm.solids.face_lookup import (
     TINY,
     cell_of,
@@ -58,13 +58,10 @@ def find_contacts(block, scratch, mass, worker, scene, arrays: ti.template()):
     x, distance = block * features.state.size, contact_at(block, Contact.DISTANCE, arrays)
     origin = scratch + features.scratch.origin
     moved = [arrays.state[x + k] - arrays.scratch[origin + k] for k in ti.static(range(size))]
-    square = 0.0 * moved[0]
-    for k in ti.static(range(size)):
-        square = square + moved[k] * moved[k]
-    path = 1.001 * ti.sqrt(square)
+    path = 1.001 * ti.sqrt(dot(moved, moved))
     lower_bound = arrays.state[distance] - path
     nearby = arrays.settings[scene, Setting.SEARCH_DISTANCE]
-    if over_lanes(minimum, lower_bound, arrays) >= nearby:
+    if over_lanes(minimum, lower_bound, arrays.features.lanes) >= nearby:
         arrays.state[distance] = lower_bound
     else:
         arrays.scratch[scratch + features.scratch.push + 1] = mass * present(block, arrays)
@@ -107,14 +104,12 @@ def follow_faces(block, scratch, moved: ti.template(), path, nearby, scene, arra
         at = contact + Contact.NORMAL + size + k
         arrays.state[at] = ti.select(follows & (delta == 0.0), 0.0, arrays.state[at])
     arrays.scratch[scratch + features.scratch.push] = bound
-    return over_lanes(minimum, bound, arrays) < nearby
+    return over_lanes(minimum, bound, arrays.features.lanes) < nearby
 
 
 @ti.func
 def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.template()):
-    """Contact of the particles of a block whose nearest triangle of a height field is known by one look, of those that
-    `follow_faces` left to search; arguments and result are its.
-    """
+    """As `follow_faces`, of those it left to search whose nearest triangle of a height field is known by one look."""
     features = arrays.features
     position = vectors(arrays.state, block * features.state.size, 3)
     seen, push = scratch + features.scratch.look, scratch + features.scratch.push
@@ -126,9 +121,8 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
             if arrays.scratch_lanes[push * features.lanes + lane] < nearby:
                 look_at_terrain(seen * features.lanes + lane, look, scene, arrays)
         across, size = plane_of(seen, arrays)
-        scaled = (
-            dot([position[k] - arrays.scratch[seen + Look.CORNERS + k] for k in ti.static(range(3))], across) / size
-        )
+        apart = [position[k] - arrays.scratch[seen + Look.CORNERS + k] for k in ti.static(range(3))]
+        scaled = dot(apart, across) / size
         for k in ti.static(range(3)):
             arrays.scratch[seen + k] = position[k] - scaled * across[k]
     across, size = plane_of(seen, arrays)
@@ -145,17 +139,14 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
     clear = minimum(maximum(d, 0.0), before) + bump > tilt * maximum(path - edge, 0.0)
     clear = (clear & (tilt < UNKNOWN) & (path < post)) | ((bound > 0.0) & (d > 0.0))
     known = (bound < nearby) & (free > 0.0) & clear
-    put_terrain_contact(block, scratch, known, d, normal, weights, free, nearby, worker, scene, arrays)
+    put_terrain_contact(block, scratch, known, d, normal, weights, free, worker, scene, arrays)
     arrays.scratch[push] = ti.select(known, nearby, bound)
-    return over_lanes(minimum, arrays.scratch[push], arrays) < nearby
+    return over_lanes(minimum, arrays.scratch[push], arrays.features.lanes) < nearby
 
 
 @ti.func
 def look_at_terrain(at, look, scene, arrays: ti.template()):
-    """Leave the numbers of `Look` of the triangle over or under a place in `scratch_lanes`, where its own begin `at`.
-
-    look: 0 at a particle, 1 at its foot.
-    """
+    """Leave from `at` on in `scratch_lanes` what a `look`, 0 at a particle, 1 at its foot, sees of the triangle."""
     lanes = arrays.features.lanes
     place = lane_numbers(arrays.scratch_lanes, at, arrays)
     i, k, half, code = triangle_under(place, scene, arrays)
@@ -183,14 +174,8 @@ def look_at_terrain(at, look, scene, arrays: ti.template()):
 
 
 @ti.func
-def dot(a: ti.template(), b: ti.template()):
-    """Of lists of three vectors, lane by lane."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@ti.func
 def cross(a: ti.template(), b: ti.template()):
-    """Of lists of three vectors, lane by lane."""
+    """As `dot`, of three components."""
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
@@ -220,17 +205,7 @@ def foot_weights(seen, across: ti.template(), size, arrays: ti.template()):
 
 @ti.func
 def put_terrain_contact(
-    block,
-    scratch,
-    known,
-    d,
-    normal: ti.template(),
-    weights: ti.template(),
-    free,
-    nearby,
-    worker,
-    scene,
-    arrays: ti.template(),
+    block, scratch, known, d, normal: ti.template(), weights: ti.template(), free, worker, scene, arrays: ti.template()
 ):
     """Contact of the lanes `known` of a block with a height field; what is inside is put out and stopped.
 
@@ -238,15 +213,14 @@ def put_terrain_contact(
     """
     features = arrays.features
     first, contact = block * features.state.size, contact_at(block, 0, arrays)
-    seen = scratch + features.scratch.look
-    width = arrays.settings[scene, Setting.CONTACT_WIDTH]
+    seen, nearby = scratch + features.scratch.look, arrays.settings[scene, Setting.SEARCH_DISTANCE]
     rough = [arrays.scratch[seen + Look.FRICTION + k] for k in ti.static(range(3))]
     friction = dot(weights, rough)
     alike = (rough[0] == rough[1]) & (rough[1] == rough[2])
     friction = ti.select(alike, rough[0], friction)
     inside = known & (d < 0.0)
     outside = maximum(d, 0.0)
-    delta = contact_delta(outside, width)
+    delta = contact_delta(outside, arrays.settings[scene, Setting.CONTACT_WIDTH])
     velocity = vectors(arrays.state, first + features.state.velocity, 3)
     into = dot(velocity, normal)
     along = [velocity[k] - into * normal[k] for k in ti.static(range(3))]
@@ -348,8 +322,7 @@ def find_contact(block, scratch, lane, bound, worker, scene, arrays: ti.template
         put_lane_numbers(arrays.lanes, first + features.state.velocity * lanes, v, arrays)
         if solid >= 0:
             mass = arrays.scratch_lanes[(scratch + features.scratch.push + 1) * lanes + lane]
-            for k in ti.static(range(dimension)):
-                add_impulse(solid, k, mass * (velocity[k] - v[k]), lane, worker, arrays)
+            add_impulse(solid, mass * (velocity - v), lane, worker, arrays)
     arrays.lanes[contact + Contact.DELTA * lanes] = delta
     arrays.lanes[contact + Contact.DISTANCE * lanes] = distance
     arrays.lanes[contact + Contact.FREE * lanes] = free

@@ -13,16 +13,13 @@ Only the nodes of columns near the material are cleared and updated (`mpm.physic
 
 import taichi as ti
 
-from mpm.arrays.access import box_cells, columns_deep, zero_node
+from mpm.arrays.access import TINY, box_cells, columns_deep, zero_node
 from mpm.arrays.layout import PADDING, Offset, Setting, Span, StepControl, Worker
 from mpm.physics.barriers import apply_barriers
-from mpm.physics.boundary import add_wall_impulse, apply_walls
-from mpm.physics.channel import after_side_walls
+from mpm.physics.boundary import add_impulse, apply_walls, with_friction
 from mpm.physics.columns import node_at
 from mpm.physics.contact import apply_solids
 
-TINY = 1.0e-30
-"""Keeps a quotient finite where nothing moves and nothing weighs."""
 SLOW = 1.0e-3
 """Speed over sqrt(g dx) below which local damping fades [-]."""
 
@@ -128,8 +125,24 @@ def velocity_before(node, arrays: ti.template()):
 def moved_node(node, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
     """Node `index` of the box, i, j, k, with its new velocity for its momentum, and its change new - kept old."""
     features = arrays.features
-    old = velocity_before(node, arrays)
-    new = velocity_after(node, old, index, worker, scene, dt, arrays)
+    mass, old = node[features.dimension], velocity_before(node, arrays)
+    a, _ = acceleration(node, scene, arrays)
+    if ti.static(features.damped):
+        size, sign, _ = damping_terms(old, a, scene, arrays)
+        a = a - arrays.settings[scene, Setting.DAMPING] * size * sign
+    new = ti.Vector([old[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
+    indices = ti.Vector([index[axis] for axis in ti.static(range(features.dimension))])
+    new = apply_walls(new, indices, box_cells(scene, arrays), features.dimension, mass, worker, scene, arrays)
+    if ti.static(features.contact):
+        new = apply_solids(new, mass, indices, worker, scene, True, arrays)
+    if ti.static(features.channel):
+        new = with_friction(new, dt * node[features.node.side_friction] / mass)
+    if ti.static(features.barriers):
+        behind = apply_barriers(new, indices, scene, dt, arrays)
+        if ti.static(features.recorded.walls):
+            side = arrays.offsets[scene, Offset.OBSTACLES] + 2 * features.dimension
+            add_impulse(side, mass * (new - behind), 0, worker, arrays)
+        new = behind
     for axis in ti.static(range(features.dimension)):
         node[axis] = new[axis]
         node[features.node.change + axis] = new[axis] - kappa * old[axis]
@@ -158,27 +171,3 @@ def damping_terms(v, a, scene, arrays: ti.template()):
     slow = SLOW * SLOW * ti.abs(arrays.settings[scene, Setting.GRAVITY_Y]) * arrays.settings[scene, Setting.CELL] + TINY
     sign = [v[axis] / ti.sqrt(v[axis] * v[axis] + slow) for axis in ti.static(range(arrays.features.dimension))]
     return a.norm(), ti.Vector(sign), slow
-
-
-@ti.func
-def velocity_after(node, v, index: ti.template(), worker, scene, dt, arrays: ti.template()):
-    """The new velocity [m/s] of node `index` (momentum, mass, force), shape [D], from its old one."""
-    features = arrays.features
-    mass = node[features.dimension]
-    a, _ = acceleration(node, scene, arrays)
-    if ti.static(features.damped):
-        size, sign, _ = damping_terms(v, a, scene, arrays)
-        a = a - arrays.settings[scene, Setting.DAMPING] * size * sign
-    v_star = ti.Vector([v[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
-    indices = ti.Vector([index[axis] for axis in ti.static(range(features.dimension))])
-    v_star = apply_walls(v_star, indices, box_cells(scene, arrays), mass, worker, scene, arrays)
-    if ti.static(features.contact):
-        v_star = apply_solids(v_star, mass, indices, worker, scene, True, arrays)
-    if ti.static(features.channel):
-        v_star = after_side_walls(v_star, node, dt, features)
-    if ti.static(features.barriers):
-        v_behind = apply_barriers(v_star, indices, scene, dt, arrays)
-        if ti.static(features.recorded.walls):
-            add_wall_impulse(2 * features.dimension, mass * (v_star - v_behind), worker, scene, arrays)
-        v_star = v_behind
-    return v_star

@@ -5,7 +5,7 @@
 On the plane that shears the normal stress is the centre P = -(s1 + s3) / 2 of Mohr's circle and the shear stress its
 radius R = (s1 - s3) / 2, where nothing dilates; so sin phi is the measured ratio mu. gamma' is the plastic shear rate
 of that plane, and where two stresses meet at an edge, their mean stands for both. In a step dt (in MPM: Dunatunga &
-Kamrin 2015) the return of `mpm.physics.mohr_coulomb` takes the trial (P, R) by the shear g = gamma' dt to
+Kamrin 2015) the return of `mpm.laws.mohr_coulomb` takes the trial (P, R) by the shear g = gamma' dt to
 
     R - G g = (P + b G g) sin phi + c cos phi_s
 
@@ -31,8 +31,7 @@ Under tension there is no I, and friction is that of slow shear.
 
 import taichi as ti
 
-from mpm.arrays.access import maximum
-from mpm.physics.principal import TINY
+from mpm.arrays.access import TINY, maximum
 
 
 @ti.func
@@ -40,7 +39,7 @@ def sin_phi_at_rate(s1, s2, s3, upper, lower, strengths: ti.template(), lame, sh
     """sin phi [-] at the rate of shear at which a step returns the trial principal stresses s1 >= s2 >= s3 [Pa].
 
     upper, lower: whether the slow return is to the edge where stresses 1 and 2, or 2 and 3, meet; strengths: as
-    `mpm.physics.mohr_coulomb.return_principal` takes them.
+    `mpm.laws.mohr_coulomb.return_principal` takes them.
     """
     sin_phi, sin_psi, strength, _, sin_phi_limit, inertial_step = strengths
     high, low = ti.select(upper, 0.5 * (s1 + s2), s1), ti.select(lower, 0.5 * (s2 + s3), s3)
@@ -50,11 +49,9 @@ def sin_phi_at_rate(s1, s2, s3, upper, lower, strengths: ti.template(), lame, sh
     rise = ti.select(upper, -1.0 / (3.0 - sin_phi), ti.select(lower, 1.0 / (3.0 + sin_phi), 0.0))
     if ti.static(dilates):
         bulk4 = 4.0 * lame + shear * (8.0 / 3.0)
-        b = ti.select(
-            upper,
-            bulk4 * sin_psi / (shear * (3.0 - sin_psi)) - 1.0 / 3.0,
-            ti.select(lower, bulk4 * sin_psi / (shear * (3.0 + sin_psi)) + 1.0 / 3.0, (lame + shear) * sin_psi / shear),
-        )
+        at_upper = bulk4 * sin_psi / (shear * (3.0 - sin_psi)) - 1.0 / 3.0
+        at_lower = bulk4 * sin_psi / (shear * (3.0 + sin_psi)) + 1.0 / 3.0
+        b = ti.select(upper, at_upper, ti.select(lower, at_lower, (lame + shear) * sin_psi / shear))
         stiffening = 1.0 + b * sin_phi
         rise = b / stiffening
     pressure, growth = maximum(trial_pressure + rise * excess, 0.0), maximum(sin_phi_limit - sin_phi, 0.0)

@@ -23,10 +23,7 @@ from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_
 
 @ti.func
 def update_particles(worker, scene, dt, kappa, arrays: ti.template()):
-    """Bring every particle of `worker` from the grid's velocities to its new place and stress.
-
-    Returns the largest displacement along an axis [cells].
-    """
+    """Bring the particles of `worker` to new places and stresses; the largest displacement along an axis [cells]."""
     features = arrays.features
     first = arrays.workers[worker, Worker.FIRST]
     furthest = 0.0 * arrays.state[first * features.state.size]
@@ -37,15 +34,12 @@ def update_particles(worker, scene, dt, kappa, arrays: ti.template()):
         for k in ti.static(range(features.dimension)):
             moved = arrays.state[no_overflow(block * features.state.size) + k] - before[k]
             furthest = maximum(magnitude(moved), furthest)
-    return over_lanes(maximum, furthest, arrays) / arrays.settings[scene, Setting.CELL]
+    return over_lanes(maximum, furthest, arrays.features.lanes) / arrays.settings[scene, Setting.CELL]
 
 
 @ti.func
 def update_block(worker, table, scene, block, scratch, dt, kappa, arrays: ti.template()):
-    """Bring the particles of a block from the velocities of the nodes to new positions and stresses.
-
-    table: the first column of the nodes.
-    """
+    """Bring a block from the velocities of its nodes, in columns from `table` on, to new positions and stresses."""
     features = arrays.features
     volume = property_of(scene, block, Property.VOLUME, arrays)
     near = False
@@ -161,7 +155,7 @@ def opened_of(scene, block, scratch, limit, bulk, dt, arrays: ti.template()):
     grid = vectors(arrays.scratch, scratch + features.scratch.density, 1 + features.dimension)
     cells = [arrays.offsets[scene, Offset.CELLS_X + k] for k in ti.static(range(features.dimension))]
     density, dx = property_of(scene, block, Property.DENSITY, arrays), arrays.settings[scene, Setting.CELL]
-    gap = grid_gap(grid, x, contact_of(block, arrays), density, dx, cells, features)
+    gap = grid_gap(grid, x, contact_of(block, arrays), density, (dx, cells), features)
     rate = dt * arrays.settings[scene, Setting.GAP_RATE]
     return updated_gap(arrays.state[first + features.state.gap], limit, bulk, rate, gap)
 
@@ -176,9 +170,8 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     if ti.static(features.contact):
         if near:
             motion, stress = motion_and_stress(block, scratch, arrays)
-            contact = contact_of(block, arrays)
-            jump = jump_at_contact(motion, contact, stress, modulus, dt, features.dimension)
-            strained = with_jump(increment, jump, contact, features.dimension)
+            jump = jump_at_contact(motion, stress, modulus, dt, features.dimension)
+            strained = with_jump(increment, jump, motion[2], features.dimension)
             for k in ti.static(range(features.dimension**2)):
                 increment[k] = strained[k]
     return increment

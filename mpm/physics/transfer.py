@@ -40,12 +40,6 @@ from mpm.physics.volume_correction import held_affine, is_loose, looseness
 
 
 @ti.func
-def spline(f):
-    """Quadratic B-spline weights of the three nodes around a particle, `f` in [0.5, 1.5) cells from the first one."""
-    return 0.5 * (1.5 - f) * (1.5 - f), 0.75 - (f - 1.0) * (f - 1.0), 0.5 * (f - 0.5) * (f - 0.5)
-
-
-@ti.func
 def property_of(scene, block, column: ti.template(), arrays: ti.template()):
     """A property of the particles: one number per scene, or one per lane where the scene is heterogeneous."""
     features = arrays.features
@@ -68,10 +62,7 @@ def volume_of(scene, block, arrays: ti.template()):
 
 @ti.func
 def lowest_column(arrays: ti.template(), scratch, lane, table, deep):
-    """Of the particle in `lane` the column with its lowest node, among all columns, and that node's j.
-
-    table: the first column of its worker, of which `deep` lie along z (`mpm.physics.columns`).
-    """
+    """Of the particle in `lane` the column of its lowest node, of those from `table` on, `deep` along z, and its j."""
     features = arrays.features
     at = no_overflow(scratch * features.lanes + lane) + features.scratch.lowest * features.lanes
     column = table + ti.cast(arrays.scratch_lanes[at], ti.i32) * deep
@@ -174,9 +165,11 @@ def weights_of(scene, block, scratch, per_dx, arrays: ti.template()):
         if ti.static(features.outflow):
             # What has left through an open side, without mass, stays on the grid.
             low = clamp(low, 0.0, ti.cast(arrays.offsets[scene, Offset.CELLS_X + k] + (2 * PADDING - 2), float))
-        f[k] = f[k] - low
         arrays.scratch[scratch + features.scratch.lowest + k] = low
-        w = spline(f[k])
+        # From 0.5 to 1.5 cells above the lowest node.
+        u = f[k] - low
+        f[k] = u
+        w = 0.5 * (1.5 - u) * (1.5 - u), 0.75 - (u - 1.0) * (u - 1.0), 0.5 * (u - 0.5) * (u - 0.5)
         for a in ti.static(range(3)):
             arrays.scratch[scratch + 3 * k + a] = w[a]
     return f
@@ -265,9 +258,7 @@ def particles_in(scene, block, arrays: ti.template()):
 
 @ti.func
 def grid_to_block(table, scene, block, scratch, per_dx, kappa, arrays: ti.template()):
-    """Give every particle of a block the motion of the nodes in the columns from `table` on: v and C, and where asked
-    their mass.
-    """
+    """Give a block the motion of its nodes in the columns from `table` on, v and C, and where asked their mass."""
     deep = columns_deep(scene, arrays)
     features, lanes = arrays.features, arrays.features.lanes
     first = no_overflow(block * features.state.size)

@@ -33,15 +33,12 @@ At a boundary of soils of different density the grid has another density than th
 
 import taichi as ti
 
-from mpm.arrays.access import clamp, magnitude, maximum, minimum, no_overflow, over_lanes
+from mpm.arrays.access import TINY, clamp, magnitude, maximum, minimum, no_overflow, over_lanes
 from mpm.arrays.layout import Contact
 from mpm.arrays.properties import GAP_CUTOFF
-from mpm.physics.principal import TINY
 
 DEEPEST = 0.25
 """Least share of the density that a free surface is taken to leave."""
-
-
 SCATTER, FASTEST = 0.04, 15.0
 """Volume strain [-] that the scatter of particles can feign, and the most that it counts as over the particle's own
 gap [-]: so a gap grows by e^14 in T_g at most."""
@@ -59,19 +56,14 @@ def slope_beside(near, mass, dx):
 
 @ti.func
 def grid_gap(
-    grid: ti.template(),
-    x: ti.template(),
-    contact: ti.template(),
-    density,
-    dx,
-    cells: ti.template(),
-    features: ti.template(),
+    grid: ti.template(), x: ti.template(), contact: ti.template(), density, box: ti.template(), features: ti.template()
 ):
     """e_s [-] of particles at `x` [m], D vectors: the volume strain that follows from the grid's density.
 
     grid: sum_i w_ip m_i [kg] and its D slopes [kg/m]; contact: `mpm.physics.contact.contact_of`, where solids stand in
-    the box; cells: of the box along each axis.
+    the box; box: the length of a cell, and how many it has along each axis.
     """
+    dx, cells = box
     # Lanes without mass keep a finite quotient.
     mass = maximum(grid[0], TINY)
     full = density * dx**features.dimension + 0.0 * mass
@@ -105,10 +97,7 @@ def grid_gap(
 
 @ti.func
 def updated_gap(opened, limit, bulk, rate, gap):
-    """K e [Pa] of particles: as remembered or, where open without tension, relaxed towards the grid's `gap` e_s [-].
-
-    rate: dt / T_g [-].
-    """
+    """K e [Pa], remembered or, where open without tension, relaxed to the grid's `gap` e_s [-]; rate: dt / T_g [-]."""
     shown = minimum(bulk * gap, maximum(FASTEST * opened, bulk * (gap - SCATTER)))
     followed = (opened + rate * shown) / (1.0 + rate)
     return ti.select((opened > 0.0) & (limit <= 0.0), followed, opened)
@@ -140,7 +129,7 @@ def looseness(block, arrays: ti.template()):
 def is_loose(block, arrays: ti.template()):
     """Whether a particle of a block is loose; in most blocks none is, and none needs the grid's density."""
     if ti.static(arrays.features.volume_correction):
-        return over_lanes(maximum, looseness(block, arrays), arrays) > 0.0
+        return over_lanes(maximum, looseness(block, arrays), arrays.features.lanes) > 0.0
     else:
         return False
 

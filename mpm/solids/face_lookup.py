@@ -7,7 +7,6 @@ place in plan (`mpm.solids.terrain`). What is found here is what `datasets.geome
 import taichi as ti
 
 from mpm.arrays.layout import FIRST_FACE, PADDING, Offset, Setting
-from mpm.solids.feet import TINY, foot_on_segment, foot_on_triangle
 from mpm.solids.terrain import (
     cell_code,
     cell_of_triangle,
@@ -22,6 +21,8 @@ from mpm.solids.terrain import (
 
 SKIN = 1.0e-3
 """Cells by which rounding may have put a particle behind the face it rests on."""
+TINY = 1.0e-20
+"""Keeps quotients finite."""
 
 
 @ti.func
@@ -105,16 +106,11 @@ def solid_of(face, scene, arrays: ti.template()):
 
 @ti.func
 def entry_of(node, scene, arrays: ti.template()):
-    """The entry of a cell, by its lowest node, or of a node in `cell_faces`, `node_holds` and `covered`; node: [D].
-
-    -1 outside of the scene's window, where nothing is listed.
-    """
+    """The entry of a node, [D], or of the cell above it in `cell_faces`, `node_holds` and `covered`; -1 without one."""
     entry, inside = 0, True
     for k in ti.static(range(arrays.features.dimension)):
-        along, count = (
-            node[k] - arrays.offsets[scene, Offset.WINDOW_LOW_X + k],
-            arrays.offsets[scene, Offset.WINDOW_X + k],
-        )
+        along = node[k] - arrays.offsets[scene, Offset.WINDOW_LOW_X + k]
+        count = arrays.offsets[scene, Offset.WINDOW_X + k]
         inside = inside and along >= 0 and along < count
         entry = entry * count + along
     entry += arrays.offsets[scene, Offset.GEOMETRY]
@@ -165,15 +161,6 @@ def unlisted_distance(x, entry, scene, arrays: ti.template()):
 def reach_of(scene, arrays: ti.template()):
     """The distance from solids up to which the nearest face is found [m] (`mpm.solids.obstacles.farthest`)."""
     return arrays.settings[scene, Setting.SEARCH_DISTANCE] + arrays.settings[scene, Setting.CELL]
-
-
-@ti.func
-def cells_about(x, radius, scene, arrays: ti.template()):
-    """The cells of a raster that `radius` [m] in plan about `x` [m] reaches, as `cells_within`; none where negative."""
-    i0, k0, i1, k1 = 0, 0, 0, 0
-    if radius >= 0.0 and arrays.offsets[scene, Offset.POSTS_X] > 0:
-        i0, k0, i1, k1 = cells_within(x - radius, x + radius, scene, arrays)
-    return i0, k0, i1, k1
 
 
 @ti.func
@@ -234,6 +221,49 @@ def covers_point(a, b, c, normal, point, arrays: ti.template()):
 
 
 @ti.func
+def foot_on_segment(x, a, b):
+    """Weights of the corners at the point of a segment nearest to `x` [m]; 0: inside it, 1, 2: that corner."""
+    t = (x - a).dot(b - a) / (b - a).dot(b - a)
+    part = 0
+    if t <= 0.0:
+        t, part = 0.0 * t, 1
+    elif t >= 1.0:
+        t, part = 0.0 * t + 1.0, 2
+    return ti.Vector([1.0 - t, t]), part
+
+
+@ti.func
+def foot_on_triangle(x, a, b, c):
+    """Weights of the corners at the point of a triangle nearest to `x` [m] (Ericson 2005, section 5.1.5).
+
+    0: inside it; 1, 2, 3: that corner; 4, 5, 6: the edge from corner 1 to 2, 2 to 3, 3 to 1.
+    """
+    ab, ac = b - a, c - a
+    d1, d2 = ab.dot(x - a), ac.dot(x - a)
+    d3, d4 = ab.dot(x - b), ac.dot(x - b)
+    d5, d6 = ab.dot(x - c), ac.dot(x - c)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    part = 0
+    w = ti.Vector([va, vb, vc]) / ti.max(va + vb + vc, TINY)
+    if d1 <= 0.0 and d2 <= 0.0:
+        w, part = ti.Vector([1.0, 0.0, 0.0]) + 0.0 * w, 1
+    elif d3 >= 0.0 and d4 <= d3:
+        w, part = ti.Vector([0.0, 1.0, 0.0]) + 0.0 * w, 2
+    elif d6 >= 0.0 and d5 <= d6:
+        w, part = ti.Vector([0.0, 0.0, 1.0]) + 0.0 * w, 3
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        t = d1 / (d1 - d3)
+        w, part = ti.Vector([1.0 - t, t, 0.0]), 4
+    elif va <= 0.0 and d4 >= d3 and d5 >= d6:
+        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        w, part = ti.Vector([0.0, 1.0 - t, t]), 5
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        t = d2 / (d2 - d6)
+        w, part = ti.Vector([1.0 - t, 0.0, t]), 6
+    return w, part
+
+
+@ti.func
 def foot_on_face(x, a, b, c, arrays: ti.template()):
     """Of the foot of `x` [m] on a face: the weights of its corners, the part it lies on, and x less the foot [m]."""
     w, part, from_foot = 0.0 * x, 0, x
@@ -280,7 +310,9 @@ def nearest_face(x, last, entry, scene, arrays: ti.template()):
         if arrays.offsets[scene, Offset.POSTS_X] > 0:
             radius, beyond, least = terrain_radius(x, reach_of(scene, arrays), scene, arrays)
             bound = ti.min(bound, beyond)
-            i0, k0, i1, k1 = cells_about(x, radius, scene, arrays)
+            i0, k0, i1, k1 = 0, 0, 0, 0
+            if radius >= 0.0:
+                i0, k0, i1, k1 = cells_within(x - radius, x + radius, scene, arrays)
             for i in range(i0, i1):
                 for k in range(k0, k1):
                     code = cell_code(i, k, scene, arrays)
@@ -354,13 +386,8 @@ def free_path(x, face, weights, normal, d, free, entry, cell, scene, arrays: ti.
             free = ti.min(free, 0.5 * (unlisted_distance(x, entry, scene, arrays) - d))
         for number in range(listed):
             p, q, r = listed_corners(arrays.near_faces[first + number], arrays)
-            if is_before(p, q, r, a, normal, cell):
+            # Whether it lies in part in front of the plane of `face`.
+            if ti.max((p - a).dot(normal), (q - a).dot(normal), (r - a).dot(normal)) > SKIN * cell:
                 _, _, from_foot = foot_on_face(x, p, q, r, arrays)
                 free = ti.min(free, 0.5 * (from_foot.norm() - d))
     return free
-
-
-@ti.func
-def is_before(p, q, r, corner, normal, cell):
-    """Whether a face with the corners `p`, `q` and `r` lies in part in front of the plane through `corner`."""
-    return ti.max((p - corner).dot(normal), (q - corner).dot(normal), (r - corner).dot(normal)) > SKIN * cell

@@ -37,13 +37,12 @@ from scipy.ndimage import distance_transform_edt, minimum_filter
 from datasets.geometry.contact_surface import ContactSurface, HeightField, contact_surface_of
 from datasets.geometry.ground import interpolated
 from datasets.geometry.nearest import Search, feet, nearest
-from datasets.geometry.surface import Surface, solids_of
+from datasets.geometry.surface import Surface
 from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import CONTACT_WIDTH, roughest, search_distance
 from mpm.solids.face_lookup import SKIN
-from mpm.solids.window import Window, boxes_around, window_around, window_of
 
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
@@ -54,6 +53,62 @@ FADE = 0.5
 cell, nodes give way while a bed is laid against the solid, and its thrust is up to 15 % too low."""
 BLEND = 0.5
 """Distance beyond that of the nearest face [cells] from which another one holds a node no more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """A box of cells, and of the nodes at their lowest corners; D dimensions."""
+
+    low: tuple[int, ...]
+    """The lowest node, as the grid counts from its first padding node, shape [D]."""
+    shape: tuple[int, ...]
+    """Cells along each axis, shape [D]."""
+    cell: float
+    """[m]."""
+
+    @property
+    def count(self) -> int:
+        """Cells in it, C."""
+        return math.prod(self.shape)
+
+    def positions(self, numbers: Integers) -> Floats:
+        """Of the nodes with these numbers [m], shape [N, D]."""
+        return np.asarray((self.nodes(numbers) - PADDING) * self.cell)
+
+    def numbers(self, nodes: Integers) -> Integers:
+        """Of nodes in it by their indices in the grid, shape [N, D]; shape [N]."""
+        return np.asarray(np.ravel_multi_index(tuple((nodes - np.array(self.low)).T), self.shape))
+
+    def nodes(self, numbers: Integers) -> Integers:
+        """The indices in the grid, shape [N, D], of the nodes with these numbers, shape [N]."""
+        return np.asarray(np.stack(np.unravel_index(numbers, self.shape), axis=-1) + np.array(self.low))
+
+
+def window_around(domain: Domain, surface: Surface, cutoff: float) -> Window:
+    """The cells that may list a face, up to `cutoff` cells from it; none without faces."""
+    if not len(surface.corners):
+        return Window(low=(0,) * domain.dimension, shape=(0,) * domain.dimension, cell=domain.cell)
+    corners = surface.corners.reshape(1, -1, domain.dimension)
+    # Of the centre of a cell that lists a face; a step moves a particle by at most a cell.
+    limit = (max(cutoff, 1.0) + 0.5 * math.sqrt(domain.dimension)) * domain.cell
+    low, high = (each[0] for each in boxes_around(domain, corners, limit))
+    shape = np.array(node_shape(domain))
+    low = np.clip(low, 0, shape - 1)
+    high = np.clip(high, low + 1, shape)
+    return Window(low=tuple(low.tolist()), shape=tuple((high - low).tolist()), cell=domain.cell)
+
+
+def window_of(domain: Domain, nodes: Integers) -> Window:
+    """The box around nodes by their indices, shape [N, D]."""
+    low, high = nodes.min(axis=0), nodes.max(axis=0) + 1
+    return Window(low=tuple(low.tolist()), shape=tuple((high - low).tolist()), cell=domain.cell)
+
+
+def boxes_around(domain: Domain | Window, corners: Floats, limit: float) -> tuple[Integers, Integers]:
+    """The boxes [low, high) of cells whose centres may lie within `limit` [m] of corners, [F, K, D]; [F, D] each."""
+    low = np.floor((corners.min(axis=1) - limit) / domain.cell - 0.5).astype(np.int64) + PADDING
+    high = np.ceil((corners.max(axis=1) + limit) / domain.cell - 0.5).astype(np.int64) + PADDING + 1
+    return low, high
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,17 +157,13 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
         (field,) = part.fields
         triangles.append(known.setdefault(id(field), end))
         end = max(end, triangles[-1] + (0 if field is None else 2 * field.cut.size))
-    lists: dict[str, list[Array]] = {name: [] for name in TABLES}
+    shifted = []
     for part, first_triangle, (_, face, hold, near) in zip(parts, triangles, firsts[:-1].tolist(), strict=True):
         held = numbered(part.holds[:, 0], len(part.faces), face, first_triangle)
-        lists["faces"].append(part.faces)
-        lists["cell_faces"].append(part.cell_faces + near)
-        lists["near_faces"].append(part.near_faces + face)
-        lists["cell_distance"].append(part.cell_distance)
-        lists["node_holds"].append(part.node_holds + hold)
-        lists["holds"].append(np.column_stack([held, part.holds[:, 1:]]))
-        lists["covered"].append(part.covered)
-    together: dict[str, Any] = {name: np.concatenate(each) for name, each in lists.items()}
+        starts = {"cell_faces": part.cell_faces + near, "node_holds": part.node_holds + hold}
+        numbers = {"near_faces": part.near_faces + face, "holds": np.column_stack([held, part.holds[:, 1:]])}
+        shifted.append(vars(part) | starts | numbers)
+    together: dict[str, Any] = {name: np.concatenate([each[name] for each in shifted]) for name in TABLES}
     for name in ("windows", "fields", "frictions"):
         together[name] = tuple(value for part in parts for value in getattr(part, name))
     return Obstacles(**together, triangles=tuple(triangles)), firsts[:, :3]
@@ -152,35 +203,6 @@ def farthest(scene: Scene) -> float:
     return 1.0 + search_distance(scene) / scene.domain.cell
 
 
-def solids_with(scene: Scene) -> tuple[Any, ...]:
-    """All that the faces and the holds of a scene follow from."""
-    return scene.domain, solids_of(scene), farthest(scene), roughest(scene)
-
-
-def faces_and_holds(scene: Scene, nodes: Integers, base: Floats) -> tuple[Floats, Floats, Floats]:
-    """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which those of `nodes` [K, D] are, and
-    the friction of its height field, [P].
-
-    A hold that the scene does not have has no share. What else the kernel needs of solids is not made.
-    """
-    surface, holds = contact_surface_of(scene), base.copy()
-    holds[:, 2] = 0.0
-    if surface is None:
-        return np.zeros((0, 0)), holds, np.zeros(0)
-    field = surface.field
-    terrain = np.zeros(0) if field is None else np.minimum(field.friction, roughest(scene)).ravel()
-    lines = face_lines(limited(surface.faces, roughest(scene)))
-    if not len(nodes):
-        return lines, holds, terrain
-    window, first, ours, _ = holds_at(scene, surface, np.unique(nodes, axis=0))
-    owners, count = np.repeat(np.arange(len(first) - 1), np.diff(first)), int(max(base[:, 0].max(), *ours[:, 0], 0)) + 1
-    rows = (window.numbers(nodes), base), (owners, ours)
-    keys, our_keys = (node * count + each[:, 0].astype(np.int64) for node, each in rows)
-    _, at, our_at = np.intersect1d(keys, our_keys, assume_unique=True, return_indices=True)
-    holds[at] = ours[our_at]
-    return lines, holds, terrain
-
-
 def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Window, NDArray[np.int32], Floats, Floats]:
     """Of `nodes` by their indices, shape [N, D]: a window around them, where the holds of each of its nodes begin,
     these, shape [K, 3], and the normals of their faces, shape [K, D].
@@ -202,12 +224,9 @@ def limited(surface: Surface, most: float) -> Surface:
 
 def face_lines(surface: Surface) -> Floats:
     """`Obstacles.faces` of a surface."""
-    size = surface.dimension
     normals = surface.normals, surface.corner_normals, surface.edge_normals
     described: tuple[Array, ...] = (surface.corners, *normals, surface.friction, surface.solid)
-    columns = size * size, size, size * size, 9 * int(size == 3), size, 1
-    pairs = zip(described, columns, strict=True)
-    return np.concatenate([each.reshape(len(surface.corners), count) for each, count in pairs], axis=1)
+    return np.concatenate([each.reshape(len(each), math.prod(each.shape[1:])) for each in described], axis=1)
 
 
 @lru_cache(maxsize=4)
@@ -226,9 +245,8 @@ def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: f
     if window.count:
         apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(window.shape)).ravel()
         beyond = np.maximum(apart - math.sqrt(domain.dimension), 0.0)
-        around, numbers = solid.around(
-            window.positions(np.array([0, window.count - 1])), (cutoff + BLEND) * domain.cell
-        )
+        ends = window.positions(np.array([0, window.count - 1]))
+        around, numbers = solid.around(ends, (cutoff + BLEND) * domain.cell)
         node_holds, holds = holds_of(window, limited(around, most), listed, cutoff=cutoff)
         holds[:, 0] = numbers[holds[:, 0].astype(np.int64)]
         covered = covered_sides(window, domain, solid, cutoff=cutoff)
@@ -311,9 +329,25 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
 
     cutoff: largest distance from the surface that is listed [cells]; a displacement of a step is at most a cell.
     """
-    cell = window.cell
-    half = 0.5 * cell * math.sqrt(len(window.shape))
-    cells, faces, distance = near_pairs(window, surface, max(cutoff, 1.0) * cell + half)
+    cell, half = window.cell, 0.5 * window.cell * math.sqrt(len(window.shape))
+    if not len(surface.corners):
+        return np.zeros(window.count + 1, np.int32), np.zeros(0, np.int32)
+    limit = max(cutoff, 1.0) * cell + half
+    low, high = (each - np.array(window.low) for each in boxes_around(window, surface.corners, limit))
+    around = np.zeros(window.shape, bool)
+    for first, last in zip(np.maximum(low, 0), np.clip(high, 0, window.shape), strict=True):
+        around[tuple(map(slice, first, last))] = True
+    numbers = np.flatnonzero(around)
+    centres = window.positions(numbers) + 0.5 * cell
+    # Cells and faces whose centre lies within the limit of the face, and how far, by cells and then by faces.
+    pairs = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
+    for point, face in Search(surface).pairs(centres, np.full(len(centres), limit)):
+        _, apart, _ = feet(surface.corners[face], centres[point])
+        near = apart <= limit
+        pairs.append((numbers[point[near]], face[near], apart[near]))
+    cells, faces, distance = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    order = np.lexsort((faces, cells))
+    cells, faces, distance = cells[order], faces[order], distance[order]
     groups = np.flatnonzero(np.diff(cells, prepend=-1))
     smallest = np.minimum.reduceat(distance, groups) if len(groups) else distance
     smallest = np.repeat(smallest, np.diff(groups, append=len(cells)))
@@ -322,28 +356,6 @@ def faces_near(window: Window, surface: Surface, *, cutoff: float) -> tuple[NDAr
     kept = nearest_one | (distance <= half + cell + slack)
     listed = np.bincount(cells[kept] + 1, minlength=window.count + 1)
     return np.cumsum(listed).astype(np.int32), faces[kept].astype(np.int32)
-
-
-def near_pairs(window: Window, surface: Surface, limit: float) -> tuple[Integers, Integers, Floats]:
-    """Cells and faces whose centre lies within `limit` [m] of the face, and the distance of the centre [m], all [P];
-    in the order of the cells, then of the faces.
-    """
-    if not len(surface.corners):
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
-    low, high = (each - np.array(window.low) for each in boxes_around(window, surface.corners, limit))
-    around = np.zeros(window.shape, bool)
-    for first, last in zip(np.maximum(low, 0), np.clip(high, 0, window.shape), strict=True):
-        around[tuple(map(slice, first, last))] = True
-    numbers = np.flatnonzero(around)
-    centres = window.positions(numbers) + 0.5 * window.cell
-    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
-    for point, face in Search(surface).pairs(centres, np.full(len(centres), limit)):
-        _, distance, _ = feet(surface.corners[face], centres[point])
-        near = distance <= limit
-        found.append((numbers[point[near]], face[near], distance[near]))
-    cells, faces, distance = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    order = np.lexsort((faces, cells))
-    return cells[order], faces[order], distance[order]
 
 
 def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np.float64]:

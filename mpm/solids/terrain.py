@@ -51,11 +51,8 @@ def posts(scene, arrays: ti.template()):
 @ti.func
 def post_spacing(scene, arrays: ti.template()):
     """The lesser of the distances between posts along x and z [m]."""
-    along, across = (
-        terrain_number(TerrainNumber.PER_X, scene, arrays),
-        terrain_number(TerrainNumber.PER_Z, scene, arrays),
-    )
-    return 1.0 / ti.max(along, across)
+    per_x = terrain_number(TerrainNumber.PER_X, scene, arrays)
+    return 1.0 / ti.max(per_x, terrain_number(TerrainNumber.PER_Z, scene, arrays))
 
 
 @ti.func
@@ -87,9 +84,7 @@ def triangle_under(x, scene, arrays: ti.template()):
     v = (x[2] - z0) / (arrays.terrain[first_z + k + 1] - z0)
     if (code & 1) == 1:
         v = 1.0 - v
-    if v > u and (code & 1) == 0:
-        half = 1
-    if u > v and (code & 1) == 1:
+    if (v > u and (code & 1) == 0) or (u > v and (code & 1) == 1):
         half = 1
     return i, k, half, code
 
@@ -138,9 +133,7 @@ def terrain_radius(x, reach, scene, arrays: ti.template()):
 
 @ti.func
 def cells_within(low, high, scene, arrays: ti.template()):
-    """The cells of the raster that a box from `low` to `high` [m] lies over or under: the first along x and z, and the
-    one before which they end, along both.
-    """
+    """The cells of the raster over or under a box from `low` to `high` [m]: first in x and z, then past the last."""
     i0, k0 = raster_cell(low, scene, arrays)
     i1, k1 = raster_cell(high, scene, arrays)
     return i0, k0, i1 + 1, k1 + 1
@@ -207,10 +200,7 @@ def corner_frictions(i, k, half, code, scene, arrays: ti.template()):
 
 @ti.func
 def tilt_around(i, k, half, scene, arrays: ti.template()):
-    """tan of the largest angle between the plane of a triangle and those AROUND it [-]; kept once it has been needed.
-
-    UNKNOWN where a listed face or one that is too steep is among these.
-    """
+    """tan of the largest angle of a triangle to those AROUND it [-], kept; UNKNOWN where one is listed or too steep."""
     along, across, _, _, _, _ = posts(scene, arrays)
     cell = arrays.offsets[scene, Offset.TERRAIN_CELLS] + i * (across - 1) + k
     tilt = arrays.terrain_tilts[2 * cell + half]

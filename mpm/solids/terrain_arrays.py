@@ -25,9 +25,8 @@ def terrain_arrays(obstacles: Obstacles, offsets: NDArray[np.int32], real: np.dt
     numbers, cells, known = [np.zeros(1, real)], [np.zeros(1, np.int32)], dict[tuple[int, int], tuple[int, int]]()
     offsets[:, Offset.TERRAIN_FACE] = 2 * FIRST_FACE
     place, place_cells, end = 1, 1, len(obstacles.faces)
-    for offset, field, friction, triangle in zip(
-        offsets, obstacles.fields, obstacles.frictions, obstacles.triangles, strict=False
-    ):
+    fields = zip(offsets, obstacles.fields, obstacles.frictions, obstacles.triangles, strict=False)
+    for offset, field, friction, triangle in fields:
         if field is None:
             continue
         if (id(field), id(friction)) not in known:

@@ -71,8 +71,11 @@ def hold_share(depth, total, scene, arrays: ti.template()):
 @ti.func
 def removed_by_terrain(v, node, worker, scene, arrays: ti.template()):
     """What the height field takes of the velocity `v` [m/s] of a node, an index of shape [D]; shape [D]."""
-    removed = 0.0 * v
-    near = may_be_held(node, scene, arrays)
+    removed, near = 0.0 * v, False
+    if arrays.offsets[scene, Offset.POSTS_X] > 0:
+        # Below the height field, no deeper than is searched.
+        depth = column_height(node[0], node[2], scene, arrays) - node_position(node, scene, arrays)[1]
+        near = depth > 0.0 and depth * terrain_number(TerrainNumber.NEARNESS, scene, arrays) < reach_of(scene, arrays)
     if ti.static(arrays.features.processor.gpu):
         if near:
             removed = meet_holds(v, 0, node, False, scene, arrays)
@@ -87,16 +90,6 @@ def removed_by_terrain(v, node, worker, scene, arrays: ti.template()):
                 share, friction = arrays.kept_holds[slot, at], arrays.kept_holds[slot, at + 1]
                 removed += share * (v - after_contact(v, normal, friction))
     return removed
-
-
-@ti.func
-def may_be_held(node, scene, arrays: ti.template()):
-    """Whether a node lies below the height field, no deeper than is searched."""
-    near = False
-    if arrays.offsets[scene, Offset.POSTS_X] > 0:
-        depth = column_height(node[0], node[2], scene, arrays) - node_position(node, scene, arrays)[1]
-        near = depth > 0.0 and depth * terrain_number(TerrainNumber.NEARNESS, scene, arrays) < reach_of(scene, arrays)
-    return near
 
 
 @ti.func

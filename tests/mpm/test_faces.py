@@ -7,10 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from datasets.geometry.nearest import feet, nearest
-from datasets.scene import Baffle, Mass, Scene, Solid
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from mpm.arrays.layout import PADDING, node_shape
-from mpm.solids.obstacles import BLEND, FADE, faces_near, holds_of
-from mpm.solids.window import whole as whole_box
+from mpm.solids.obstacles import BLEND, FADE, Window, faces_near, holds_of
 from tests import scenes
 from tests.datasets.geometry.solids import surface
 
@@ -41,6 +40,11 @@ def scene_of(dimension: int) -> Scene:
         baffles=(Baffle(lower=(0.8, 0.0, 0.8)[:dimension], size=(0.1, 0.6, 0.2)[:dimension]),),
         solids=SCENES[dimension],
     )
+
+
+def whole_box(domain: Domain) -> Window:
+    """All cells of a box and its padding."""
+    return Window(low=(0,) * domain.dimension, shape=node_shape(domain), cell=domain.cell)
 
 
 def box_cells(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -15,8 +15,7 @@ from datasets.geometry.bodies import scene_height
 from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.particles import initial_particles
 from mpm import WITH_FIELDS, simulate
-from mpm.initial.geostatic import warn_of_ratio
-from mpm.initial.stress import initial_tractions
+from mpm.initial.stress import initial_tractions, warn_of_ratio
 from mpm.resolution import characteristic_length
 from tests.mpm.element import tensor
 from tests.refusals import refused

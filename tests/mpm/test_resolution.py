@@ -29,9 +29,8 @@ COLUMN = scene(((0.0, 0.0), (0.2, 0.4)))
 
 def measured(cells: float, promised: float, cost: float, *, dimension: int = 2, points: int = 2) -> Measured:
     what = Resolution(cells=cells, particles_per_axis=points, step_fraction=0.9, precision="f32")
-    return Measured(
-        dimension=dimension, resolution=what, expected=0.5 * promised, promised=promised, particle_steps=1.0e6 * cost
-    )
+    errors = {"expected": 0.5 * promised, "promised": promised, "thickness": promised}
+    return Measured(dimension=dimension, resolution=what, particle_steps=1.0e6 * cost, **errors)
 
 
 @pytest.mark.parametrize(("text", "value"), [("2%", 0.02), (" 2.5 % ", 0.025), ("0.02", 0.02), ("1e-2", 0.01)])

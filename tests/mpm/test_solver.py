@@ -143,7 +143,7 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
         monkeypatch.setattr("mpm.simulation.SORTED", 0)
         shared = simulate(scene, precision="f64", threads=2, record=WITH_FIELDS)
-        # Where principal stresses coincide, half of the digits are lost (`mpm.physics.principal`): another order shows.
+        # Where principal stresses coincide, half of the digits are lost (`mpm.physics.stress`): another order shows.
         np.testing.assert_allclose(shared.positions, alone.positions, atol=5e-6)
         np.testing.assert_allclose(shared.summary["wall_impulse"], alone.summary["wall_impulse"], rtol=1e-3, atol=1e-6)
         if scene.baffles:

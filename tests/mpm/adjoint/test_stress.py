@@ -21,7 +21,7 @@ pytestmark = pytest.mark.double
 Array = NDArray[Any]
 
 STRENGTHS = 6
-"""As `mpm.physics.mohr_coulomb.return_principal` takes them; the last two are 0 where friction has no growth."""
+"""As `mpm.laws.mohr_coulomb.return_principal` takes them; the last two are 0 where friction has no growth."""
 CONSTANTS = STRENGTHS + 2
 """Then lambda, mu."""
 VON_MISES = "von-mises"
