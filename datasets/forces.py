@@ -166,14 +166,10 @@ def spoken(forces: Forces) -> list[str]:
 def command(trajectory: Path, /, *, out: Path, smooth: float = 0.0) -> None:
     """Write the force on each solid over time: OUT/forces.csv and OUT/forces.png.
 
-    Parameters
-    ----------
-    trajectory
-        A trajectory (NPZ), or the folder of a run that holds one.
-    out
-        Folder for the results.
-    smooth
-        Time [s] over which forces are averaged besides the interval between two frames; 0 for none.
+    Args:
+        trajectory: A trajectory (NPZ), or the folder of a run that holds one.
+        out: Folder for the results.
+        smooth: Time [s] over which forces are averaged besides the interval between two frames; 0 for none.
     """
     flow = read_trajectory(trajectory)
     make_folder(out)

@@ -255,17 +255,12 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path) -> dict[str, Any
 def command(trajectory: Path, /, *, out: Path, cell: float | None = None, threshold: float | None = None) -> None:
     """Write what a flow left, seen from above: thickness, largest depth and velocity, outlines.
 
-    Parameters
-    ----------
-    trajectory
-        A trajectory (NPZ) in 3D, or the folder of a run that holds one.
-    out
-        Folder for the results.
-    cell
-        Edge of a cell of the maps [m]; that of the scene's grid unless given.
-    threshold
-        Thickness [m] above which the ground counts as covered; unless given the spacing of the particles, at most half
-        the least thickness released.
+    Args:
+        trajectory: A trajectory (NPZ) in 3D, or the folder of a run that holds one.
+        out: Folder for the results.
+        cell: Edge of a cell of the maps [m]; that of the scene's grid unless given.
+        threshold: Thickness [m] above which the ground counts as covered; unless given the spacing of the particles, at
+            most half the least thickness released.
     """
     flow = open_trajectory(trajectory_file(trajectory), "velocities")
     make_folder(out)

@@ -193,26 +193,16 @@ def command(
 ) -> None:
     """Write a scene in map coordinates from a raster of elevations and the polygons of a release.
 
-    Parameters
-    ----------
-    dem
-        ESRI ASCII or GeoTIFF raster of elevations [m], in a projected coordinate system or none.
-    release
-        Polygons: shapefile, GeoPackage, GeoJSON or KML.
-    out
-        The scene to write (TOML).
-    thickness
-        Of the release [m]; else the attribute `thickness` or `d0` of each polygon.
-    vertical
-        Whether the thickness is measured along the vertical; else normal to the ground.
-    friction
-        Coulomb coefficient of the ground.
-    turbulence
-        Voellmy's turbulent coefficient of the ground [m/s^2]; none unless given.
-    internal_friction
-        Angle of internal friction of the material [deg].
-    cell
-        Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
+    Args:
+        dem: ESRI ASCII or GeoTIFF raster of elevations [m], in a projected coordinate system or none.
+        release: Polygons: shapefile, GeoPackage, GeoJSON or KML.
+        out: The scene to write (TOML).
+        thickness: Of the release [m]; else the attribute `thickness` or `d0` of each polygon.
+        vertical: Whether the thickness is measured along the vertical; else normal to the ground.
+        friction: Coulomb coefficient of the ground.
+        turbulence: Voellmy's turbulent coefficient of the ground [m/s^2]; none unless given.
+        internal_friction: Angle of internal friction of the material [deg].
+        cell: Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
     """
     from datasets.exchange.rasters import read_raster, write_raster
     from datasets.exchange.vectors import read_polygons

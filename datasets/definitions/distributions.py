@@ -90,10 +90,8 @@ def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Pat
         variables = {name: drawn(value, stream, {}, ("variables", name)) for name, value in content.variables.items()}
         data = {key: drawn(value, stream, variables, ("scene", key)) for key, value in content.scene.items()}
         data.setdefault("seed", int(stream.integers(2**31)))
-        tries, bodies = (
-            tries + 1,
-            bodies + max(MANY, sum(len(each) for each in data.values() if isinstance(each, list))),
-        )
+        tries += 1
+        bodies += max(MANY, sum(len(each) for each in data.values() if isinstance(each, list)))
         try:
             scene = scene_from(data, folder)
             check_gaps(scene, content.baffle_gap)

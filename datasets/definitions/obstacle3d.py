@@ -170,16 +170,8 @@ def terrain(stream: Stream) -> Scene:
         dataclasses.replace(each, size=(each.size[0], each.size[1] + level, each.size[2]))
         for each in obstacles(stream, box, width, count, length=length)
     )
-    return scene(
-        stream,
-        mass,
-        width=width,
-        length=length,
-        height=float(ground.max()) + thickness + 0.15,
-        solids=(solid,),
-        floor_friction=friction,
-        baffles=baffles,
-    )
+    extent = {"width": width, "length": length, "height": float(ground.max()) + thickness + 0.15}
+    return scene(stream, mass, **extent, baffles=baffles, solids=(solid,), floor_friction=friction)
 
 
 KINDS: tuple[Kind, ...] = (slab, pile, tower, terrain, dam, slope, row, sheet, slab, tower)
@@ -267,17 +259,12 @@ def sand(stream: Stream) -> Material:
     return dataclasses.replace(given, friction_deg=float(stream.uniform(*FRICTION_DEG)), young=YOUNG)
 
 
-def scene(
-    stream: Stream,
-    mass: Mass,
-    *,
-    width: float,
-    length: float | None = None,
-    height: float | None = None,
-    baffles: tuple[Baffle, ...] = (),
-    **keys: Any,
-) -> Scene:
-    """The scene of a mass and keys, with random friction of its box and, in two of five scenes, damping."""
+def scene(stream: Stream, mass: Mass, *, width: float, length: float = 0.0, height: float = 0.0, **keys: Any) -> Scene:
+    """The scene of a mass and keys, with random friction of its box and, in two of five scenes, damping.
+
+    Without a `length` the box has a random one beyond mass and baffles, without a `height` room above the mass.
+    """
+    baffles = keys.get("baffles", ())
     damping = usually(stream, {0.6: 0.0, 0.75: 0.12}, 0.02, 0.25)
     wall_friction = usually(stream, {0.3: 0.0, 0.6: 0.43}, 0.0, 0.8)
     on_baffles = usually(stream, {0.3: 0.43}, 0.0, 0.8)
@@ -292,7 +279,6 @@ def scene(
         domain=Domain(size=tuple(CELL * math.ceil(each / CELL - 1e-6) for each in (length, top, width)), cell=CELL),
         material=material,
         masses=(mass,),
-        baffles=baffles,
         duration=DURATION,
         wall_friction=wall_friction,
         baffle_friction=on_baffles if baffles else 0.0,

@@ -19,6 +19,7 @@ AREAS = (0.05, 0.14)
 """Released in a scene of columns2d [m^2]: the paper's columns have 0.08, its layers 0.1."""
 ASPECTS = (0.4, 2.5)
 FRICTION_DEG = (12.0, 52.0)
+SAND = Material(friction_deg=30.0, density=1800.0, young=2.0e6, poisson=0.3, cohesion=100.0, tension_cutoff=50.0)
 SPEED = 2.0
 """Largest velocity of a layer [m/s]."""
 LAYERS = (2, 10)
@@ -63,14 +64,7 @@ def scene(stream: Stream, masses: tuple[Mass, ...]) -> Scene:
     return flow(
         stream,
         domain=Domain(size=(float(stream.choice([1.0, 1.4])), 1.0), cell=CELL),
-        material=Material(
-            friction_deg=float(stream.uniform(*FRICTION_DEG)),
-            density=1800.0,
-            young=2.0e6,
-            poisson=0.3,
-            cohesion=100.0,
-            tension_cutoff=50.0,
-        ),
+        material=dataclasses.replace(SAND, friction_deg=float(stream.uniform(*FRICTION_DEG))),
         masses=masses,
         duration=1.2,
         floor_friction=0.385,

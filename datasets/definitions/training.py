@@ -18,19 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import __version__
-from datasets.definitions.definition import Entry, Split
+from datasets.definitions.definition import Entry, Split, Stream
 
 MOVING_SPEED = 0.01
 """A particle slower than this [m/s] is at rest: it would need the whole second of a sequence to cross a grid cell."""
 
 
 def thin(
-    positions: NDArray[np.floating],
-    volume: float | NDArray[np.floating],
-    *,
-    cell: float,
-    kept: int,
-    rng: np.random.Generator,
+    positions: NDArray[np.floating], volume: float | NDArray[np.floating], *, cell: float, kept: int, rng: Stream
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Keep at random `kept` particles of each cell, those of more volume so much more often.
 

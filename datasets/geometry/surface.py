@@ -41,7 +41,7 @@ FACES = {
 """Their faces, outwards."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """The boundary of the union of all solids of a scene; F faces in D dimensions."""
 
@@ -61,15 +61,7 @@ class Surface:
     @staticmethod
     def of_faces(vertices: Floats, faces: Integers, solid: NDArray[np.int32], friction: Floats) -> "Surface":
         """The surface of `faces` [F, D], numbers of `vertices` [V, D], with the normals that follow from these."""
-        normals, corner_normals, edge_normals = pseudonormals(vertices, faces)
-        return Surface(
-            corners=vertices[faces],
-            normals=normals,
-            corner_normals=corner_normals,
-            edge_normals=edge_normals,
-            solid=solid,
-            friction=friction,
-        )
+        return Surface(vertices[faces], *pseudonormals(vertices, faces), solid, friction)
 
     @property
     def dimension(self) -> int:
