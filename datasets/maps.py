@@ -181,14 +181,10 @@ def write_outlines(path: Path, maps: PlanMaps, outlines: dict[str, MultiPolygon]
     """
     from datasets.exchange.rasters import name_in_geojson
 
-    features = [
-        {
-            "type": "Feature",
-            "properties": {"name": name, "threshold_m": maps.threshold, "area_m2": polygons.area},
-            "geometry": mapping(polygons),
-        }
-        for name, polygons in outlines.items()
-    ]
+    features = []
+    for name, polygons in outlines.items():
+        properties = {"name": name, "threshold_m": maps.threshold, "area_m2": polygons.area}
+        features.append({"type": "Feature", "properties": properties, "geometry": mapping(polygons)})
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if maps.crs is not None:
         collection["crs"] = {"type": "name", "properties": {"name": name_in_geojson(maps.crs)}}
@@ -272,10 +268,8 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
     if maps.left > 0.0 and maps.volume == 0.0:
         print("no map of the deposit: all of it left the box")
     elif said["extent"] is None:
-        print(
-            f"no outline of the deposit: no cell of {maps.cell:g} m"
-            f" is thicker than the threshold of {maps.threshold:g} m"
-        )
+        thin = f"no cell of {maps.cell:g} m is thicker than the threshold of {maps.threshold:g} m"
+        print(f"no outline of the deposit: {thin}")
 
 
 if __name__ == "__main__":

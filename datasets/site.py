@@ -55,14 +55,13 @@ def site(
     *,
     thickness: float | None,
     vertical: bool,
-    friction: float,
-    turbulence: float | None,
-    internal_friction: float,
+    bed: dict[str, float],
     cell: float | None,
 ) -> dict[str, Any]:
-    """The tables of a scene file without its terrain's path and its times; lengths in m on the map, angle in degrees.
+    """The tables of a scene file without its terrain's path, its material and its times; lengths in m on the map.
 
-    Raises InputError for a release that does not lie on the raster or has no thickness.
+    bed: `friction` of the ground, and perhaps its `turbulence`. Raises InputError for a release that does not lie on
+    the raster or has no thickness.
     """
     thick = [thickness_of(each, thickness) for each in release]
     covered = np.zeros(raster.values.shape, bool)
@@ -72,7 +71,7 @@ def site(
         covered |= inside
         masses.append(mass)
         top = max(top, float(raster.values[inside].max()) + 2.0 * own)
-    lower, upper = reached(raster, covered, top, REACH * friction)
+    lower, upper = reached(raster, covered, top, REACH * bed["friction"])
     volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
     plan = float(np.prod((upper - lower)[::2]))
     few = max(2.0 * (volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(plan / COLUMNS))
@@ -89,12 +88,10 @@ def site(
     counts[1] += 1.0
     require(bool((counts >= 1.0).all()), "--cell", "cells that fit what the flow reaches", f"{edge:g} m")
     size = np.round(counts * edge, 9)
-    bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
     domain = {"size": size.tolist(), "cell": edge, "origin": origin.tolist()}
     return {
         "open_sides": ["x-", "x+", "z-", "z+"],
         "domain": domain | ({} if raster.crs is None else {"crs": raster.crs}),
-        "material": {"friction_deg": internal_friction},
         "masses": masses,
         "solids": [{"name": "terrain", "kind": "terrain", **bed}],
     }
@@ -215,16 +212,9 @@ def command(
         raster = read_raster(dem)
     with naming(release):
         features = read_polygons(release, raster.crs)
-        table = site(
-            raster,
-            features,
-            thickness=thickness,
-            vertical=vertical,
-            friction=friction,
-            turbulence=turbulence,
-            internal_friction=internal_friction,
-            cell=cell,
-        )
+        bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
+        table = site(raster, features, thickness=thickness, vertical=vertical, bed=bed, cell=cell)
+        table["material"] = {"friction_deg": internal_friction}
     whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
     if whole is not None:
         dem = out.with_suffix(".dem.tif")

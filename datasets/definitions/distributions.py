@@ -30,14 +30,8 @@ MANY = 20
 MOST_SCENES = 1_000_000
 """Of a dataset."""
 NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
-OPTIONS = {
-    "uniform": {"step"},
-    "log_uniform": set[str](),
-    "normal": set[str](),
-    "integer": set[str](),
-    "choice": set[str](),
-    "variable": {"factor", "offset"},
-}
+ALONE = ("log_uniform", "normal", "integer", "choice")
+OPTIONS = {"uniform": {"step"}, "variable": {"factor", "offset"}} | {name: set[str]() for name in ALONE}
 """Distributions and the keys that may stand beside them."""
 
 

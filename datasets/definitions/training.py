@@ -66,21 +66,17 @@ class MotionStatistics:
     def from_samples(*samples: NDArray[np.float64]) -> "MotionStatistics":
         """The moments of v_t and of a_t, shape [S, D] each; S may be 0."""
         mean = [each.mean(axis=0) if len(each) else np.zeros(each.shape[1]) for each in samples]
-        return MotionStatistics(
-            count=np.array([[len(each)] for each in samples]),
-            mean=np.array(mean),
-            squares=np.array([((each - middle) ** 2).sum(axis=0) for each, middle in zip(samples, mean, strict=True)]),
-        )
+        squares = [((each - middle) ** 2).sum(axis=0) for each, middle in zip(samples, mean, strict=True)]
+        count = np.array([[len(each)] for each in samples])
+        return MotionStatistics(count=count, mean=np.array(mean), squares=np.array(squares))
 
     def __add__(self, other: "MotionStatistics") -> "MotionStatistics":
         """Pairwise update of Chan, Golub and LeVeque (1983): nothing cancels, whatever the sizes of the parts."""
         count = self.count + other.count
         shift, either = other.mean - self.mean, np.maximum(count, 1)
-        return MotionStatistics(
-            count=count,
-            mean=self.mean + shift * (other.count / either),
-            squares=self.squares + other.squares + shift**2 * (self.count * other.count / either),
-        )
+        mean = self.mean + shift * (other.count / either)
+        squares = self.squares + other.squares + shift**2 * (self.count * other.count / either)
+        return MotionStatistics(count=count, mean=mean, squares=squares)
 
     @property
     def std(self) -> NDArray[np.float64]:

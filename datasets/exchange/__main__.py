@@ -149,7 +149,7 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
         velocity0=((positions[1] - positions[0]) / foreign.dt).astype(np.float32),
         friction=friction.astype(np.float32),
         scene=replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt),
-        summary={**extents(scene, positions[-1], particle_volumes(scene, len(positions[-1])))},
+        summary=extents(scene, positions[-1], particle_volumes(scene, len(positions[-1]))),
     )
 
 

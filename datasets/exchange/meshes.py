@@ -97,14 +97,8 @@ def read_apart(path: Path) -> tuple[Floats, Integers]:
     """`triangles_in` in a process of its own, which a damaged file may end: VTK trusts the numbers in it."""
     with tempfile.TemporaryDirectory() as folder:
         kept = Path(folder) / "mesh.npz"
-        command = [
-            sys.executable,
-            "-P",
-            "-c",
-            "from datasets.exchange.meshes import leave; leave()",
-            str(path),
-            str(kept),
-        ]
+        work = "from datasets.exchange.meshes import leave; leave()"
+        command = [sys.executable, "-P", "-c", work, str(path), str(kept)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, errors="replace", check=False)
         if done.returncode == REFUSED:

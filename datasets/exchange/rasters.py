@@ -117,18 +117,16 @@ def opened(path: Path) -> Iterator[Any]:
     with path.open("rb") as raw:
         head = raw.read(max(map(len, MARKS)))
     # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
-    text: dict[str, Any] = {"driver": "AAIGrid", "DATATYPE": "Float64"}
+    is_text = head[:2] not in (b"II", b"MM")
+    options = {"driver": "AAIGrid", "DATATYPE": "Float64"} if is_text else {"driver": "GTiff"}
     encoding = next((name for mark, name in MARKS.items() if head.startswith(mark)), None)
     if encoding is not None:
         # The driver knows plain text alone.
         plain = path.read_bytes().decode(encoding).encode()
-        with MemoryFile(plain, ext=".asc") as memory, memory.open(**text) as file:
-            yield file
-    elif head[:2] in (b"II", b"MM"):
-        with rasterio.open(path.resolve(), driver="GTiff") as file:
+        with MemoryFile(plain, ext=".asc") as memory, memory.open(**options) as file:
             yield file
     else:
-        with rasterio.open(path.resolve(), **text) as file:
+        with rasterio.open(path.resolve(), **options) as file:
             yield file
 
 
@@ -156,12 +154,9 @@ def check_lengths(crs: Any, east: float, north: float) -> None:
         return  # a system of its own, without a place on the earth
     longitude, latitude = np.radians(places)
     ground = EARTH * np.hypot(np.cos(latitude[0]) * (longitude[1:] - longitude[0]), latitude[1:] - latitude[0]) / LENGTH
-    require(
-        bool((np.abs(ground - 1.0) <= DISTORTED).all()),
-        "",
-        "a projected coordinate system whose metres are metres on the ground (UTM or a country's own)",
-        f"{crs.to_string()[:60]}, where one is {ground[0]:.3g} m",
-    )
+    expected = "a projected coordinate system whose metres are metres on the ground (UTM or a country's own)"
+    got = f"{crs.to_string()[:60]}, where one is {ground[0]:.3g} m"
+    require(bool((np.abs(ground - 1.0) <= DISTORTED).all()), "", expected, got)
 
 
 def known_system(crs: str) -> str:

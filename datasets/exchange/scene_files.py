@@ -124,11 +124,8 @@ class Reader:
             ranges = [slice(part[0], part[-1] + 1) for part in parts]
             axes = [axis[part] for axis, part in zip(axes, ranges, strict=True)]
             values = values[ranges[0], ranges[1]]
-        found: Entry = {
-            "origin": [float(axis[0]) for axis in axes],
-            "spacing": list(raster.spacing),
-            name: values.tolist(),
-        }
+        origin = [float(axis[0]) for axis in axes]
+        found: Entry = {"origin": origin, "spacing": list(raster.spacing), name: values.tolist()}
         if terrain and self.lower is None:
             found |= {"corner": [-offset[0], -offset[1]], "crs": raster.crs}
         return found

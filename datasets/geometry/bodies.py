@@ -86,10 +86,8 @@ def filling(scene: SceneLayout, mass: Mass, key: str = "masses") -> Filling:
     """The particles that fill a mass of `scene` that is no box. Raises InputError."""
     shape = dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None)
     # Without friction, so that scenes which differ by that alone share what is found.
-    terrain = (
-        dataclasses.replace(each, friction=0.0, turbulence=None) for each in scene.solids if each.kind == "terrain"
-    )
-    ground = tuple(terrain) if mass.kind == "layer" else ()
+    bare = (dataclasses.replace(each, friction=0.0, turbulence=None) for each in scene.solids if each.kind == "terrain")
+    ground = tuple(bare) if mass.kind == "layer" else ()
     return fill(shape, scene.domain, ground, scene.particle_spacing, key)
 
 

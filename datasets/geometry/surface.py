@@ -87,16 +87,11 @@ def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """Everything solid in `scene`, in the order of its numbers, and the keys of each; without their turbulence, so that
     scenes which differ by that alone share their surface.
     """
-    baffles = [
-        Solid(
-            lower=each.lower,
-            size=each.size,
-            turned_deg=each.turned_deg,
-            friction=coefficient(scene.friction_of(each), 0.0),
-            contact="no-slip" if scene.friction_of(each) == ROUGH else "coulomb",
-        )
-        for each in scene.baffles
-    ]
+    baffles = []
+    for each in scene.baffles:
+        friction, box = scene.friction_of(each), {key: getattr(each, key) for key in ("lower", "size", "turned_deg")}
+        contact = "no-slip" if friction == ROUGH else "coulomb"
+        baffles.append(Solid(**box, friction=coefficient(friction, 0.0), contact=contact))
     others = [each if each.turbulence is None else replace(each, turbulence=None) for each in scene.solids]
     return (*baffles, *others), tuple(keyed(scene, "baffles", "solids"))
 

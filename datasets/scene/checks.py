@@ -151,9 +151,8 @@ def check_k0(scene: SceneLayout) -> None:
         material = scene.material_of(mass)
         if material.law != MOHR_COULOMB:
             continue
-        angles = [
-            min(each.values) for each in scene.fields if each.quantity == FRICTION and each.mass in (None, number)
-        ]
+        varying = (each for each in scene.fields if each.quantity == FRICTION and each.mass in (None, number))
+        angles = [min(each.values) for each in varying]
         angle = material.phi_deg_of(min(angles), material.dilation_deg) if angles else material.phi_deg
         active = math.tan(math.radians(45.0 - 0.5 * angle)) ** 2
         tall = height(scene, mass)
@@ -223,11 +222,9 @@ def check_fields(scene: SceneLayout) -> None:
     dimension, kinds = scene.dimension, (FRICTION, *VELOCITIES[: scene.dimension])
     for index, (key, field) in enumerate(keyed(scene, "fields").items()):
         require(field.quantity in kinds, f"{key}.quantity", f"one of {', '.join(kinds)}", repr(field.quantity))
-        for name in ("origin", "spacing", "nodes"):
-            count = len(getattr(field, name))
-            require(count == dimension, f"{key}.{name}", f"{dimension} numbers", count)
         check_vector(field.origin, f"{key}.origin", dimension)
         check_vector(field.spacing, f"{key}.spacing", dimension)
+        require(len(field.nodes) == dimension, f"{key}.nodes", f"{dimension} numbers", len(field.nodes))
         count = field.count
         require(len(field.values) == count, f"{key}.values", f"{count} numbers, one for each node", len(field.values))
         require(all(map(usual, field.values)), f"{key}.values", "finite numbers", "others")
@@ -254,13 +251,11 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
     """One UserWarning for each number that looks like another unit's (radians, MPa, mm) and layer that the box cuts."""
     from datasets.geometry.bodies import Plan, height
 
-    layers = {key: mass for key, mass in keyed(scene, "masses").items() if mass.kind == "layer"}
-    for key, mass in layers.items():
-        lost = Plan(mass, scene.domain, key).lost
+    for key, mass in keyed(scene, "masses").items():
+        lost = Plan(mass, scene.domain, key).lost if mass.kind == "layer" else 0.0
         if lost > LOST:
-            warnings.warn(
-                f"{key}: {lost:.2g} of the layer lies beyond the sides of the box and is left out", stacklevel=3
-            )
+            beyond = f"{lost:.2g} of the layer lies beyond the sides of the box and is left out"
+            warnings.warn(f"{key}: {beyond}", stacklevel=3)
     own = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
     for key, material in {"material": scene.material, **own}.items():
         lines = []

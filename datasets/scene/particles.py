@@ -147,10 +147,9 @@ def observed_cohesion(
     mass: the mass that each belongs to, where the particles are not those of `initial_particles`. Raises InputError
     where masses differ and nothing says which particle belongs to which.
     """
-    alike = len(scene.masses) == 1 or (
-        len({scene.material_of(each).cohesion for each in scene.masses}) == 1
-        and not any(scene.material_of(each).strength_gradient for each in scene.masses)
-    )
+    materials = [scene.material_of(each) for each in scene.masses]
+    grows = [each.strength_gradient > 0.0 for each in materials]
+    alike = len(materials) == 1 or (len({each.cohesion for each in materials}) == 1 and not any(grows))
     if mass is None and alike:
         mass = np.zeros(len(positions), np.int32)
     elif mass is None:
@@ -161,9 +160,9 @@ def observed_cohesion(
         mass = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     depths = np.zeros(len(positions))
     for index, each in enumerate(scene.masses):
-        if scene.material_of(each).strength_gradient > 0.0:
+        if grows[index]:
             depths[mass == index] = depth(scene, each, np.asarray(positions[mass == index], np.float64))
-    return cohesions([scene.material_of(each) for each in scene.masses], mass, depths)
+    return cohesions(materials, mass, depths)
 
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
@@ -184,9 +183,8 @@ def mass_counts(scene: Scene) -> list[int]:
 
 def mass_volumes(scene: Scene) -> NDArray[np.float64]:
     """Volume of each mass [m^D], exactly that of its shape, shape [masses]."""
-    return np.array(
-        [math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses]
-    )
+    volumes = (math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses)
+    return np.fromiter(volumes, np.float64)
 
 
 def particle_count(scene: Scene) -> int:
@@ -252,10 +250,8 @@ def unresolved(scene: Scene, cells: float) -> str:
         return ""
     names, thickness = ", ".join([*thin][:3]) + (", ..." if len(thin) > 3 else ""), min(thin.values())
     finest, coarsest = (thickness / each for each in reversed(RESOLVED))
-    return (
-        f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid hardly resolves it; "
-        f"a cell of {finest:.2g} to {coarsest:.2g} m would"
-    )
+    said = f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid hardly resolves it"
+    return f"{said}; a cell of {finest:.2g} to {coarsest:.2g} m would"
 
 
 def thinnest(scene: Scene, mass: Mass) -> float:

@@ -30,6 +30,7 @@ Length = Annotated[float, Bounds(f"a positive length in m, up to {FARTHEST:g}", 
 Coefficient = Annotated[float | str, Bounds(f"a coefficient of at least 0 or '{ROUGH}'", ge=0.0, words=(ROUGH,))]
 Turbulence = Annotated[float | None, Bounds(f"a positive coefficient in m/s^2, up to {FARTHEST:g}", gt=0.0)]
 Size = Annotated[Vector, Bounds(f"positive lengths in m, above {TOLERANCE:g}", gt=TOLERANCE)]
+K0 = Annotated[float | str, Bounds("a ratio of stresses of at least 0 or 'elastic'", ge=0.0, words=("elastic",))]
 Moment = Annotated[float | str, Bounds("a time in s or 'settled'", words=("settled",))]
 
 
@@ -112,9 +113,7 @@ class Mass(Record):
     vector; the velocity at x is then velocity + angular_velocity x (x - centre)."""
     material: Material | None = None
     """Its own material; the scene's where absent."""
-    k0: Annotated[
-        float | str | None, Bounds("a ratio of stresses of at least 0 or 'elastic'", ge=0.0, words=("elastic",))
-    ] = None
+    k0: K0 | None = None
     """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic". Where absent none, of a
     flat mass on inclined ground that of an infinite slope (`mpm.initial.slope`)."""
     release: Moment | None = None
