@@ -5,8 +5,7 @@ with the release and lies below
 
     z_0 - REACH mu s,    z_0: the top of the release, s: level distance from it
 
-A thickness T normal to the bed is T / cos(slope) along the vertical,
-cell by cell of the raster.
+A thickness T normal to the bed is T / cos(slope) along the vertical, cell by cell of the raster.
 """
 
 import math
@@ -214,7 +213,7 @@ def command(
         features = read_polygons(release, raster.crs)
         bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
         table = site(raster, features, thickness=thickness, vertical=vertical, bed=bed, cell=cell)
-        table["material"] = {"friction_deg": internal_friction}
+        table = {"material": {"friction_deg": internal_friction}, **table}
     whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
     if whole is not None:
         dem = out.with_suffix(".dem.tif")

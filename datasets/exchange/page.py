@@ -198,12 +198,8 @@ def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -
             "fields": {key: numbers.put(own, np.zeros(1), np.array([tops[key]]), "u1") for key, own in values.items()},
         }
         runs.append(run)
-    return {
-        "runs": runs,
-        "fields": fields,
-        "lower": corners[:, 0].min(axis=0).tolist(),
-        "upper": corners[:, 1].max(axis=0).tolist(),
-    }
+    lower, upper = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    return {"runs": runs, "fields": fields, "lower": lower.tolist(), "upper": upper.tolist()}
 
 
 def coloured(key: str, top: float, materials: Sequence[Material]) -> dict[str, Any]:

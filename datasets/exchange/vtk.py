@@ -24,19 +24,8 @@ if TYPE_CHECKING:
 SERIES = "trajectory.pvd"
 PARTS = re.compile(r"(particles-\d+|solids(-\d+)?|domain)\.vtp")
 """The files that a series consists of, whatever its length."""
-UNITS = {
-    "velocity": "m/s",
-    "displacement": "m",
-    "stress": "Pa",
-    "pressure": "Pa",
-    "plastic_strain": "1",
-    "material": "1",
-    "friction_deg": "deg",
-    "solid": "1",
-    "friction": "1",
-    "impulse": "N s",
-    "force": "N",
-}
+UNITS = {"velocity": "m/s", "displacement": "m", "friction_deg": "deg", "impulse": "N s", "force": "N"}
+UNITS |= {"stress": "Pa", "pressure": "Pa"} | dict.fromkeys(("plastic_strain", "material", "solid", "friction"), "1")
 """Of the arrays; of impulse and force in 2D per metre of width."""
 MOVING = "particles"
 """The part whose geometry changes."""

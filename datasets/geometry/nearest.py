@@ -178,6 +178,5 @@ def triangle_weights(corners: Floats, points: Floats) -> Floats:
         ((va <= 0.0) & (d4 - d3 >= 0.0) & (d5 - d6 >= 0.0), (zero, one - on_bc, on_bc)),
     ]
     inner = (one - v - w, v, w)
-    return np.stack(
-        [np.select([case for case, _ in cases], [value[k] for _, value in cases], inner[k]) for k in range(3)], axis=-1
-    )
+    regions, places = zip(*cases, strict=True)
+    return np.stack([np.select(regions, [place[k] for place in places], inner[k]) for k in range(3)], axis=-1)

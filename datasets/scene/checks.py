@@ -48,10 +48,6 @@ def checked(scene: SceneLayout) -> SceneLayout:
 def check_sizes(scene: SceneLayout) -> None:
     """Raise InputError where the box, the times or the number of anything are beyond what can be counted."""
     domain = scene.domain
-    require(len(domain.size) in (2, 3), "domain.size", "2 or 3 lengths in m", list(domain.size))
-    if domain.origin is not None:
-        check_vector(domain.origin, "domain.origin", len(domain.size))
-    require(domain.crs is None or domain.origin is not None, "domain.crs", "an origin beside it", "none")
     cells = [length / domain.cell for length in domain.size]
     fits = all(0.0 < length <= FARTHEST for length in domain.size) and all(map(whole, cells))
     expected = f"a positive whole number of cells of {domain.cell:g} m, up to {FARTHEST:g} m"

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.errors import require
 from datasets.scene.grid_field import Field
 from datasets.scene.material import Material
 from datasets.schema import FARTHEST, Bounds, Record
@@ -44,7 +45,7 @@ class Domain(Record):
     """The rigid box [0, size] and the background grid in it; y, the second axis, points up.
 
     All lengths of a `Scene` count from the box's lower corner. A file whose box has an `origin` gives them, and what is
-    written of its flow is, in the coordinates of a map (`datasets.exchange.map_coordinates`).
+    written of its flow is, in the coordinates of a map (`datasets.scene.library`).
     """
 
     size: Vector
@@ -56,6 +57,14 @@ class Domain(Record):
     """
     crs: str | None = None
     """Reference system of these, as an authority's code or in WKT."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count, origin = len(self.size), self.origin
+        require(count in (2, 3), "size", "2 or 3 lengths in m", list(self.size))
+        placed = origin is None or (len(origin) == count and all(abs(each) <= FARTHEST for each in origin))
+        require(placed, "origin", f"{count} lengths in m within {FARTHEST:g}", list(origin or ()))
+        require(self.crs is None or self.origin is not None, "crs", "an origin beside it", "none")
 
     @property
     def dimension(self) -> int:
