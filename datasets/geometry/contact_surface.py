@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.geometry.closed import Body
+from datasets.geometry.closed import Body, pseudonormals
 from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, Integers, first_diagonal, grid_triangles
 from datasets.geometry.ground import ground_grid as grid_of
 from datasets.geometry.surface import Surface, body_of, boundary, near_box, raster_body, solids_of, surface_in
@@ -83,7 +83,7 @@ class HeightField:
         kept = np.repeat((inner & ~self.cut[i, k]).ravel(), 2)
         numbers = (2 * (i * self.cut.shape[1] + k).ravel()[:, None] + [0, 1]).ravel()
         solid = np.full(len(faces), self.solid, np.int32)
-        found = Surface.of_faces(vertices, faces, solid, friction.ravel()[faces])
+        found = Surface(vertices[faces], *pseudonormals(vertices, faces), solid, friction.ravel()[faces])
         return found.chosen(kept), numbers[kept]
 
 

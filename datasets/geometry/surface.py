@@ -58,11 +58,6 @@ class Surface:
     friction: Floats
     """Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]."""
 
-    @staticmethod
-    def of_faces(vertices: Floats, faces: Integers, solid: NDArray[np.int32], friction: Floats) -> "Surface":
-        """The surface of `faces` [F, D], numbers of `vertices` [V, D], with the normals that follow from these."""
-        return Surface(vertices[faces], *pseudonormals(vertices, faces), solid, friction)
-
     @property
     def dimension(self) -> int:
         """2 or 3."""
@@ -122,7 +117,7 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
     else:
         union = union_of_rings if bodies[0].vertices.shape[1] == 2 else union_of_surfaces
         vertices, faces, friction, owner = union(bodies, gap)
-    found = Surface.of_faces(vertices, faces, owner, friction)
+    found = Surface(vertices[faces], *pseudonormals(vertices, faces), owner, friction)
     # Triangles without area have no normal.
     return found.chosen(np.asarray(found.normals.any(axis=1)))
 
