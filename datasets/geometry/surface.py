@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import require
 from datasets.geometry.closed import Body, pseudonormals, ring, snapped
-from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, Integers, grid_triangles, ground_grid
+from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, grid_triangles, ground_grid
 from datasets.geometry.rings import check_simple, cut_ring, lengthened_ring, union_of_rings
 from datasets.geometry.shells import cut_surface, lengthened_surface, outward, union_of_surfaces
 from datasets.scene.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
