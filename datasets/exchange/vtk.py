@@ -131,9 +131,8 @@ def frames_of(trajectory: Trajectory, every: int) -> list[int]:
 def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, progress: bool = False) -> None:
     """Write `folder/trajectory.pvd` and the files that it refers to: every `every`-th frame, and the last.
 
-    Points are in map coordinates, in double precision, where the scene's box has an origin. Velocities that were not
-    recorded are finite differences of the frames. An older series in the folder stays whole
-    until all files of the new one are written, then goes, its surplus frames included. Raises WorkFailed.
+    Points are in map coordinates, in double precision, where the scene's box has an origin. An older series in the
+    folder stays whole until all files of the new one are written, then goes with all its frames. Raises WorkFailed.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

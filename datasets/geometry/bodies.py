@@ -224,12 +224,8 @@ class Plan:
         if self.edges:
             filled = [np.flatnonzero(self.values.any(axis=1 - axis)) for axis in (0, 1)]
             ends = [edges[[cells[0], cells[-1] + 1]] for edges, cells in zip(self.edges, filled, strict=True)]
-            given_lower, given_upper = np.array(ends).T
-            lower, upper = (
-                (given_lower, given_upper)
-                if outline is None
-                else (np.maximum(lower, given_lower), np.minimum(upper, given_upper))
-            )
+            low, high = np.array(ends).T
+            lower, upper = (low, high) if outline is None else (np.maximum(lower, low), np.minimum(upper, high))
         shape = shapely.box(*lower, *upper) if spatial else shapely.box(lower[0], 0.0, upper[0], 1.0)
         if outline is not None and spatial:
             check_simple(outline, f"{key}.outline")

@@ -208,7 +208,7 @@ class Solid(Record):
     """Easting and northing of x = 0, z = 0 in the coordinates of the raster that a terrain in 3D came from [m]."""
     crs: str | None = None
     """Reference system of these coordinates, as an authority's code or in WKT, where the raster named one."""
-    friction: float | Vector | Rows = 0.0
+    friction: Annotated[float | Vector | Rows, Bounds("coefficients of at least 0", ge=0.0)] = 0.0
     """Coulomb coefficient [-]: a number, or one per vertex, point or height, linear between them."""
     contact: Annotated[str, Bounds("'coulomb' or 'no-slip'", words=("coulomb", "no-slip"))] = "coulomb"
     """`coulomb` or `no-slip`."""
