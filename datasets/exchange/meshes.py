@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.errors import InputError, require
-from datasets.files import file_size, reading, replacing
+from datasets.files import LARGEST, file_size, reading, replacing
 from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import surface_of
 from datasets.processes import end_with_parent
@@ -25,8 +25,6 @@ IN_PROCESS = (".stl", ".obj")
 """Those whose readers survive any file."""
 REFUSED = 2
 """Exit status of a process that says what is wrong with a mesh."""
-LARGEST = 2**30
-"""Bytes of a file."""
 SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
 """Distances of vertices that are one, over the extent of the mesh: the first with which its surface is closed."""
 

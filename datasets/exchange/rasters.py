@@ -16,13 +16,11 @@ from rasterio.io import MemoryFile
 from rasterio.warp import transform as reprojected
 
 from datasets.errors import WorkFailed, require, shortened
-from datasets.files import file_size, reading, replacing
+from datasets.files import LARGEST, file_size, reading, replacing
 from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 from datasets.scene.grid_field import Floats
 
-LARGEST = 2**30
-"""Bytes of a file."""
 VALUE = 32
 """Bytes that a value takes while a raster is read."""
 METRES = ("", "m", "metre", "metres", "meter", "meters")
