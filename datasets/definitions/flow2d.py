@@ -244,16 +244,11 @@ def scene(stream: Stream, *, masses: tuple[Mass, ...], width: float, **keys: Any
     tallest = max(mass.lower[1] + mass.size[1] if mass.size else 0.8 for mass in masses)
     if "floor_friction" not in keys:
         keys["floor_friction"] = floor(stream)
-    return flow(
-        stream,
-        domain=Domain(size=(width, 1.0 if tallest < 0.9 else 1.4), cell=CELL),
-        masses=masses,
-        duration=1.2 if damping > 0.0 and "slope_deg" not in keys else 1.5,
-        wall_friction=wall_friction,
-        baffle_friction=float(stream.uniform(0.0, 0.8)) if keys.get("baffles") else 0.0,
-        damping=damping,
-        **keys,
-    )
+    on_baffles = float(stream.uniform(0.0, 0.8)) if keys.get("baffles") else 0.0
+    keys["duration"] = 1.2 if damping > 0.0 and "slope_deg" not in keys else 1.5
+    keys |= {"wall_friction": wall_friction, "baffle_friction": on_baffles, "damping": damping}
+    domain = Domain(size=(width, 1.0 if tallest < 0.9 else 1.4), cell=CELL)
+    return flow(stream, domain=domain, masses=masses, **keys)
 
 
 FLOW2D = family("flow2d", kinds=KINDS, variant=variant, size=800, storage=Storage(cell=CELL, kept=1))

@@ -104,6 +104,8 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
     materials = [asdict(each.material) for each in scenes]
     angles = [each.material.friction_deg for each in scenes]
 
+    counted = dict(zip(("velocities", "accelerations"), statistics.count[:, 0].tolist(), strict=True))
+
     def shared(key: str) -> Any:
         return extremes([getattr(each, key) for each in scenes])
 
@@ -123,12 +125,7 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
         "seed": seed,
         "count": len(entries),
         "splits": {split.value: sum(entry.split is split for entry in entries) for split in Split},
-        "statistics": {
-            "split": entries[0].split.value,
-            "moving_speed": MOVING_SPEED,
-            "velocities": int(statistics.count[0, 0]),
-            "accelerations": int(statistics.count[1, 0]),
-        },
+        "statistics": {"split": entries[0].split.value, "moving_speed": MOVING_SPEED, **counted},
         "cell": extremes([each.domain.cell for each in scenes]),
         "particles_per_axis": shared("particles_per_axis"),
         "step_fraction": shared("step_fraction"),

@@ -46,13 +46,8 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
     import pyvista
 
     output = io.StringIO()
-    with (
-        # Readers warn of normals that are none of a vertex's, and print what they leave out.
-        warnings.catch_warnings(),
-        redirect_stdout(output),
-        redirect_stderr(output),
-        pyvista.vtk_verbosity("off"),
-    ):
+    # Readers warn of normals that are none of a vertex's, and print what they leave out.
+    with warnings.catch_warnings(), redirect_stdout(output), redirect_stderr(output), pyvista.vtk_verbosity("off"):
         warnings.simplefilter("ignore")
         mesh = pyvista.PolyData(*read_obj(path)) if path.suffix.lower() == ".obj" else pyvista.read(path)
         require(isinstance(mesh, pyvista.DataSet), "", "one mesh", type(mesh).__name__)

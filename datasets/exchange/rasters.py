@@ -99,14 +99,8 @@ def read_raster(path: Path) -> Raster:
     z = np.asarray(south + (np.arange(rows) + 0.5) * height)
     if crs:
         check_lengths(crs, float(x.mean()), float(z.mean()))
-    return Raster(
-        x=x,
-        z=z,
-        values=np.ascontiguousarray(values.T),
-        spacing=(float(transform.a), float(height)),
-        corner=(float(transform.c), float(south)),
-        crs=crs.to_string() if crs else None,
-    )
+    spacing, corner = (float(transform.a), float(height)), (float(transform.c), float(south))
+    return Raster(x, z, np.ascontiguousarray(values.T), spacing, corner, crs.to_string() if crs else None)
 
 
 @contextmanager

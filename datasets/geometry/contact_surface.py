@@ -29,9 +29,9 @@ class HeightField:
     """Of the posts [m], shape [X]: evenly apart but for one post at either end, far beyond the box."""
     z: Floats
     """[m], shape [Z]."""
-    even: tuple[int, int]
+    even: tuple[int, ...]
     """The first of the evenly spaced posts, along x and along z."""
-    spacing: tuple[float, float]
+    spacing: tuple[float, ...]
     """Between them [m]."""
     heights: Floats
     """[m], shape [X, Z]."""
@@ -154,18 +154,11 @@ def height_field(solid: Solid, key: str, number: int, domain: Domain) -> HeightF
     elif friction.min() == friction.max():
         friction = friction[:1, :1]
     origin, spacing = solid.origin or (0.0, 0.0), solid.spacing or (1.0, 1.0)
-    even = [int(np.searchsorted(axis, first - TOUCHING)) for axis, first in zip((x, z), origin, strict=True)]
+    even = tuple(int(np.searchsorted(axis, first - TOUCHING)) for axis, first in zip((x, z), origin, strict=True))
     second = ~first_diagonal(heights)
+    cut = np.zeros_like(second)
     return HeightField(
-        x=x,
-        z=z,
-        even=(even[0], even[1]),
-        spacing=(spacing[0], spacing[1]),
-        heights=heights,
-        friction=friction,
-        second=second,
-        cut=np.zeros_like(second),
-        solid=number,
+        x=x, z=z, even=even, spacing=spacing, heights=heights, friction=friction, second=second, cut=cut, solid=number
     )
 
 
