@@ -99,8 +99,7 @@ def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
     """The mean of `impulse` [T, S, D], linear between the times [T], over `window` [s] around each, ends mirrored."""
     from scipy.interpolate import make_interp_spline
 
-    end = time[-1]
-    mirrored = np.concatenate([-time[:0:-1], time, 2.0 * end - time[-2::-1]])
+    mirrored = np.concatenate([-time[:0:-1], time, 2.0 * time[-1] - time[-2::-1]])
     values = np.concatenate([-impulse[:0:-1], impulse, 2.0 * impulse[-1] - impulse[-2::-1]])
     integral = make_interp_spline(mirrored, values, k=1).antiderivative()
     return np.asarray((integral(time + 0.5 * window) - integral(time - 0.5 * window)) / window)

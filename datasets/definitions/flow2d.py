@@ -182,8 +182,7 @@ KINDS: tuple[Kind, ...] = (column, layers, column, thrown, slope, staircase, col
 def released(stream: Stream, piles: list[tuple[float, float]]) -> Scene:
     """Columns of these lengths and heights [m] side by side, at rest."""
     width = box_length(stream)
-    total = sum(length for length, _ in piles)
-    left = start(stream, total, width)
+    left = start(stream, sum(length for length, _ in piles), width)
     masses = []
     for length, height in piles:
         masses.append(Mass(lower=(left, 0.0), size=(length, height)))

@@ -62,8 +62,7 @@ class Shown:
         self.flow, self.fields, self.columns = flow, FlowFields(flow), columns
         count = flow.positions.shape[1]
         # At random: every so many of a lattice would be stripes.
-        chosen = np.random.default_rng(0).permutation(count)[:PARTICLES]
-        self.particles = np.sort(chosen)
+        self.particles = np.sort(np.random.default_rng(0).permutation(count)[:PARTICLES])
         """Indices of those that are drawn, shape [P]."""
         self.positions: list[NDArray[np.floating]] = []
         """Of these [m], [T] times [P, D]."""

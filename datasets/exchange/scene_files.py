@@ -147,8 +147,7 @@ class Reader:
         halves = [0.5 * (axis[1] - axis[0]) - TOUCHING for axis in axes]
         sides = zip(axes, halves, lower, self.size[::2], strict=True)
         inside = [(axis > start - half) & (axis < start + length + half) for axis, half, start, length in sides]
-        within = np.logical_and.outer(*inside)
-        missing = np.argwhere(holes & within)
+        missing = np.argwhere(holes & np.logical_and.outer(*inside))
         for i, k in missing[:1]:
             where = f"{len(missing)} cells without data, the first at x = {x[i]:.10g}, z = {z[k]:.10g}"
             raise InputError(f"expected a raster without holes in the box, got {where}")

@@ -77,8 +77,7 @@ class Search:
             _, distance, _ = feet(self.surface.corners[candidate], points[point])
             order = np.lexsort((candidate, distance, point))
             first = order[np.unique(point[order], return_index=True)[1]]
-            better = distance[first] < best[point[first]]
-            chosen = first[better]
+            chosen = first[distance[first] < best[point[first]]]
             best[point[chosen]], face[point[chosen]] = distance[chosen], candidate[chosen]
         foot, distance, weights = feet(self.surface.corners[face], points)
         pseudonormal = normals_at(self.surface, face, weights)

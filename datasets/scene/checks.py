@@ -58,8 +58,7 @@ def check_sizes(scene: SceneLayout) -> None:
     frames = scene.duration / scene.frame_dt
     few = frames <= MOST_FRAMES
     require(few, "frame_dt", f"at most {MOST_FRAMES} frames, so more time between them", f"{frames:.3g}")
-    expected = f"a positive whole number of frames of {scene.frame_dt:g} s"
-    require(whole(frames), "duration", expected, scene.duration)
+    require(whole(frames), "duration", f"a positive whole number of frames of {scene.frame_dt:g} s", scene.duration)
     count = len(scene.masses) + len(scene.baffles) + len(scene.solids)
     require(count <= MOST_BODIES, "masses", f"at most {MOST_BODIES} masses, baffles and solids", count)
 
@@ -126,8 +125,7 @@ def check_start(scene: SceneLayout, mass: Mass, key: str) -> None:
     require(held, f"{key}.gate", "a release at which the gate begins to rise", "none")
     if release is not None:
         check_time(scene, release, f"{key}.release")
-        still = not any(velocity or ())
-        require(still, f"{key}.velocity", "a mass at rest behind its barriers", list(velocity or ()))
+        require(not any(velocity or ()), f"{key}.velocity", "a mass at rest behind its barriers", list(velocity or ()))
 
 
 def check_k0(scene: SceneLayout) -> None:
