@@ -140,7 +140,7 @@ def normals_at(surface: Surface, face: Integers, weights: Floats) -> Floats:
 def feet(corners: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     """Nearest places of faces [N, D, D] for points [N, D]: places [m], distances [m] and barycentric coordinates.
 
-    On the nearest edge, or in a triangle where the point lies beside it (Ericson 2005, section 5.1.5).
+    In a triangle where the point projects into it, else on its nearest edge.
     """
     count = 1 if corners.shape[-1] == 2 else 3
     along, offset = (np.roll(corners, -1, axis=1) - corners)[:, :count], (points[:, None] - corners)[:, :count]
