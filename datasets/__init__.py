@@ -51,11 +51,8 @@ def _warn_of_namesake() -> None:
         other = distribution("datasets").version
     except PackageNotFoundError:
         return
-    warnings.warn(
-        f"Hugging Face's datasets {other} is installed beside Talus, whose package `datasets` has the same name: one "
-        "of them will not work; install Talus in an environment of its own",
-        stacklevel=3,
-    )
+    said = f"Hugging Face's datasets {other} is installed beside Talus, whose package `datasets` has the same name"
+    warnings.warn(f"{said}: one of them will not work; install Talus in an environment of its own", stacklevel=3)
 
 
 def _warn_of_shadowing() -> None:

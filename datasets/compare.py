@@ -209,14 +209,10 @@ def draw(path: Path, found: Comparison) -> None:
 def command(one: Path, other: Path, /, *, out: Path | None = None) -> None:
     """Compare two flows: fronts, thickness, energies and distances.
 
-    Parameters
-    ----------
-    one
-        A trajectory (NPZ or HDF5), or the folder of a run that holds one.
-    other
-        The one beside it.
-    out
-        Folder for comparison.md, comparison.png and comparison.json; the table is printed without, too.
+    Args:
+        one: A trajectory (NPZ or HDF5), or the folder of a run that holds one.
+        other: The one beside it.
+        out: Folder for comparison.md, comparison.png and comparison.json; the table is printed without, too.
     """
     paths = [trajectory_file(path) for path in (one, other)]
     first, second = (open_trajectory(path, "velocities") for path in paths)

@@ -25,8 +25,8 @@ _being_written: set[Path] = set()
 """Such files of this process."""
 LONGEST_LINE = 200
 """Characters of a library's message that are passed on."""
-LARGEST_TEXT = 2**28
-"""Bytes of a file of text."""
+LARGEST, LARGEST_TEXT = 2**30, 2**28
+"""Bytes of a raster or a mesh, and of a file of text."""
 FARTHEST = 1.0e12
 """Numbers beyond this are no length, time, velocity or volume of anything that flows; their squares are finite."""
 

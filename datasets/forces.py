@@ -99,8 +99,7 @@ def smoothed(impulse: Floats, time: Floats, window: float) -> Floats:
     """The mean of `impulse` [T, S, D], linear between the times [T], over `window` [s] around each, ends mirrored."""
     from scipy.interpolate import make_interp_spline
 
-    end = time[-1]
-    mirrored = np.concatenate([-time[:0:-1], time, 2.0 * end - time[-2::-1]])
+    mirrored = np.concatenate([-time[:0:-1], time, 2.0 * time[-1] - time[-2::-1]])
     values = np.concatenate([-impulse[:0:-1], impulse, 2.0 * impulse[-1] - impulse[-2::-1]])
     integral = make_interp_spline(mirrored, values, k=1).antiderivative()
     return np.asarray((integral(time + 0.5 * window) - integral(time - 0.5 * window)) / window)
@@ -166,14 +165,10 @@ def spoken(forces: Forces) -> list[str]:
 def command(trajectory: Path, /, *, out: Path, smooth: float = 0.0) -> None:
     """Write the force on each solid over time: OUT/forces.csv and OUT/forces.png.
 
-    Parameters
-    ----------
-    trajectory
-        A trajectory (NPZ), or the folder of a run that holds one.
-    out
-        Folder for the results.
-    smooth
-        Time [s] over which forces are averaged besides the interval between two frames; 0 for none.
+    Args:
+        trajectory: A trajectory (NPZ), or the folder of a run that holds one.
+        out: Folder for the results.
+        smooth: Time [s] over which forces are averaged besides the interval between two frames; 0 for none.
     """
     flow = read_trajectory(trajectory)
     make_folder(out)

@@ -181,14 +181,10 @@ def write_outlines(path: Path, maps: PlanMaps, outlines: dict[str, MultiPolygon]
     """
     from datasets.exchange.rasters import name_in_geojson
 
-    features = [
-        {
-            "type": "Feature",
-            "properties": {"name": name, "threshold_m": maps.threshold, "area_m2": polygons.area},
-            "geometry": mapping(polygons),
-        }
-        for name, polygons in outlines.items()
-    ]
+    features = []
+    for name, polygons in outlines.items():
+        properties = {"name": name, "threshold_m": maps.threshold, "area_m2": polygons.area}
+        features.append({"type": "Feature", "properties": properties, "geometry": mapping(polygons)})
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if maps.crs is not None:
         collection["crs"] = {"type": "name", "properties": {"name": name_in_geojson(maps.crs)}}
@@ -255,17 +251,12 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path) -> dict[str, Any
 def command(trajectory: Path, /, *, out: Path, cell: float | None = None, threshold: float | None = None) -> None:
     """Write what a flow left, seen from above: thickness, largest depth and velocity, outlines.
 
-    Parameters
-    ----------
-    trajectory
-        A trajectory (NPZ) in 3D, or the folder of a run that holds one.
-    out
-        Folder for the results.
-    cell
-        Edge of a cell of the maps [m]; that of the scene's grid unless given.
-    threshold
-        Thickness [m] above which the ground counts as covered; unless given the spacing of the particles, at most half
-        the least thickness released.
+    Args:
+        trajectory: A trajectory (NPZ) in 3D, or the folder of a run that holds one.
+        out: Folder for the results.
+        cell: Edge of a cell of the maps [m]; that of the scene's grid unless given.
+        threshold: Thickness [m] above which the ground counts as covered; unless given the spacing of the particles, at
+            most half the least thickness released.
     """
     flow = open_trajectory(trajectory_file(trajectory), "velocities")
     make_folder(out)
@@ -277,10 +268,8 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
     if maps.left > 0.0 and maps.volume == 0.0:
         print("no map of the deposit: all of it left the box")
     elif said["extent"] is None:
-        print(
-            f"no outline of the deposit: no cell of {maps.cell:g} m"
-            f" is thicker than the threshold of {maps.threshold:g} m"
-        )
+        thin = f"no cell of {maps.cell:g} m is thicker than the threshold of {maps.threshold:g} m"
+        print(f"no outline of the deposit: {thin}")
 
 
 if __name__ == "__main__":

@@ -5,8 +5,7 @@ with the release and lies below
 
     z_0 - REACH mu s,    z_0: the top of the release, s: level distance from it
 
-A thickness T normal to the bed is T / cos(slope) along the vertical,
-cell by cell of the raster.
+A thickness T normal to the bed is T / cos(slope) along the vertical, cell by cell of the raster.
 """
 
 import math
@@ -55,14 +54,13 @@ def site(
     *,
     thickness: float | None,
     vertical: bool,
-    friction: float,
-    turbulence: float | None,
-    internal_friction: float,
+    bed: dict[str, float],
     cell: float | None,
 ) -> dict[str, Any]:
-    """The tables of a scene file without its terrain's path and its times; lengths in m on the map, angle in degrees.
+    """The tables of a scene file without its terrain's path, its material and its times; lengths in m on the map.
 
-    Raises InputError for a release that does not lie on the raster or has no thickness.
+    bed: `friction` of the ground, and perhaps its `turbulence`. Raises InputError for a release that does not lie on
+    the raster or has no thickness.
     """
     thick = [thickness_of(each, thickness) for each in release]
     covered = np.zeros(raster.values.shape, bool)
@@ -72,7 +70,7 @@ def site(
         covered |= inside
         masses.append(mass)
         top = max(top, float(raster.values[inside].max()) + 2.0 * own)
-    lower, upper = reached(raster, covered, top, REACH * friction)
+    lower, upper = reached(raster, covered, top, REACH * bed["friction"])
     volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
     plan = float(np.prod((upper - lower)[::2]))
     few = max(2.0 * (volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(plan / COLUMNS))
@@ -89,12 +87,10 @@ def site(
     counts[1] += 1.0
     require(bool((counts >= 1.0).all()), "--cell", "cells that fit what the flow reaches", f"{edge:g} m")
     size = np.round(counts * edge, 9)
-    bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
     domain = {"size": size.tolist(), "cell": edge, "origin": origin.tolist()}
     return {
         "open_sides": ["x-", "x+", "z-", "z+"],
         "domain": domain | ({} if raster.crs is None else {"crs": raster.crs}),
-        "material": {"friction_deg": internal_friction},
         "masses": masses,
         "solids": [{"name": "terrain", "kind": "terrain", **bed}],
     }
@@ -193,26 +189,16 @@ def command(
 ) -> None:
     """Write a scene in map coordinates from a raster of elevations and the polygons of a release.
 
-    Parameters
-    ----------
-    dem
-        ESRI ASCII or GeoTIFF raster of elevations [m], in a projected coordinate system or none.
-    release
-        Polygons: shapefile, GeoPackage, GeoJSON or KML.
-    out
-        The scene to write (TOML).
-    thickness
-        Of the release [m]; else the attribute `thickness` or `d0` of each polygon.
-    vertical
-        Whether the thickness is measured along the vertical; else normal to the ground.
-    friction
-        Coulomb coefficient of the ground.
-    turbulence
-        Voellmy's turbulent coefficient of the ground [m/s^2]; none unless given.
-    internal_friction
-        Angle of internal friction of the material [deg].
-    cell
-        Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
+    Args:
+        dem: ESRI ASCII or GeoTIFF raster of elevations [m], in a projected coordinate system or none.
+        release: Polygons: shapefile, GeoPackage, GeoJSON or KML.
+        out: The scene to write (TOML).
+        thickness: Of the release [m]; else the attribute `thickness` or `d0` of each polygon.
+        vertical: Whether the thickness is measured along the vertical; else normal to the ground.
+        friction: Coulomb coefficient of the ground.
+        turbulence: Voellmy's turbulent coefficient of the ground [m/s^2]; none unless given.
+        internal_friction: Angle of internal friction of the material [deg].
+        cell: Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
     """
     from datasets.exchange.rasters import read_raster, write_raster
     from datasets.exchange.vectors import read_polygons
@@ -225,16 +211,9 @@ def command(
         raster = read_raster(dem)
     with naming(release):
         features = read_polygons(release, raster.crs)
-        table = site(
-            raster,
-            features,
-            thickness=thickness,
-            vertical=vertical,
-            friction=friction,
-            turbulence=turbulence,
-            internal_friction=internal_friction,
-            cell=cell,
-        )
+        bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
+        table = site(raster, features, thickness=thickness, vertical=vertical, bed=bed, cell=cell)
+        table = {"material": {"friction_deg": internal_friction}, **table}
     whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
     if whole is not None:
         dem = out.with_suffix(".dem.tif")

@@ -6,15 +6,10 @@ from pathlib import Path
 from datasets.definitions.definition import Definition
 from datasets.errors import InputError
 
-FAMILIES = {
-    "flow2d": "flow2d",
-    "columns2d": "paper_families",
-    "obstacle3d": "obstacle3d",
-    "baffles3d": "paper_families",
-}
-"""Names of families, and the modules that define them."""
+MODULES = {"flow2d": "flow2d", "columns2d": "paper_families", "obstacle3d": "obstacle3d", "baffles3d": "paper_families"}
+"""Those that define the families, by their names."""
 FILES = {path.stem: path for path in sorted(Path(__file__).parent.glob("*.toml"))}
-NAMES = (*FAMILIES, *FILES)
+NAMES = (*MODULES, *FILES)
 """Of the definitions that ship."""
 
 
@@ -22,8 +17,8 @@ def read_definition(name: str) -> Definition:
     """The definition of a shipped name, or in the TOML file at a path. Raises InputError."""
     from datasets.definitions.distributions import definition_from_file
 
-    if name in FAMILIES:
-        found: Definition = getattr(import_module(f"datasets.definitions.{FAMILIES[name]}"), name.upper())
+    if name in MODULES:
+        found: Definition = getattr(import_module(f"datasets.definitions.{MODULES[name]}"), name.upper())
         return found
     if name in FILES:
         return definition_from_file(FILES[name])

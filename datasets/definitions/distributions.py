@@ -30,14 +30,8 @@ MANY = 20
 MOST_SCENES = 1_000_000
 """Of a dataset."""
 NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
-OPTIONS = {
-    "uniform": {"step"},
-    "log_uniform": set[str](),
-    "normal": set[str](),
-    "integer": set[str](),
-    "choice": set[str](),
-    "variable": {"factor", "offset"},
-}
+ALONE = ("log_uniform", "normal", "integer", "choice")
+OPTIONS = {"uniform": {"step"}, "variable": {"factor", "offset"}} | {name: set[str]() for name in ALONE}
 """Distributions and the keys that may stand beside them."""
 
 
@@ -90,10 +84,8 @@ def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Pat
         variables = {name: drawn(value, stream, {}, ("variables", name)) for name, value in content.variables.items()}
         data = {key: drawn(value, stream, variables, ("scene", key)) for key, value in content.scene.items()}
         data.setdefault("seed", int(stream.integers(2**31)))
-        tries, bodies = (
-            tries + 1,
-            bodies + max(MANY, sum(len(each) for each in data.values() if isinstance(each, list))),
-        )
+        tries += 1
+        bodies += max(MANY, sum(len(each) for each in data.values() if isinstance(each, list)))
         try:
             scene = scene_from(data, folder)
             check_gaps(scene, content.baffle_gap)

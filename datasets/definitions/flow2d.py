@@ -24,7 +24,7 @@ AREA = 0.08
 """Released in every scene [m^2]."""
 CELL = 0.005
 """Of the MPM's grid [m]."""
-DENSITY, YOUNG, POISSON = 1800.0, 1.0e6, 0.3
+SAND = Material(friction_deg=30.0, density=1800.0, young=1.0e6, poisson=0.3)
 FRICTION_DEG = (12.0, 48.0)
 COHESION = (30.0, 3000.0)
 """Range of the cohesion [Pa] where there is any: 0.006 to 0.6 of the body's weight per length."""
@@ -63,9 +63,9 @@ def stronger(scene: Scene, *, turn: float = 0.0, factor: float = 1.0) -> Scene:
     """The scene with every material of it turned by an angle of friction [deg] and its cohesion times a factor."""
 
     def changed(sand: Material) -> Material:
-        cohesion = factor * sand.cohesion
-        strong = dataclasses.replace(sand, cohesion=cohesion, tension_cutoff=CUTOFF_SHARE * cohesion)
-        return dataclasses.replace(strong, friction_deg=sand.friction_deg + turn)
+        cohesion, angle = factor * sand.cohesion, sand.friction_deg + turn
+        cutoff = CUTOFF_SHARE * cohesion
+        return dataclasses.replace(sand, friction_deg=angle, cohesion=cohesion, tension_cutoff=cutoff)
 
     masses = tuple(
         dataclasses.replace(mass, material=changed(mass.material)) if mass.material else mass for mass in scene.masses
@@ -182,8 +182,7 @@ KINDS: tuple[Kind, ...] = (column, layers, column, thrown, slope, staircase, col
 def released(stream: Stream, piles: list[tuple[float, float]]) -> Scene:
     """Columns of these lengths and heights [m] side by side, at rest."""
     width = box_length(stream)
-    total = sum(length for length, _ in piles)
-    left = start(stream, total, width)
+    left = start(stream, sum(length for length, _ in piles), width)
     masses = []
     for length, height in piles:
         masses.append(Mass(lower=(left, 0.0), size=(length, height)))
@@ -199,15 +198,11 @@ def stacked(
     sands: Iterable[Material | None] = repeat(None),
 ) -> tuple[Mass, ...]:
     """Layers between heights [m], each with a velocity along x [m/s], at rest without one, and perhaps its own sand."""
-    return tuple(
-        Mass(
-            lower=(left, float(low)),
-            size=(length, float(high - low)),
-            velocity=None if velocity is None else (float(velocity), 0.0),
-            material=material,
-        )
-        for low, high, velocity, material in zip(edges[:-1], edges[1:], velocities, sands, strict=False)
-    )
+    masses = []
+    for low, high, speed, material in zip(edges[:-1], edges[1:], velocities, sands, strict=False):
+        size, velocity = (length, float(high - low)), None if speed is None else (float(speed), 0.0)
+        masses.append(Mass(lower=(left, float(low)), size=size, velocity=velocity, material=material))
+    return tuple(masses)
 
 
 def pile(stream: Stream, aspects: tuple[float, float] = ASPECT, area: float = AREA) -> tuple[float, float]:
@@ -230,14 +225,8 @@ def sand(stream: Stream) -> Material:
     """Two of five dry, one of five with the paper's cohesion, the others with another one."""
     chance = stream.random()
     cohesion = 0.0 if chance < 0.4 else 100.0 if chance < 0.6 else log_uniform(stream, *COHESION)
-    return Material(
-        friction_deg=float(stream.uniform(*FRICTION_DEG)),
-        density=DENSITY,
-        young=YOUNG,
-        poisson=POISSON,
-        cohesion=cohesion,
-        tension_cutoff=CUTOFF_SHARE * cohesion,
-    )
+    friction_deg, cutoff = float(stream.uniform(*FRICTION_DEG)), CUTOFF_SHARE * cohesion
+    return dataclasses.replace(SAND, friction_deg=friction_deg, cohesion=cohesion, tension_cutoff=cutoff)
 
 
 def floor(stream: Stream, usual: float = 0.385) -> float:
@@ -254,16 +243,11 @@ def scene(stream: Stream, *, masses: tuple[Mass, ...], width: float, **keys: Any
     tallest = max(mass.lower[1] + mass.size[1] if mass.size else 0.8 for mass in masses)
     if "floor_friction" not in keys:
         keys["floor_friction"] = floor(stream)
-    return flow(
-        stream,
-        domain=Domain(size=(width, 1.0 if tallest < 0.9 else 1.4), cell=CELL),
-        masses=masses,
-        duration=1.2 if damping > 0.0 and "slope_deg" not in keys else 1.5,
-        wall_friction=wall_friction,
-        baffle_friction=float(stream.uniform(0.0, 0.8)) if keys.get("baffles") else 0.0,
-        damping=damping,
-        **keys,
-    )
+    on_baffles = float(stream.uniform(0.0, 0.8)) if keys.get("baffles") else 0.0
+    keys["duration"] = 1.2 if damping > 0.0 and "slope_deg" not in keys else 1.5
+    keys |= {"wall_friction": wall_friction, "baffle_friction": on_baffles, "damping": damping}
+    domain = Domain(size=(width, 1.0 if tallest < 0.9 else 1.4), cell=CELL)
+    return flow(stream, domain=domain, masses=masses, **keys)
 
 
 FLOW2D = family("flow2d", kinds=KINDS, variant=variant, size=800, storage=Storage(cell=CELL, kept=1))

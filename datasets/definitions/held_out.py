@@ -113,6 +113,5 @@ def touches(scene: Scene) -> NDArray[np.bool_]:
     """Whether any mass leans on the lower and on the upper side of the box along x and, in 3D, z; shape [H, 2]."""
     slack, level = 0.5 * scene.domain.cell, plan_axes(scene.dimension)
     lower, upper = np.moveaxis(boxes(scene.masses, scene.dimension)[..., level], 1, 0)
-    return np.asarray(
-        np.stack((lower <= slack, upper >= np.array(scene.domain.size)[level] - slack), axis=-1).any(axis=0)
-    )
+    highest = np.array(scene.domain.size)[level] - slack
+    return np.asarray(np.stack((lower <= slack, upper >= highest), axis=-1).any(axis=0))

@@ -105,15 +105,12 @@ def row(stream: Stream) -> Scene:
     first = left + size[0] + float(stream.uniform(GAP, 0.3))
     between = edge[0] + float(stream.uniform(0.08, 0.3))
     turned_deg = float(stream.uniform(*TURN_DEG)) if stream.random() < TURNED else 0.0
-    baffles = [
-        Baffle(
-            lower=(first + line * between, 0.0, z + 0.5 * (size[2] - edge[1]) + pitch * (number - 0.5 * (members - 1))),
-            size=(edge[0], height, edge[1]),
-            turned_deg=turned_deg,
-        )
-        for line, members in enumerate((count, count - 1)[: int(stream.integers(1, 3))])
-        for number in range(members)
-    ]
+    baffles = []
+    for line, members in enumerate((count, count - 1)[: int(stream.integers(1, 3))]):
+        for number in range(members):
+            side = z + 0.5 * (size[2] - edge[1]) + pitch * (number - 0.5 * (members - 1))
+            lower, extent = (first + line * between, 0.0, side), (edge[0], height, edge[1])
+            baffles.append(Baffle(lower=lower, size=extent, turned_deg=turned_deg))
     mass = Mass(lower=(left, 0.0, z), size=size, velocity=throw(stream))
     if not apart((mass,), baffles):
         raise InputError("expected baffles before the mass and apart from each other")
@@ -170,16 +167,8 @@ def terrain(stream: Stream) -> Scene:
         dataclasses.replace(each, size=(each.size[0], each.size[1] + level, each.size[2]))
         for each in obstacles(stream, box, width, count, length=length)
     )
-    return scene(
-        stream,
-        mass,
-        width=width,
-        length=length,
-        height=float(ground.max()) + thickness + 0.15,
-        solids=(solid,),
-        floor_friction=friction,
-        baffles=baffles,
-    )
+    extent = {"width": width, "length": length, "height": float(ground.max()) + thickness + 0.15}
+    return scene(stream, mass, **extent, baffles=baffles, solids=(solid,), floor_friction=friction)
 
 
 KINDS: tuple[Kind, ...] = (slab, pile, tower, terrain, dam, slope, row, sheet, slab, tower)
@@ -267,17 +256,12 @@ def sand(stream: Stream) -> Material:
     return dataclasses.replace(given, friction_deg=float(stream.uniform(*FRICTION_DEG)), young=YOUNG)
 
 
-def scene(
-    stream: Stream,
-    mass: Mass,
-    *,
-    width: float,
-    length: float | None = None,
-    height: float | None = None,
-    baffles: tuple[Baffle, ...] = (),
-    **keys: Any,
-) -> Scene:
-    """The scene of a mass and keys, with random friction of its box and, in two of five scenes, damping."""
+def scene(stream: Stream, mass: Mass, *, width: float, length: float = 0.0, height: float = 0.0, **keys: Any) -> Scene:
+    """The scene of a mass and keys, with random friction of its box and, in two of five scenes, damping.
+
+    Without a `length` the box has a random one beyond mass and baffles, without a `height` room above the mass.
+    """
+    baffles = keys.get("baffles", ())
     damping = usually(stream, {0.6: 0.0, 0.75: 0.12}, 0.02, 0.25)
     wall_friction = usually(stream, {0.3: 0.0, 0.6: 0.43}, 0.0, 0.8)
     on_baffles = usually(stream, {0.3: 0.43}, 0.0, 0.8)
@@ -287,18 +271,9 @@ def scene(
     material = sand(stream)
     if "floor_friction" not in keys:
         keys["floor_friction"] = flow2d.floor(stream, 0.43)
-    return flow(
-        stream,
-        domain=Domain(size=tuple(CELL * math.ceil(each / CELL - 1e-6) for each in (length, top, width)), cell=CELL),
-        material=material,
-        masses=(mass,),
-        baffles=baffles,
-        duration=DURATION,
-        wall_friction=wall_friction,
-        baffle_friction=on_baffles if baffles else 0.0,
-        damping=damping,
-        **keys,
-    )
+    keys |= {"wall_friction": wall_friction, "baffle_friction": on_baffles if baffles else 0.0, "damping": damping}
+    domain = Domain(size=tuple(CELL * math.ceil(each / CELL - 1e-6) for each in (length, top, width)), cell=CELL)
+    return flow(stream, domain=domain, material=material, masses=(mass,), duration=DURATION, **keys)
 
 
 STORAGE = Storage(cell=0.02, kept=1)

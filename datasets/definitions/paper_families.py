@@ -7,6 +7,7 @@ friction angles and velocities than its own; scenes next to those that ship are 
 
 import dataclasses
 from functools import wraps
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,8 @@ AREAS = (0.05, 0.14)
 """Released in a scene of columns2d [m^2]: the paper's columns have 0.08, its layers 0.1."""
 ASPECTS = (0.4, 2.5)
 FRICTION_DEG = (12.0, 52.0)
+SAND = Material(friction_deg=30.0, density=1800.0, young=2.0e6, poisson=0.3, cohesion=100.0, tension_cutoff=50.0)
+SURFACES = {"floor_friction": 0.385, "wall_friction": 0.385, "damping": 0.12}
 SPEED = 2.0
 """Largest velocity of a layer [m/s]."""
 LAYERS = (2, 10)
@@ -60,23 +63,9 @@ def size(stream: Stream) -> tuple[float, float]:
 
 def scene(stream: Stream, masses: tuple[Mass, ...]) -> Scene:
     """Masses of the paper's sand in the box of its 2D problems, longer where they are fast or large, for 1.2 s."""
-    return flow(
-        stream,
-        domain=Domain(size=(float(stream.choice([1.0, 1.4])), 1.0), cell=CELL),
-        material=Material(
-            friction_deg=float(stream.uniform(*FRICTION_DEG)),
-            density=1800.0,
-            young=2.0e6,
-            poisson=0.3,
-            cohesion=100.0,
-            tension_cutoff=50.0,
-        ),
-        masses=masses,
-        duration=1.2,
-        floor_friction=0.385,
-        wall_friction=0.385,
-        damping=0.12,
-    )
+    domain = Domain(size=(float(stream.choice([1.0, 1.4])), 1.0), cell=CELL)
+    sand = dataclasses.replace(SAND, friction_deg=float(stream.uniform(*FRICTION_DEG)))
+    return flow(stream, domain=domain, material=sand, masses=masses, duration=1.2, **SURFACES)
 
 
 def as_paper(kind: Kind) -> Kind:
@@ -87,15 +76,10 @@ def as_paper(kind: Kind) -> Kind:
         drawn, cell = kind(stream), float(stream.choice(CELLS_3D))
         friction_deg = float(stream.uniform(*FRICTION_DEG_3D))
         extent = tuple(cell * float(np.ceil(each / cell - 1e-6)) for each in drawn.domain.size)
-        return dataclasses.replace(
-            drawn,
-            domain=Domain(size=extent, cell=cell),
-            material=dataclasses.replace(drawn.material, friction_deg=friction_deg, cohesion=0.0, tension_cutoff=0.0),
-            floor_friction=0.43,
-            wall_friction=0.43,
-            baffle_friction=0.43 if drawn.baffles else 0.0,
-            damping=0.0,
-        )
+        dry = dataclasses.replace(drawn.material, friction_deg=friction_deg, cohesion=0.0, tension_cutoff=0.0)
+        changes: dict[str, Any] = {"domain": Domain(size=extent, cell=cell), "material": dry, "damping": 0.0}
+        changes |= {"floor_friction": 0.43, "wall_friction": 0.43, "baffle_friction": 0.43 if drawn.baffles else 0.0}
+        return dataclasses.replace(drawn, **changes)
 
     return draw
 

@@ -18,19 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets import __version__
-from datasets.definitions.definition import Entry, Split
+from datasets.definitions.definition import Entry, Split, Stream
 
 MOVING_SPEED = 0.01
 """A particle slower than this [m/s] is at rest: it would need the whole second of a sequence to cross a grid cell."""
 
 
 def thin(
-    positions: NDArray[np.floating],
-    volume: float | NDArray[np.floating],
-    *,
-    cell: float,
-    kept: int,
-    rng: np.random.Generator,
+    positions: NDArray[np.floating], volume: float | NDArray[np.floating], *, cell: float, kept: int, rng: Stream
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Keep at random `kept` particles of each cell, those of more volume so much more often.
 
@@ -71,21 +66,17 @@ class MotionStatistics:
     def from_samples(*samples: NDArray[np.float64]) -> "MotionStatistics":
         """The moments of v_t and of a_t, shape [S, D] each; S may be 0."""
         mean = [each.mean(axis=0) if len(each) else np.zeros(each.shape[1]) for each in samples]
-        return MotionStatistics(
-            count=np.array([[len(each)] for each in samples]),
-            mean=np.array(mean),
-            squares=np.array([((each - middle) ** 2).sum(axis=0) for each, middle in zip(samples, mean, strict=True)]),
-        )
+        squares = [((each - middle) ** 2).sum(axis=0) for each, middle in zip(samples, mean, strict=True)]
+        count = np.array([[len(each)] for each in samples])
+        return MotionStatistics(count=count, mean=np.array(mean), squares=np.array(squares))
 
     def __add__(self, other: "MotionStatistics") -> "MotionStatistics":
         """Pairwise update of Chan, Golub and LeVeque (1983): nothing cancels, whatever the sizes of the parts."""
         count = self.count + other.count
         shift, either = other.mean - self.mean, np.maximum(count, 1)
-        return MotionStatistics(
-            count=count,
-            mean=self.mean + shift * (other.count / either),
-            squares=self.squares + other.squares + shift**2 * (self.count * other.count / either),
-        )
+        mean = self.mean + shift * (other.count / either)
+        squares = self.squares + other.squares + shift**2 * (self.count * other.count / either)
+        return MotionStatistics(count=count, mean=mean, squares=squares)
 
     @property
     def std(self) -> NDArray[np.float64]:
@@ -113,6 +104,8 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
     materials = [asdict(each.material) for each in scenes]
     angles = [each.material.friction_deg for each in scenes]
 
+    counted = dict(zip(("velocities", "accelerations"), statistics.count[:, 0].tolist(), strict=True))
+
     def shared(key: str) -> Any:
         return extremes([getattr(each, key) for each in scenes])
 
@@ -132,12 +125,7 @@ def metadata(name: str, entries: Sequence[Entry], *, seed: int | None, statistic
         "seed": seed,
         "count": len(entries),
         "splits": {split.value: sum(entry.split is split for entry in entries) for split in Split},
-        "statistics": {
-            "split": entries[0].split.value,
-            "moving_speed": MOVING_SPEED,
-            "velocities": int(statistics.count[0, 0]),
-            "accelerations": int(statistics.count[1, 0]),
-        },
+        "statistics": {"split": entries[0].split.value, "moving_speed": MOVING_SPEED, **counted},
         "cell": extremes([each.domain.cell for each in scenes]),
         "particles_per_axis": shared("particles_per_axis"),
         "step_fraction": shared("step_fraction"),

@@ -149,7 +149,7 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
         velocity0=((positions[1] - positions[0]) / foreign.dt).astype(np.float32),
         friction=friction.astype(np.float32),
         scene=replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt),
-        summary={**extents(scene, positions[-1], particle_volumes(scene, len(positions[-1])))},
+        summary=extents(scene, positions[-1], particle_volumes(scene, len(positions[-1]))),
     )
 
 
@@ -181,22 +181,15 @@ def command(
 
     One trajectory is in memory at a time. Their files are read without executing anything they hold.
 
-    Parameters
-    ----------
-    dataset
-        With --to a folder from python -m mpm.generate; with --from one of theirs: train, valid, test in .npz and
-        metadata.json.
-    out
-        Folder of the result; empty.
-    to
-        Layout to write.
-    from_
-        Layout to read.
-    scene
-        With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles, and the friction
-        where the set has no tan(phi).
-    up
-        With --from: the axis that points up, y or z.
+    Args:
+        dataset: With --to a folder from python -m mpm.generate; with --from one of theirs: train, valid, test in .npz
+            and metadata.json.
+        out: Folder of the result; empty.
+        to: Layout to write.
+        from_: Layout to read.
+        scene: With --from: the scene of all trajectories, a path or a shipped name: their box, obstacles, and the
+            friction where the set has no tan(phi).
+        up: With --from: the axis that points up, y or z.
     """
     if (to is None) == (from_ is None):
         raise InputError("expected one of --to and --from")

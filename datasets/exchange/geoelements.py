@@ -28,13 +28,8 @@ STEEPEST = 1.0e3
 """A tan(phi) beyond this is none."""
 Sand = tuple[NDArray[np.floating], NDArray[Any] | None]
 """Positions [m], shape [T, N, D], and tan(phi), shape [N], or None where the file does not say."""
-NAMES = {
-    "numpy.dtype",
-    "numpy.ndarray",
-    "numpy._core.multiarray._reconstruct",
-    "numpy._core.multiarray.scalar",
-    "_codecs.encode",
-}
+ARRAYS = "numpy._core.multiarray"
+NAMES = {"numpy.dtype", "numpy.ndarray", f"{ARRAYS}._reconstruct", f"{ARRAYS}.scalar", "_codecs.encode"}
 """What pickled arrays of numbers, and of objects that are such arrays, call."""
 EARLIEST = (1980, 1, 1, 0, 0, 0)
 """The date of every member: the same trajectories give the same bytes."""

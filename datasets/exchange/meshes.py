@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.errors import InputError, require
-from datasets.files import file_size, reading, replacing
+from datasets.files import LARGEST, file_size, reading, replacing
 from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import surface_of
 from datasets.processes import end_with_parent
@@ -25,8 +25,6 @@ IN_PROCESS = (".stl", ".obj")
 """Those whose readers survive any file."""
 REFUSED = 2
 """Exit status of a process that says what is wrong with a mesh."""
-LARGEST = 2**30
-"""Bytes of a file."""
 SAME = (1.0e-9, 1.0e-7, 1.0e-6, 1.0e-5)
 """Distances of vertices that are one, over the extent of the mesh: the first with which its surface is closed."""
 
@@ -48,13 +46,8 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
     import pyvista
 
     output = io.StringIO()
-    with (
-        # Readers warn of normals that are none of a vertex's, and print what they leave out.
-        warnings.catch_warnings(),
-        redirect_stdout(output),
-        redirect_stderr(output),
-        pyvista.vtk_verbosity("off"),
-    ):
+    # Readers warn of normals that are none of a vertex's, and print what they leave out.
+    with warnings.catch_warnings(), redirect_stdout(output), redirect_stderr(output), pyvista.vtk_verbosity("off"):
         warnings.simplefilter("ignore")
         mesh = pyvista.PolyData(*read_obj(path)) if path.suffix.lower() == ".obj" else pyvista.read(path)
         require(isinstance(mesh, pyvista.DataSet), "", "one mesh", type(mesh).__name__)
@@ -97,14 +90,8 @@ def read_apart(path: Path) -> tuple[Floats, Integers]:
     """`triangles_in` in a process of its own, which a damaged file may end: VTK trusts the numbers in it."""
     with tempfile.TemporaryDirectory() as folder:
         kept = Path(folder) / "mesh.npz"
-        command = [
-            sys.executable,
-            "-P",
-            "-c",
-            "from datasets.exchange.meshes import leave; leave()",
-            str(path),
-            str(kept),
-        ]
+        work = "from datasets.exchange.meshes import leave; leave()"
+        command = [sys.executable, "-P", "-c", work, str(path), str(kept)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, errors="replace", check=False)
         if done.returncode == REFUSED:

@@ -62,8 +62,7 @@ class Shown:
         self.flow, self.fields, self.columns = flow, FlowFields(flow), columns
         count = flow.positions.shape[1]
         # At random: every so many of a lattice would be stripes.
-        chosen = np.random.default_rng(0).permutation(count)[:PARTICLES]
-        self.particles = np.sort(chosen)
+        self.particles = np.sort(np.random.default_rng(0).permutation(count)[:PARTICLES])
         """Indices of those that are drawn, shape [P]."""
         self.positions: list[NDArray[np.floating]] = []
         """Of these [m], [T] times [P, D]."""
@@ -198,12 +197,8 @@ def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -
             "fields": {key: numbers.put(own, np.zeros(1), np.array([tops[key]]), "u1") for key, own in values.items()},
         }
         runs.append(run)
-    return {
-        "runs": runs,
-        "fields": fields,
-        "lower": corners[:, 0].min(axis=0).tolist(),
-        "upper": corners[:, 1].max(axis=0).tolist(),
-    }
+    lower, upper = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    return {"runs": runs, "fields": fields, "lower": lower.tolist(), "upper": upper.tolist()}
 
 
 def coloured(key: str, top: float, materials: Sequence[Material]) -> dict[str, Any]:

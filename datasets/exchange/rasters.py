@@ -16,13 +16,11 @@ from rasterio.io import MemoryFile
 from rasterio.warp import transform as reprojected
 
 from datasets.errors import WorkFailed, require, shortened
-from datasets.files import file_size, reading, replacing
+from datasets.files import LARGEST, file_size, reading, replacing
 from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 from datasets.scene.grid_field import Floats
 
-LARGEST = 2**30
-"""Bytes of a file."""
 VALUE = 32
 """Bytes that a value takes while a raster is read."""
 METRES = ("", "m", "metre", "metres", "meter", "meters")
@@ -101,14 +99,8 @@ def read_raster(path: Path) -> Raster:
     z = np.asarray(south + (np.arange(rows) + 0.5) * height)
     if crs:
         check_lengths(crs, float(x.mean()), float(z.mean()))
-    return Raster(
-        x=x,
-        z=z,
-        values=np.ascontiguousarray(values.T),
-        spacing=(float(transform.a), float(height)),
-        corner=(float(transform.c), float(south)),
-        crs=crs.to_string() if crs else None,
-    )
+    spacing, corner = (float(transform.a), float(height)), (float(transform.c), float(south))
+    return Raster(x, z, np.ascontiguousarray(values.T), spacing, corner, crs.to_string() if crs else None)
 
 
 @contextmanager
@@ -117,18 +109,16 @@ def opened(path: Path) -> Iterator[Any]:
     with path.open("rb") as raw:
         head = raw.read(max(map(len, MARKS)))
     # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
-    text: dict[str, Any] = {"driver": "AAIGrid", "DATATYPE": "Float64"}
+    is_text = head[:2] not in (b"II", b"MM")
+    options = {"driver": "AAIGrid", "DATATYPE": "Float64"} if is_text else {"driver": "GTiff"}
     encoding = next((name for mark, name in MARKS.items() if head.startswith(mark)), None)
     if encoding is not None:
         # The driver knows plain text alone.
         plain = path.read_bytes().decode(encoding).encode()
-        with MemoryFile(plain, ext=".asc") as memory, memory.open(**text) as file:
-            yield file
-    elif head[:2] in (b"II", b"MM"):
-        with rasterio.open(path.resolve(), driver="GTiff") as file:
+        with MemoryFile(plain, ext=".asc") as memory, memory.open(**options) as file:
             yield file
     else:
-        with rasterio.open(path.resolve(), **text) as file:
+        with rasterio.open(path.resolve(), **options) as file:
             yield file
 
 
@@ -156,12 +146,9 @@ def check_lengths(crs: Any, east: float, north: float) -> None:
         return  # a system of its own, without a place on the earth
     longitude, latitude = np.radians(places)
     ground = EARTH * np.hypot(np.cos(latitude[0]) * (longitude[1:] - longitude[0]), latitude[1:] - latitude[0]) / LENGTH
-    require(
-        bool((np.abs(ground - 1.0) <= DISTORTED).all()),
-        "",
-        "a projected coordinate system whose metres are metres on the ground (UTM or a country's own)",
-        f"{crs.to_string()[:60]}, where one is {ground[0]:.3g} m",
-    )
+    expected = "a projected coordinate system whose metres are metres on the ground (UTM or a country's own)"
+    got = f"{crs.to_string()[:60]}, where one is {ground[0]:.3g} m"
+    require(bool((np.abs(ground - 1.0) <= DISTORTED).all()), "", expected, got)
 
 
 def known_system(crs: str) -> str:

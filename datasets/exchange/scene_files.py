@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError, keyed, require
-from datasets.exchange.map_coordinates import origin_of
 from datasets.exchange.meshes import read_mesh
 from datasets.exchange.spreadsheet import read_columns
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats
 from datasets.geometry.shapes import usual
 from datasets.geometry.shells import outward
+from datasets.scene.parts import Domain
+from datasets.schema import from_mapping
 
 Entry = dict[str, Any]
 
@@ -28,8 +29,10 @@ def with_files(data: Entry, folder: Path) -> Entry:
 
     folder: where relative paths begin. What is wrong with other keys is left to the scene's own checks.
     """
+    if not isinstance(data.get("domain"), dict):
+        return data
     with keyed("domain"):
-        reader, new = Reader(data, folder), dict(data)
+        reader, new = Reader(from_mapping(Domain, data["domain"]), folder), dict(data)
     for group in ("solids", "masses"):
         if isinstance(data.get(group), list):
             new[group] = [reader.complete(entry, f"{group}[{index}]") for index, entry in enumerate(data[group])]
@@ -41,23 +44,15 @@ def with_files(data: Entry, folder: Path) -> Entry:
 class Reader:
     """Reads the files of one scene; remembers where its terrain's raster lies, and in which reference system."""
 
-    def __init__(self, data: Entry, folder: Path) -> None:
-        domain = data.get("domain")
-        size, cell = (domain.get("size"), domain.get("cell")) if isinstance(domain, dict) else (None, None)
-        numbers = isinstance(size, list) and all(isinstance(each, int | float) for each in size)
-        self.folder = folder
-        self.size = tuple(map(float, size)) if size and numbers else ()
-        self.cell = float(cell) if isinstance(cell, int | float) else 0.0
-        origin = origin_of(data)
-        self.lower = None if origin is None or len(origin) != len(self.size) else origin[::2]
+    def __init__(self, domain: Domain, folder: Path) -> None:
+        self.folder, self.size, self.cell, self.crs = folder, domain.size, domain.cell, domain.crs
+        self.lower = None if domain.origin is None else domain.origin[::2]
         """Of the box in plan [m], where the scene is in map coordinates."""
         self.offset: tuple[float, float] | None = None if self.lower is None else (0.0, 0.0)
-        self.crs: str | None = None
-        crs = domain.get("crs") if isinstance(domain, dict) else None
-        if isinstance(crs, str):
+        if domain.crs is not None:
             from datasets.exchange.rasters import known_system
 
-            self.crs = known_system(crs)
+            self.crs = known_system(domain.crs)
 
     def complete(self, entry: Any, key: str) -> Any:
         """A solid or a mass with what its files hold; what is neither as it is."""
@@ -124,11 +119,8 @@ class Reader:
             ranges = [slice(part[0], part[-1] + 1) for part in parts]
             axes = [axis[part] for axis, part in zip(axes, ranges, strict=True)]
             values = values[ranges[0], ranges[1]]
-        found: Entry = {
-            "origin": [float(axis[0]) for axis in axes],
-            "spacing": list(raster.spacing),
-            name: values.tolist(),
-        }
+        origin = [float(axis[0]) for axis in axes]
+        found: Entry = {"origin": origin, "spacing": list(raster.spacing), name: values.tolist()}
         if terrain and self.lower is None:
             found |= {"corner": [-offset[0], -offset[1]], "crs": raster.crs}
         return found
@@ -155,8 +147,7 @@ class Reader:
         halves = [0.5 * (axis[1] - axis[0]) - TOUCHING for axis in axes]
         sides = zip(axes, halves, lower, self.size[::2], strict=True)
         inside = [(axis > start - half) & (axis < start + length + half) for axis, half, start, length in sides]
-        within = np.logical_and.outer(*inside)
-        missing = np.argwhere(holes & within)
+        missing = np.argwhere(holes & np.logical_and.outer(*inside))
         for i, k in missing[:1]:
             where = f"{len(missing)} cells without data, the first at x = {x[i]:.10g}, z = {z[k]:.10g}"
             raise InputError(f"expected a raster without holes in the box, got {where}")

@@ -91,7 +91,7 @@ def described(header: Sequence[str], metres: float) -> tuple[list[str], list[flo
 
 
 def numbers(
-    number: int, row: Sequence[str], count: int, places: Sequence[int], separator: str
+    line: int, row: Sequence[str], count: int, places: Sequence[int], separator: str
 ) -> tuple[list[float], bool]:
     """The numbers in some columns of a row, and whether any has a decimal comma. Raises InputError."""
     cells, commas = [cell.strip() for cell in row], False
@@ -106,5 +106,5 @@ def numbers(
         found = []
     if len(found) < len(places) or not all(abs(value) <= FARTHEST for value in found):
         got = f"{separator.join(row).strip()[:40]!r}"
-        raise InputError(f"expected {count} values in line {number}, all of them finite, got {got}")
+        raise InputError(f"expected {count} values in line {line}, all of them finite, got {got}")
     return found, commas

@@ -24,19 +24,8 @@ if TYPE_CHECKING:
 SERIES = "trajectory.pvd"
 PARTS = re.compile(r"(particles-\d+|solids(-\d+)?|domain)\.vtp")
 """The files that a series consists of, whatever its length."""
-UNITS = {
-    "velocity": "m/s",
-    "displacement": "m",
-    "stress": "Pa",
-    "pressure": "Pa",
-    "plastic_strain": "1",
-    "material": "1",
-    "friction_deg": "deg",
-    "solid": "1",
-    "friction": "1",
-    "impulse": "N s",
-    "force": "N",
-}
+UNITS = {"velocity": "m/s", "displacement": "m", "friction_deg": "deg", "impulse": "N s", "force": "N"}
+UNITS |= {"stress": "Pa", "pressure": "Pa"} | dict.fromkeys(("plastic_strain", "material", "solid", "friction"), "1")
 """Of the arrays; of impulse and force in 2D per metre of width."""
 MOVING = "particles"
 """The part whose geometry changes."""
@@ -142,9 +131,8 @@ def frames_of(trajectory: Trajectory, every: int) -> list[int]:
 def write_vtk(trajectory: Trajectory, folder: str | Path, *, every: int = 1, progress: bool = False) -> None:
     """Write `folder/trajectory.pvd` and the files that it refers to: every `every`-th frame, and the last.
 
-    Points are in map coordinates, in double precision, where the scene's box has an origin. Velocities that were not
-    recorded are finite differences of the frames. An older series in the folder stays whole
-    until all files of the new one are written, then goes, its surplus frames included. Raises WorkFailed.
+    Points are in map coordinates, in double precision, where the scene's box has an origin. An older series in the
+    folder stays whole until all files of the new one are written, then goes with all its frames. Raises WorkFailed.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

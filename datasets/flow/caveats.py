@@ -39,12 +39,9 @@ def caveats(
     lines = []
     mass, start = float(np.sum(particles.density * particles.volume)), particles.positions
     speed = math.sqrt(2.0 * float(kinetic[-1]) / mass)
-    slow = SLOW * math.sqrt(scene.gravity * scene_height(scene))
-    if kinetic[-1] > AT_REST * kinetic.max() and speed > slow:
-        lines.append(
-            f"not at rest: at t = {end_time:g} s, the end, it still moves at {speed:.2g} m/s (rms);"
-            " front and deposit are not final"
-        )
+    if kinetic[-1] > AT_REST * kinetic.max() and speed > SLOW * math.sqrt(scene.gravity * scene_height(scene)):
+        moving = f"at t = {end_time:g} s, the end, it still moves at {speed:.2g} m/s (rms)"
+        lines.append(f"not at rest: {moving}; front and deposit are not final")
     for number, side in enumerate(DOMAIN_SIDES[: 2 * scene.dimension]):
         axis, upper = divmod(number, 2)
         if side in (*scene.open_sides, "y-"):

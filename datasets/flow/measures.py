@@ -36,7 +36,7 @@ OUTLINE = 0.1
 COLUMN = 3.0
 """Width of the columns in which two deposits are compared, over the larger distance between their particles [-]."""
 
-Positions = NDArray[np.floating]
+Positions = Volumes = NDArray[np.floating]
 Floats = NDArray[np.float64]
 Ground = Callable[[Floats], Floats]
 """Elevation [m], shape [N], at places in plan [m], shape [N, D - 1]."""
@@ -47,14 +47,14 @@ def runout(positions: Positions) -> float:
     return float(positions[:, 0].max())
 
 
-def front(positions: Positions, volume: float | NDArray[np.floating] = 1.0) -> float:
+def front(positions: Positions, volume: float | Volumes = 1.0) -> float:
     """The x [m] that 99.5 % of the volume is behind, by a fit; volume: one for all or shape [N]."""
     x = positions[:, 0].astype(np.float64)
     order = np.argsort(x)
     return float((tail_weights(np.broadcast_to(volume, x.shape)[order]) * x[order]).sum())
 
 
-def extents(scene: Scene, positions: Positions, volume: float | NDArray[np.floating]) -> dict[str, Any]:
+def extents(scene: Scene, positions: Positions, volume: float | Volumes) -> dict[str, Any]:
     """`runout`, `front` and `toe` [m] of a summary, on the map where the box of the scene has an origin."""
     corner = scene.domain.corner
     return {
@@ -64,7 +64,7 @@ def extents(scene: Scene, positions: Positions, volume: float | NDArray[np.float
     }
 
 
-def tail_weights(volume: NDArray[np.floating]) -> NDArray[np.float64]:
+def tail_weights(volume: Volumes) -> Floats:
     """Weights w [-], shape [N], with which sum_i w_i x_i is the front of particles in the order of x.
 
     volume: of the particles in this order. w_i is the integral of the fit's weight over the particle's step.
@@ -77,7 +77,7 @@ def tail_weights(volume: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(-np.diff(_integral(ahead[:, None], powers) @ fitted))
 
 
-def _integral(ahead: float | NDArray[np.float64], power: NDArray[np.float64]) -> NDArray[np.float64]:
+def _integral(ahead: float | Floats, power: Floats) -> Floats:
     """Of s^power over s = 1 - p from 0 to `ahead` [-]."""
     return np.asarray(ahead ** (power + 1.0) / (power + 1.0))
 
@@ -89,15 +89,13 @@ def toe(positions: Positions) -> tuple[float, ...]:
     return tuple(float(x) for x in positions[furthest].mean(axis=0, dtype=np.float64))
 
 
-def profile_stations(scene: Scene, spacing: float) -> NDArray[np.float64]:
+def profile_stations(scene: Scene, spacing: float) -> Floats:
     """The x [m] at which a height profile of `scene` is given, about `spacing` apart, walls included; shape [S]."""
     length = scene.domain.size[0]
     return np.linspace(0.0, length, round(length / spacing) + 1)
 
 
-def height_profile(
-    positions: Positions, volume: float | NDArray[np.floating], stations: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def height_profile(positions: Positions, volume: float | Volumes, stations: Floats) -> Floats:
     """Height of the deposit at its initial density, per station [m], shape [S].
 
     The volume of the particles (`volume` [m^D] each, one for all or shape [N]), shared linearly between the two nearest
@@ -115,7 +113,7 @@ def height_profile(
     return np.asarray(height / length)
 
 
-def ends(positions: Positions, volume: NDArray[np.floating]) -> tuple[float, float]:
+def ends(positions: Positions, volume: Volumes) -> tuple[float, float]:
     """The x [m] that 0.5 % and that 99.5 % of the volume is behind: the rear and the front of a deposit."""
     return -front(-positions, volume), front(positions, volume)
 
@@ -124,7 +122,7 @@ SHARES = 20
 """Parts of equal volume by whose places along x two deposits are compared."""
 
 
-def equal_shares(positions: Positions, volume: NDArray[np.floating]) -> NDArray[np.float64]:
+def equal_shares(positions: Positions, volume: Volumes) -> Floats:
     """The x [m] of the middles of `SHARES` equal parts of a deposit's volume, from the rear on, shape [SHARES]."""
     x = positions[:, 0].astype(np.float64)
     order = np.argsort(x, kind="stable")
@@ -133,14 +131,12 @@ def equal_shares(positions: Positions, volume: NDArray[np.floating]) -> NDArray[
     return np.asarray(np.interp((np.arange(SHARES) + 0.5) / SHARES * whole.sum(), passed, x[order]))
 
 
-def transport_distance(
-    positions: Positions, volume: NDArray[np.floating], others: Positions, other_volume: NDArray[np.floating]
-) -> float:
+def transport_distance(positions: Positions, volume: Volumes, others: Positions, other_volume: Volumes) -> float:
     """How far the parts of one deposit lie from those of another along x, rms over equal shares of the volume [m]."""
     return rms(equal_shares(positions, volume) - equal_shares(others, other_volume))
 
 
-def particle_spacing(volume: NDArray[np.floating], dimension: int) -> float:
+def particle_spacing(volume: Volumes, dimension: int) -> float:
     """Mean distance s between neighbours [m]: the edge of a cube of their mean volume."""
     return float(np.mean(volume) ** (1.0 / dimension))
 
@@ -157,7 +153,7 @@ def above(positions: Positions, ground: Ground) -> Floats:
     return raised
 
 
-def mean_height(positions: Positions, volume: NDArray[np.floating]) -> float:
+def mean_height(positions: Positions, volume: Volumes) -> float:
     """Mean height of the volume [m], sum_i V_i y_i / sum_i V_i: the potential energy over the weight."""
     return float(np.average(positions[:, 1].astype(np.float64), weights=volume))
 
@@ -224,7 +220,7 @@ class Deposit:
 
     positions: Positions
     """[m], shape [N, D]."""
-    volume: NDArray[np.floating]
+    volume: Volumes
     """Of the particles [m^D], shape [N]."""
     size: tuple[float, ...]
     """Of the box [m], shape [D]."""
@@ -237,7 +233,7 @@ class Deposit:
 
     @staticmethod
     def of_positions(
-        start: Positions, end: Positions, volume: NDArray[np.floating], size: tuple[float, ...], ground: Ground
+        start: Positions, end: Positions, volume: Volumes, size: tuple[float, ...], ground: Ground
     ) -> "Deposit":
         """That of particles that moved from `start` to `end` [m], both [N, D]."""
         before, after = ends(start, volume), ends(end, volume)
@@ -259,7 +255,7 @@ class Deposit:
         """Whether the front leans on the wall ahead, which then bounds everyone's."""
         return (self.size[0] - self.front if self.side == 1 else self.front) < AT_WALL * self.size[0]
 
-    def errors(self, positions: Positions, volume: NDArray[np.floating]) -> Errors:
+    def errors(self, positions: Positions, volume: Volumes) -> Errors:
         """Those of another deposit of the same scene; thickness over a spacing where nothing lies in the box."""
         beyond = ends(positions, volume)[self.side] - self.front
         apart = transport_distance(positions, volume, self.positions, self.volume)
@@ -267,9 +263,7 @@ class Deposit:
         raised = [above(each, self.ground) for each, _ in deposits]
         spacings = [particle_spacing(each, len(self.size)) for _, each in deposits]
         column = COLUMN * max(spacings)
-        own, other = (
-            thickness(each, spacing, column, self.size[::2]) for each, spacing in zip(raised, spacings, strict=True)
-        )
+        own, other = (thickness(*each, column, self.size[::2]) for each in zip(raised, spacings, strict=True))
         height = mean_height(raised[0], self.volume)
         return Errors(
             front=(beyond if self.side == 1 else -beyond) / self.extent,

@@ -10,7 +10,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import shapely
@@ -44,8 +44,8 @@ class Filling:
     """Lower corner of the box around the body [m], shape [D]."""
     upper: Floats
     """Upper corner [m], shape [D]."""
-    outside: Callable[[Floats], NDArray[np.bool_]]
-    """Which of N places, one of each particle, are no longer in the body."""
+    contains: Callable[[Floats], NDArray[np.bool_]]
+    """Which of N places, one of each particle, are still in the body."""
     raised: Callable[[Floats], Floats] = np.copy
     """Places of the lattice where they are in the box, both [N, D] in m."""
     cover: Callable[[Floats], Floats] | None = None
@@ -66,8 +66,7 @@ class Filling:
     def positions(self, offset: Floats) -> Floats:
         """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing."""
         moved = self.lattice + offset * self.spacing
-        moved = np.where(self.outside(moved)[:, None], self.lattice, moved)
-        return self.raised(moved)
+        return self.raised(np.where(self.contains(moved)[:, None], moved, self.lattice))
 
 
 def with_boxes(scene: SceneLayout) -> tuple[Mass, ...]:
@@ -86,10 +85,8 @@ def filling(scene: SceneLayout, mass: Mass, key: str = "masses") -> Filling:
     """The particles that fill a mass of `scene` that is no box. Raises InputError."""
     shape = dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None)
     # Without friction, so that scenes which differ by that alone share what is found.
-    terrain = (
-        dataclasses.replace(each, friction=0.0, turbulence=None) for each in scene.solids if each.kind == "terrain"
-    )
-    ground = tuple(terrain) if mass.kind == "layer" else ()
+    bare = (dataclasses.replace(each, friction=0.0, turbulence=None) for each in scene.solids if each.kind == "terrain")
+    ground = tuple(bare) if mass.kind == "layer" else ()
     return fill(shape, scene.domain, ground, scene.particle_spacing, key)
 
 
@@ -118,14 +115,9 @@ def polygon(mass: Mass, share: float, key: str) -> Filling:
     shapely.prepare(shape)
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     lattice, spacing = lattice_in(lower, upper, share)
-    return Filling(
-        lattice=lattice[shapely.contains_xy(shape, lattice)],
-        spacing=spacing,
-        volume=shape.area,
-        lower=lower,
-        upper=upper,
-        outside=lambda places: ~np.asarray(shapely.contains_xy(shape, places)),
-    )
+    contains = partial(shapely.contains_xy, shape)
+    lattice = lattice[contains(lattice)]
+    return Filling(lattice=lattice, spacing=spacing, volume=shape.area, lower=lower, upper=upper, contains=contains)
 
 
 def mesh(mass: Mass, share: float, key: str) -> Filling:
@@ -145,19 +137,13 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     counts = np.rint((upper - lower) / spacing).astype(int)
     buried = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False).ravel()[within]
 
-    def outside(places: Floats) -> NDArray[np.bool_]:
-        found = np.zeros(len(places), bool)
-        found[~buried] = ~inside(boundary([body], 0.0), places[~buried])
+    def contains(places: Floats) -> NDArray[np.bool_]:
+        found = buried.copy()
+        found[~buried] = inside(boundary([body], 0.0), places[~buried])
         return found
 
-    return Filling(
-        lattice=lattice[within],
-        spacing=spacing,
-        volume=manifold(vertices, triangles).volume(),
-        lower=lower,
-        upper=upper,
-        outside=outside,
-    )
+    lattice, volume = lattice[within], manifold(vertices, triangles).volume()
+    return Filling(lattice=lattice, spacing=spacing, volume=volume, lower=lower, upper=upper, contains=contains)
 
 
 def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
@@ -166,8 +152,11 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
     level = plan_axes(domain.dimension)
     thickest = float(plan.values.max())
     lattice, spacing = lattice_in(np.insert(plan.lower, 1, 0.0), np.insert(plan.upper, 1, thickest), share)
-    flat = lattice[:, level]
-    lattice = lattice[plan.contains(flat) & (lattice[:, 1] < plan.thickness(flat))]
+
+    def contains(places: Floats) -> NDArray[np.bool_]:
+        return np.asarray(plan.contains(places[:, level]) & (places[:, 1] < plan.thickness(places[:, level])))
+
+    lattice = lattice[contains(lattice)]
     places, _ = lattice_in(plan.lower, plan.upper, 0.5 * share)
     places = places[plan.contains(places) & (plan.thickness(places) > 0.0)]
     require(len(places) > 0, key, f"a layer that a lattice of {share:g} m puts particles into", "one without")
@@ -185,18 +174,9 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
         top = elevation(ground, domain, places[:, level]) + plan.thickness(places[:, level])
         return np.asarray(np.maximum(top - places[:, 1], 0.0))
 
-    def outside(places: Floats) -> NDArray[np.bool_]:
-        return np.asarray(~plan.contains(places[:, level]) | (places[:, 1] >= plan.thickness(places[:, level])))
-
+    box = {"lower": np.insert(plan.lower, 1, float(floor.min())), "upper": np.insert(plan.upper, 1, float(top.max()))}
     return Filling(
-        lattice=lattice,
-        spacing=spacing,
-        volume=plan.volume,
-        lower=np.insert(plan.lower, 1, float(floor.min())),
-        upper=np.insert(plan.upper, 1, float(top.max())),
-        outside=outside,
-        raised=raised,
-        cover=cover,
+        lattice=lattice, spacing=spacing, volume=plan.volume, **box, contains=contains, raised=raised, cover=cover
     )
 
 
@@ -226,12 +206,8 @@ class Plan:
         if self.edges:
             filled = [np.flatnonzero(self.values.any(axis=1 - axis)) for axis in (0, 1)]
             ends = [edges[[cells[0], cells[-1] + 1]] for edges, cells in zip(self.edges, filled, strict=True)]
-            given_lower, given_upper = np.array(ends).T
-            lower, upper = (
-                (given_lower, given_upper)
-                if outline is None
-                else (np.maximum(lower, given_lower), np.minimum(upper, given_upper))
-            )
+            low, high = np.array(ends).T
+            lower, upper = (low, high) if outline is None else (np.maximum(lower, low), np.minimum(upper, high))
         shape = shapely.box(*lower, *upper) if spatial else shapely.box(lower[0], 0.0, upper[0], 1.0)
         if outline is not None and spatial:
             check_simple(outline, f"{key}.outline")

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.geometry.closed import Body
+from datasets.geometry.closed import Body, pseudonormals
 from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, Integers, first_diagonal, grid_triangles
 from datasets.geometry.ground import ground_grid as grid_of
 from datasets.geometry.surface import Surface, body_of, boundary, near_box, raster_body, solids_of, surface_in
@@ -29,9 +29,9 @@ class HeightField:
     """Of the posts [m], shape [X]: evenly apart but for one post at either end, far beyond the box."""
     z: Floats
     """[m], shape [Z]."""
-    even: tuple[int, int]
+    even: tuple[int, ...]
     """The first of the evenly spaced posts, along x and along z."""
-    spacing: tuple[float, float]
+    spacing: tuple[float, ...]
     """Between them [m]."""
     heights: Floats
     """[m], shape [X, Z]."""
@@ -83,7 +83,7 @@ class HeightField:
         kept = np.repeat((inner & ~self.cut[i, k]).ravel(), 2)
         numbers = (2 * (i * self.cut.shape[1] + k).ravel()[:, None] + [0, 1]).ravel()
         solid = np.full(len(faces), self.solid, np.int32)
-        found = Surface.of_faces(vertices, faces, solid, friction.ravel()[faces])
+        found = Surface(vertices[faces], *pseudonormals(vertices, faces), solid, friction.ravel()[faces])
         return found.chosen(kept), numbers[kept]
 
 
@@ -135,16 +135,15 @@ def contact_surface_of(scene: SceneLayout) -> ContactSurface | None:
 def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...]) -> ContactSurface:
     """The surface of `solids` in a box in 3D, of which one is terrain; errors name the keys."""
     (number,) = (index for index, solid in enumerate(solids) if solid.kind == "terrain")
-    others = [index for index in range(len(solids)) if index != number]
-    bodies = [body_of(solids[index], keys[index], domain) for index in others]
+    bodies = {index: body_of(solid, keys[index], domain) for index, solid in enumerate(solids) if index != number}
     field = height_field(solids[number], keys[number], number, domain)
     cores: list[Rectangle] = []
-    for body in bodies:
+    for body in bodies.values():
         plan = body.vertices[:, ::2]
         cores = with_rectangle(cores, field.cells_over(plan.min(axis=0), plan.max(axis=0)))
     for first, last, before, end in cores:
         field.cut[first:last, before:end] = True
-    return ContactSurface(faces=united(field, bodies, others, cores, solids, domain), field=field)
+    return ContactSurface(faces=united(field, bodies, cores, solids, domain), field=field)
 
 
 def height_field(solid: Solid, key: str, number: int, domain: Domain) -> HeightField:
@@ -155,18 +154,11 @@ def height_field(solid: Solid, key: str, number: int, domain: Domain) -> HeightF
     elif friction.min() == friction.max():
         friction = friction[:1, :1]
     origin, spacing = solid.origin or (0.0, 0.0), solid.spacing or (1.0, 1.0)
-    even = [int(np.searchsorted(axis, first - TOUCHING)) for axis, first in zip((x, z), origin, strict=True)]
+    even = tuple(int(np.searchsorted(axis, first - TOUCHING)) for axis, first in zip((x, z), origin, strict=True))
     second = ~first_diagonal(heights)
+    cut = np.zeros_like(second)
     return HeightField(
-        x=x,
-        z=z,
-        even=(even[0], even[1]),
-        spacing=(spacing[0], spacing[1]),
-        heights=heights,
-        friction=friction,
-        second=second,
-        cut=np.zeros_like(second),
-        solid=number,
+        x=x, z=z, even=even, spacing=spacing, heights=heights, friction=friction, second=second, cut=cut, solid=number
     )
 
 
@@ -184,20 +176,15 @@ def with_rectangle(known: list[Rectangle], new: Rectangle) -> list[Rectangle]:
 
 
 def united(
-    field: HeightField,
-    bodies: list[Body],
-    numbers: list[int],
-    cores: list[Rectangle],
-    solids: tuple[Solid, ...],
-    domain: Domain,
+    field: HeightField, bodies: dict[int, Body], cores: list[Rectangle], solids: tuple[Solid, ...], domain: Domain
 ) -> Surface:
-    """The faces of the union of `bodies`, solids of given `numbers`, and the parts `cores` of the raster."""
+    """The faces of the union of `bodies`, by their numbers among the solids, and the parts `cores` of the raster."""
     if not bodies:
         return field.triangles((0, 1, 0, 1))[0].chosen(np.zeros(2, bool))
     deep = min(0.0, float(field.heights.min())) - BEYOND * domain.cell
     # With the cells around them, so that normals on their rim are those of the raster.
     patches = [raster_body(*field.posts(field.grown(core)), deep=deep, key="terrain") for core in cores]
-    found = boundary([*bodies, *patches], CLOSING * domain.cell)
+    found = boundary([*bodies.values(), *patches], CLOSING * domain.cell)
     middle = found.corners.mean(axis=1)
     kept = found.solid < len(bodies)
     for index, (first, last, before, end) in enumerate(cores):
@@ -205,6 +192,6 @@ def united(
         inner = (x > field.x[first]) & (x < field.x[last]) & (z > field.z[before]) & (z < field.z[end])
         kept |= (found.solid == len(bodies) + index) & inner
     found = found.chosen(kept & near_box(found, domain))
-    owners = np.array([*numbers, *(field.solid for _ in cores)], np.int32)[found.solid]
+    owners = np.array([*bodies, *(field.solid for _ in cores)], np.int32)[found.solid]
     stuck = np.array([solid.contact == "no-slip" for solid in solids])[owners]
     return Surface(**(vars(found) | {"solid": owners, "friction": np.where(stuck[:, None], np.inf, found.friction)}))

@@ -127,8 +127,7 @@ def grid_triangles(values: Floats) -> Integers:
     number = np.arange(values.size).reshape(values.shape)
     a, b, c, d = (each.ravel() for each in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     first = first_diagonal(values).ravel()[:, None]
-    halves = np.where(first, np.stack([a, c, b, a, d, c], axis=1), np.stack([a, d, b, b, d, c], axis=1))
-    return halves.reshape(-1, 3)
+    return np.where(first, np.stack([a, c, b, a, d, c], axis=1), np.stack([a, d, b, b, d, c], axis=1)).reshape(-1, 3)
 
 
 def interpolated(axes: Sequence[Floats], values: Floats, plan: Floats) -> Floats:

@@ -13,7 +13,7 @@ from datasets.geometry.closed import Body
 from datasets.geometry.contact_surface import contact_surface_of, height_field
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, plan_axes
 from datasets.geometry.nearest import inside
-from datasets.geometry.shells import share_volume
+from datasets.geometry.shells import manifold
 from datasets.geometry.surface import Surface, closed_body, raster_body, solids_of, surface_in
 from datasets.scene.parts import TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
 
@@ -97,7 +97,8 @@ def shapes_overlap(first: Solid, second: Solid, key: str, domain: Domain) -> boo
     b = closed_body(second, key, domain) if domain.dimension == 2 else body_near(second, key, domain, a.vertices)
     if domain.dimension == 2:
         return bool(shapely.Polygon(a.vertices).buffer(-margin).intersects(shapely.Polygon(b.vertices)))
-    return share_volume(a, b, margin)
+    solid, other = (manifold(each.vertices, each.faces) for each in (a, b))
+    return bool((solid ^ other).volume() > margin * solid.surface_area())
 
 
 def body_near(solid: Solid, key: str, domain: Domain, places: Floats) -> Body:

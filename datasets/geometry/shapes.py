@@ -96,10 +96,9 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
 
 
 def check_friction(solid: Solid, key: str) -> None:
-    """Raise InputError for friction that is negative or does not fit the shape: a number, or one for every place."""
+    """Raise InputError for friction that does not fit the shape: a number, or one for every place."""
     friction, key = solid.friction, f"{key}.friction"
     if isinstance(friction, int | float):
-        require(0.0 <= friction <= FARTHEST, key, "a coefficient of at least 0", friction)
         return
     require(solid.contact == "coulomb", key, "a single number, or none, of a surface without slip", "more")
     places = solid.points or (solid.vertices if solid.kind == "polygon" else None) or solid.heights
@@ -108,5 +107,3 @@ def check_friction(solid: Solid, key: str) -> None:
     expected = [len(row) if solid.heights else 0 for row in places or ()]
     one_each = "a coefficient for every height, in the same rows" if solid.heights else f"{len(expected)} coefficients"
     require(counts == expected, key, one_each, f"{len(counts)} rows" if any(counts) else len(counts))
-    for value in itertools.chain.from_iterable(row if isinstance(row, tuple) else (row,) for row in friction):
-        require(0.0 <= value <= FARTHEST, key, "coefficients of at least 0", value)

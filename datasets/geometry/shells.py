@@ -203,12 +203,6 @@ def grown(body: Body, gap: float) -> Floats:
     return np.asarray(body.vertices + np.linalg.solve(matrix, right[..., None])[..., 0])
 
 
-def share_volume(first: Body, second: Body, margin: float) -> bool:
-    """Whether two bodies share more than a layer of `margin` [m]."""
-    solid = manifold(first.vertices, first.faces)
-    return bool((solid ^ manifold(second.vertices, second.faces)).volume() > margin * solid.surface_area())
-
-
 def sliced(vertices: Floats, triangles: Integers, lattice: Floats) -> NDArray[np.bool_]:
     """Which places of a lattice [m], shape [N, 3], lie in a closed surface, by level cuts through it; shape [N]."""
     # The library cuts across its third axis.

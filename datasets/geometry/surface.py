@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from datasets.errors import require
 from datasets.geometry.closed import Body, pseudonormals, ring, snapped
-from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, Integers, grid_triangles, ground_grid
+from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, grid_triangles, ground_grid
 from datasets.geometry.rings import check_simple, cut_ring, lengthened_ring, union_of_rings
 from datasets.geometry.shells import cut_surface, lengthened_surface, outward, union_of_surfaces
 from datasets.scene.parts import ROUGH, Domain, SceneLayout, Solid, coefficient, keyed
@@ -41,7 +41,7 @@ FACES = {
 """Their faces, outwards."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """The boundary of the union of all solids of a scene; F faces in D dimensions."""
 
@@ -57,19 +57,6 @@ class Surface:
     """The solid that each face belongs to: first the scene's baffles, then its solids; shape [F]."""
     friction: Floats
     """Coulomb coefficient at the corners [-], linear between them; inf without slip; shape [F, D]."""
-
-    @staticmethod
-    def of_faces(vertices: Floats, faces: Integers, solid: NDArray[np.int32], friction: Floats) -> "Surface":
-        """The surface of `faces` [F, D], numbers of `vertices` [V, D], with the normals that follow from these."""
-        normals, corner_normals, edge_normals = pseudonormals(vertices, faces)
-        return Surface(
-            corners=vertices[faces],
-            normals=normals,
-            corner_normals=corner_normals,
-            edge_normals=edge_normals,
-            solid=solid,
-            friction=friction,
-        )
 
     @property
     def dimension(self) -> int:
@@ -95,16 +82,11 @@ def solids_of(scene: SceneLayout) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
     """Everything solid in `scene`, in the order of its numbers, and the keys of each; without their turbulence, so that
     scenes which differ by that alone share their surface.
     """
-    baffles = [
-        Solid(
-            lower=each.lower,
-            size=each.size,
-            turned_deg=each.turned_deg,
-            friction=coefficient(scene.friction_of(each), 0.0),
-            contact="no-slip" if scene.friction_of(each) == ROUGH else "coulomb",
-        )
-        for each in scene.baffles
-    ]
+    baffles = []
+    for each in scene.baffles:
+        friction, box = scene.friction_of(each), {key: getattr(each, key) for key in ("lower", "size", "turned_deg")}
+        contact = "no-slip" if friction == ROUGH else "coulomb"
+        baffles.append(Solid(**box, friction=coefficient(friction, 0.0), contact=contact))
     others = [each if each.turbulence is None else replace(each, turbulence=None) for each in scene.solids]
     return (*baffles, *others), tuple(keyed(scene, "baffles", "solids"))
 
@@ -135,7 +117,7 @@ def boundary(bodies: list[Body], gap: float) -> Surface:
     else:
         union = union_of_rings if bodies[0].vertices.shape[1] == 2 else union_of_surfaces
         vertices, faces, friction, owner = union(bodies, gap)
-    found = Surface.of_faces(vertices, faces, owner, friction)
+    found = Surface(vertices[faces], *pseudonormals(vertices, faces), owner, friction)
     # Triangles without area have no normal.
     return found.chosen(np.asarray(found.normals.any(axis=1)))
 

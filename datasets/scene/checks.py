@@ -48,10 +48,6 @@ def checked(scene: SceneLayout) -> SceneLayout:
 def check_sizes(scene: SceneLayout) -> None:
     """Raise InputError where the box, the times or the number of anything are beyond what can be counted."""
     domain = scene.domain
-    require(len(domain.size) in (2, 3), "domain.size", "2 or 3 lengths in m", list(domain.size))
-    if domain.origin is not None:
-        check_vector(domain.origin, "domain.origin", len(domain.size))
-    require(domain.crs is None or domain.origin is not None, "domain.crs", "an origin beside it", "none")
     cells = [length / domain.cell for length in domain.size]
     fits = all(0.0 < length <= FARTHEST for length in domain.size) and all(map(whole, cells))
     expected = f"a positive whole number of cells of {domain.cell:g} m, up to {FARTHEST:g} m"
@@ -62,8 +58,7 @@ def check_sizes(scene: SceneLayout) -> None:
     frames = scene.duration / scene.frame_dt
     few = frames <= MOST_FRAMES
     require(few, "frame_dt", f"at most {MOST_FRAMES} frames, so more time between them", f"{frames:.3g}")
-    expected = f"a positive whole number of frames of {scene.frame_dt:g} s"
-    require(whole(frames), "duration", expected, scene.duration)
+    require(whole(frames), "duration", f"a positive whole number of frames of {scene.frame_dt:g} s", scene.duration)
     count = len(scene.masses) + len(scene.baffles) + len(scene.solids)
     require(count <= MOST_BODIES, "masses", f"at most {MOST_BODIES} masses, baffles and solids", count)
 
@@ -130,8 +125,7 @@ def check_start(scene: SceneLayout, mass: Mass, key: str) -> None:
     require(held, f"{key}.gate", "a release at which the gate begins to rise", "none")
     if release is not None:
         check_time(scene, release, f"{key}.release")
-        still = not any(velocity or ())
-        require(still, f"{key}.velocity", "a mass at rest behind its barriers", list(velocity or ()))
+        require(not any(velocity or ()), f"{key}.velocity", "a mass at rest behind its barriers", list(velocity or ()))
 
 
 def check_k0(scene: SceneLayout) -> None:
@@ -151,9 +145,8 @@ def check_k0(scene: SceneLayout) -> None:
         material = scene.material_of(mass)
         if material.law != MOHR_COULOMB:
             continue
-        angles = [
-            min(each.values) for each in scene.fields if each.quantity == FRICTION and each.mass in (None, number)
-        ]
+        varying = (each for each in scene.fields if each.quantity == FRICTION and each.mass in (None, number))
+        angles = [min(each.values) for each in varying]
         angle = material.phi_deg_of(min(angles), material.dilation_deg) if angles else material.phi_deg
         active = math.tan(math.radians(45.0 - 0.5 * angle)) ** 2
         tall = height(scene, mass)
@@ -223,11 +216,9 @@ def check_fields(scene: SceneLayout) -> None:
     dimension, kinds = scene.dimension, (FRICTION, *VELOCITIES[: scene.dimension])
     for index, (key, field) in enumerate(keyed(scene, "fields").items()):
         require(field.quantity in kinds, f"{key}.quantity", f"one of {', '.join(kinds)}", repr(field.quantity))
-        for name in ("origin", "spacing", "nodes"):
-            count = len(getattr(field, name))
-            require(count == dimension, f"{key}.{name}", f"{dimension} numbers", count)
         check_vector(field.origin, f"{key}.origin", dimension)
         check_vector(field.spacing, f"{key}.spacing", dimension)
+        require(len(field.nodes) == dimension, f"{key}.nodes", f"{dimension} numbers", len(field.nodes))
         count = field.count
         require(len(field.values) == count, f"{key}.values", f"{count} numbers, one for each node", len(field.values))
         require(all(map(usual, field.values)), f"{key}.values", "finite numbers", "others")
@@ -254,13 +245,11 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
     """One UserWarning for each number that looks like another unit's (radians, MPa, mm) and layer that the box cuts."""
     from datasets.geometry.bodies import Plan, height
 
-    layers = {key: mass for key, mass in keyed(scene, "masses").items() if mass.kind == "layer"}
-    for key, mass in layers.items():
-        lost = Plan(mass, scene.domain, key).lost
+    for key, mass in keyed(scene, "masses").items():
+        lost = Plan(mass, scene.domain, key).lost if mass.kind == "layer" else 0.0
         if lost > LOST:
-            warnings.warn(
-                f"{key}: {lost:.2g} of the layer lies beyond the sides of the box and is left out", stacklevel=3
-            )
+            beyond = f"{lost:.2g} of the layer lies beyond the sides of the box and is left out"
+            warnings.warn(f"{key}: {beyond}", stacklevel=3)
     own = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
     for key, material in {"material": scene.material, **own}.items():
         lines = []

@@ -40,10 +40,8 @@ class Grid:
     @cached_property
     def axes(self) -> list[Floats]:
         """Coordinates of the nodes along each axis [m]."""
-        return [
-            np.asarray(first + step * np.arange(count), np.float64)
-            for first, step, count in zip(self.origin, self.spacing, self.nodes, strict=True)
-        ]
+        rows = zip(self.origin, self.spacing, self.nodes, strict=True)
+        return [np.asarray(first + step * np.arange(count), np.float64) for first, step, count in rows]
 
     @cached_property
     def positions(self) -> Floats:

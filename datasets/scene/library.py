@@ -1,19 +1,42 @@
-"""Scene files: read from a path or, by name, from those that ship in `datasets/scenes`; written from Python."""
+"""Scene files: read from a path or, by name, from those that ship in `datasets/scenes`; written from Python.
+
+In a file lengths count from the map's origin where the box has one, in a `Scene` from the box's lower corner:
+
+    x_scene = x_file - origin        [domain] origin = [easting, elevation, northing], in 2D [x, elevation]
+
+x runs to the east, y up, z to the north. The difference is taken here alone, when a file is read, in double precision:
+single precision has steps of 0.25 m at 2,600,000 m, but of 0.25 mm at 4,096 m from the corner. It is rounded to
+`DIGITS`, so that 2600000.1 - 2600000 is 0.1: the scene is that of a file in coordinates of its own, to the bit.
+"""
 
 import difflib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomli_w
+from numpy.typing import NDArray
 
 from datasets.errors import InputError, OutOfRange, naming
-from datasets.exchange.map_coordinates import PLACES, moved, origin_of
 from datasets.exchange.scene_files import with_files
 from datasets.files import read_toml, write_text
 from datasets.scene import Scene
 from datasets.schema import changed, from_mapping
 
 SCENES = Path(__file__).parents[1] / "scenes"
+WHOLE, PLAN, UP = slice(None), slice(None, None, 2), slice(1, 2)
+"""Of the components of an origin: all; those in plan, x and z; y."""
+PLACES: dict[str, dict[str, slice]] = {
+    "masses": {"lower": WHOLE, "vertices": WHOLE, "origin": PLAN, "outline": PLAN},
+    "baffles": {"lower": WHOLE},
+    "solids": {"lower": WHOLE, "vertices": WHOLE, "points": WHOLE, "origin": PLAN, "heights": UP},
+    "fields": {"origin": WHOLE},
+    "stages": {"lower": WHOLE, "outline": PLAN},
+}
+"""The keys of a scene that say where something is, and which components of an origin they count from."""
+DIGITS = 7
+"""Decimals of a metre: more than the rounding of map coordinates in double precision up to 100,000 km."""
 
 
 def find(name: str, shelf: Path, what: str) -> Path:
@@ -43,19 +66,39 @@ def read_scene(name: str | Path) -> Scene:
 
 
 def scene_from(data: dict[str, Any], folder: Path) -> Scene:
-    """The scene of the tables of a TOML file in `folder`, to which the paths in it are relative. Raises InputError.
-
-    Its lengths count from the lower corner of the box, those of the file from the map's origin where the box has one.
-    """
-    data, origin = with_files(data, folder), origin_of(data)
-    if origin is None:
+    """The scene of the tables of a TOML file in `folder`, to which the paths in it are relative. Raises InputError."""
+    data = with_files(data, folder)
+    if not isinstance(data.get("domain"), dict) or data["domain"].get("origin") is None:
         return from_mapping(Scene, data)
     try:
-        return from_mapping(Scene, moved(data, -origin))
+        return from_mapping(Scene, moved(data, -np.array(data["domain"]["origin"], np.float64)))
     except OutOfRange as error:
         if not error.key.startswith(tuple(PLACES)):
             raise
         raise InputError(f"{error.message}; lengths count from domain.origin here", key=error.key) from None
+
+
+def moved(data: dict[str, Any], by: NDArray[np.float64]) -> dict[str, Any]:
+    """The tables of a scene with every place moved by so much [m], shape [D]; what is no place as it is."""
+    new = dict(data)
+    for group, keys in PLACES.items():
+        if isinstance(data.get(group), list | tuple):
+            new[group] = [moved_entry(entry, keys, by) for entry in data[group]]
+    return new
+
+
+def moved_entry(entry: Any, keys: dict[str, slice], by: NDArray[np.float64]) -> Any:
+    """A mass, a solid or another table with the places under `keys` moved by `by` [D]; what is none as it is."""
+    if not isinstance(entry, dict):
+        return entry
+    entry = dict(entry)
+    for key, axes in keys.items():
+        with suppress(ValueError):  # of rows of different lengths
+            places, step = np.asarray(entry.get(key)), by[axes]
+            is_place = places.dtype.kind in "if" and places.ndim > 0
+            if is_place and (axes == UP or places.shape[-1] == len(step)):
+                entry[key] = np.round(places + step, DIGITS).tolist()
+    return entry
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:

@@ -82,7 +82,7 @@ class Material(Record):
     """The keys of another law; from Python together, with `friction_deg` = 0."""
     friction_deg: float
     """Angle of friction [deg], in [0, 90), of a slope in [0, 45); 0, Tresca's law, needs a cohesion."""
-    angle: str = "triaxial"
+    angle: Annotated[str, Bounds(f"one of {', '.join(ANGLES)}", words=tuple(ANGLES))] = "triaxial"
     """How angles of friction were measured: "triaxial" (phi itself) or "slope" (on the plane that shears)."""
     friction_limit_deg: float | None = None
     """Angle of friction at very high rates of shear [deg], of the same `angle`; no dependence on them where absent."""
@@ -143,8 +143,6 @@ class Material(Record):
                 if each.name not in SHARED and value != usual:
                     message = f"expected none beside law = {self.law!r}, got {value!r}"
                     raise InputError(message, key=f"material.{each.name}")
-        if self.angle not in ANGLES:
-            raise InputError(f"expected one of {', '.join(ANGLES)}, got {self.angle!r}", key="material.angle")
         highest = ANGLES[self.angle]
         kind = "an angle" if self.angle == "triaxial" else "the angle of a slope"
         require(0.0 <= self.friction_deg < highest, "friction_deg", f"{kind} in [0, {highest:g}) degrees")

@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from datasets.geometry.bodies import filling, height, lattice_of
 from datasets.memory import require
 from datasets.scene import TOLERANCE, Mass, Scene, keyed
-from datasets.scene.grid_field import FRICTION
+from datasets.scene.grid_field import FRICTION, Floats
 from datasets.scene.material import Material
 
 PARTICLE = 60
@@ -27,28 +27,28 @@ RESOLVED = (3.0, 4.0)
 class Particles:
     """The particles of a scene at time 0, one mass after the other."""
 
-    positions: NDArray[np.float64]
+    positions: Floats
     """Positions [m], shape [N, D]."""
-    velocities: NDArray[np.float64]
+    velocities: Floats
     """Velocities [m/s], shape [N, D]."""
     mass: NDArray[np.int32]
     """Index of the scene's mass that each particle belongs to, shape [N]."""
-    velocity_gradients: NDArray[np.float64]
+    velocity_gradients: Floats
     """Velocity gradients dv_i / dx_j [1/s], shape [N, D, D]; 0 but in a mass that turns."""
     material: NDArray[np.int32]
     """Index into `materials` of each particle, shape [N]."""
     materials: tuple[Material, ...]
     """The different materials of the scene."""
-    volume: NDArray[np.float64]
+    volume: Floats
     """Initial volume of each particle [m^D], shape [N]."""
-    depth: NDArray[np.float64]
+    depth: Floats
     """Of each particle below the top of its mass [m], shape [N]."""
-    friction_deg: NDArray[np.float64] | None = None
+    friction_deg: Floats | None = None
     """Angle of friction of each particle [deg], shape [N], in place of its material's and measured as that; None where
     all have that."""
 
     @property
-    def density(self) -> NDArray[np.float64]:
+    def density(self) -> Floats:
         """Initial density of each particle [kg/m^3], shape [N]."""
         return np.array([material.density for material in self.materials])[self.material]
 
@@ -122,16 +122,14 @@ def initial_particles(scene: Scene) -> Particles:
     )
 
 
-def depth(scene: Scene, mass: Mass, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def depth(scene: Scene, mass: Mass, positions: Floats) -> Floats:
     """Depth of `positions` [m], shape [N, D], below the top of `mass` [m], shape [N]."""
     if mass.kind == "box":
         return np.asarray(mass.lower[1] + mass.size[1] - positions[:, 1])
     return filling(scene, mass).depth(positions)
 
 
-def cohesions(
-    materials: Sequence[Material], material: NDArray[np.integer], depths: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def cohesions(materials: Sequence[Material], material: NDArray[np.integer], depths: Floats) -> NDArray[np.float32]:
     """Cohesion [Pa] of particles of `materials` by number, shape [N], at `depths` [m], shape [N]."""
     found = np.zeros(len(depths), np.float32)
     for index, each in enumerate(materials):
@@ -147,10 +145,9 @@ def observed_cohesion(
     mass: the mass that each belongs to, where the particles are not those of `initial_particles`. Raises InputError
     where masses differ and nothing says which particle belongs to which.
     """
-    alike = len(scene.masses) == 1 or (
-        len({scene.material_of(each).cohesion for each in scene.masses}) == 1
-        and not any(scene.material_of(each).strength_gradient for each in scene.masses)
-    )
+    materials = [scene.material_of(each) for each in scene.masses]
+    grows = [each.strength_gradient > 0.0 for each in materials]
+    alike = len(materials) == 1 or (len({each.cohesion for each in materials}) == 1 and not any(grows))
     if mass is None and alike:
         mass = np.zeros(len(positions), np.int32)
     elif mass is None:
@@ -161,9 +158,9 @@ def observed_cohesion(
         mass = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     depths = np.zeros(len(positions))
     for index, each in enumerate(scene.masses):
-        if scene.material_of(each).strength_gradient > 0.0:
+        if grows[index]:
             depths[mass == index] = depth(scene, each, np.asarray(positions[mass == index], np.float64))
-    return cohesions([scene.material_of(each) for each in scene.masses], mass, depths)
+    return cohesions(materials, mass, depths)
 
 
 def lattice_counts(scene: Scene, mass: Mass) -> list[int]:
@@ -182,11 +179,10 @@ def mass_counts(scene: Scene) -> list[int]:
     ]
 
 
-def mass_volumes(scene: Scene) -> NDArray[np.float64]:
+def mass_volumes(scene: Scene) -> Floats:
     """Volume of each mass [m^D], exactly that of its shape, shape [masses]."""
-    return np.array(
-        [math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses]
-    )
+    volumes = (math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses)
+    return np.fromiter(volumes, np.float64)
 
 
 def particle_count(scene: Scene) -> int:
@@ -199,12 +195,12 @@ def released_volume(scene: Scene) -> float:
     return float(sum(mass_volumes(scene).tolist()))
 
 
-def mass_centroids(scene: Scene) -> NDArray[np.float64]:
+def mass_centroids(scene: Scene) -> Floats:
     """Centroid of each mass [m], that of its particles before their jitter, shape [masses, D]."""
     return np.array([lattice_of(scene, mass).mean(axis=0) for mass in scene.masses])
 
 
-def mass_particle_volumes(scene: Scene) -> NDArray[np.float64]:
+def mass_particle_volumes(scene: Scene) -> Floats:
     """Volume of a particle of each mass [m^D], shape [masses]: the mass's own volume over the number of its particles.
 
     Volumes that differ by rounding alone are the same number, `scene.particle_volume` where the masses fit the lattice.
@@ -215,12 +211,12 @@ def mass_particle_volumes(scene: Scene) -> NDArray[np.float64]:
     return np.array(known[1:])
 
 
-def initial_volumes(scene: Scene) -> NDArray[np.float64]:
+def initial_volumes(scene: Scene) -> Floats:
     """Initial volume of each particle [m^D], shape [N]."""
     return np.repeat(mass_particle_volumes(scene), mass_counts(scene))
 
 
-def particle_volumes(scene: Scene, count: int) -> NDArray[np.float64]:
+def particle_volumes(scene: Scene, count: int) -> Floats:
     """Initial volume [m^D] of each of the `count` particles of a trajectory of `scene`, shape [count].
 
     Of other particles than those that `initial_particles` makes (another code's) only the mean is known: that of the
@@ -252,10 +248,8 @@ def unresolved(scene: Scene, cells: float) -> str:
         return ""
     names, thickness = ", ".join([*thin][:3]) + (", ..." if len(thin) > 3 else ""), min(thin.values())
     finest, coarsest = (thickness / each for each in reversed(RESOLVED))
-    return (
-        f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid hardly resolves it; "
-        f"a cell of {finest:.2g} to {coarsest:.2g} m would"
-    )
+    said = f"{names}: {thickness:.3g} m thick in cells of {cell:.3g} m, so the grid hardly resolves it"
+    return f"{said}; a cell of {finest:.2g} to {coarsest:.2g} m would"
 
 
 def thinnest(scene: Scene, mass: Mass) -> float:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets.errors import require
 from datasets.scene.grid_field import Field
 from datasets.scene.material import Material
 from datasets.schema import FARTHEST, Bounds, Record
@@ -30,6 +31,7 @@ Length = Annotated[float, Bounds(f"a positive length in m, up to {FARTHEST:g}", 
 Coefficient = Annotated[float | str, Bounds(f"a coefficient of at least 0 or '{ROUGH}'", ge=0.0, words=(ROUGH,))]
 Turbulence = Annotated[float | None, Bounds(f"a positive coefficient in m/s^2, up to {FARTHEST:g}", gt=0.0)]
 Size = Annotated[Vector, Bounds(f"positive lengths in m, above {TOLERANCE:g}", gt=TOLERANCE)]
+K0 = Annotated[float | str, Bounds("a ratio of stresses of at least 0 or 'elastic'", ge=0.0, words=("elastic",))]
 Moment = Annotated[float | str, Bounds("a time in s or 'settled'", words=("settled",))]
 
 
@@ -43,7 +45,7 @@ class Domain(Record):
     """The rigid box [0, size] and the background grid in it; y, the second axis, points up.
 
     All lengths of a `Scene` count from the box's lower corner. A file whose box has an `origin` gives them, and what is
-    written of its flow is, in the coordinates of a map (`datasets.exchange.map_coordinates`).
+    written of its flow is, in the coordinates of a map (`datasets.scene.library`).
     """
 
     size: Vector
@@ -55,6 +57,14 @@ class Domain(Record):
     """
     crs: str | None = None
     """Reference system of these, as an authority's code or in WKT."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count, origin = len(self.size), self.origin
+        require(count in (2, 3), "size", "2 or 3 lengths in m", list(self.size))
+        placed = origin is None or (len(origin) == count and all(abs(each) <= FARTHEST for each in origin))
+        require(placed, "origin", f"{count} lengths in m within {FARTHEST:g}", list(origin or ()))
+        require(self.crs is None or self.origin is not None, "crs", "an origin beside it", "none")
 
     @property
     def dimension(self) -> int:
@@ -112,9 +122,7 @@ class Mass(Record):
     vector; the velocity at x is then velocity + angular_velocity x (x - centre)."""
     material: Material | None = None
     """Its own material; the scene's where absent."""
-    k0: Annotated[
-        float | str | None, Bounds("a ratio of stresses of at least 0 or 'elastic'", ge=0.0, words=("elastic",))
-    ] = None
+    k0: K0 | None = None
     """Initial stress: K0 [-], horizontal over vertical stress under its weight; or "elastic". Where absent none, of a
     flat mass on inclined ground that of an infinite slope (`mpm.initial.slope`)."""
     release: Moment | None = None
@@ -200,7 +208,7 @@ class Solid(Record):
     """Easting and northing of x = 0, z = 0 in the coordinates of the raster that a terrain in 3D came from [m]."""
     crs: str | None = None
     """Reference system of these coordinates, as an authority's code or in WKT, where the raster named one."""
-    friction: float | Vector | Rows = 0.0
+    friction: Annotated[float | Vector | Rows, Bounds("coefficients of at least 0", ge=0.0)] = 0.0
     """Coulomb coefficient [-]: a number, or one per vertex, point or height, linear between them."""
     contact: Annotated[str, Bounds("'coulomb' or 'no-slip'", words=("coulomb", "no-slip"))] = "coulomb"
     """`coulomb` or `no-slip`."""

@@ -24,13 +24,9 @@ def scene() -> Scene:
 def trajectory(scene: Scene) -> Trajectory:
     """Three frames of five points."""
     stream = np.random.default_rng(0)
-    return flow_of(
-        scene,
-        stream.random((3, 5, 2), np.float32),
-        velocity0=stream.random((5, 2), np.float32),
-        friction=np.full(5, 0.5, np.float32),
-        summary={"steps": 7},
-    )
+    positions, velocity0 = stream.random((3, 5, 2), np.float32), stream.random((5, 2), np.float32)
+    friction = np.full(5, 0.5, np.float32)
+    return flow_of(scene, positions, velocity0=velocity0, friction=friction, summary={"steps": 7})
 
 
 FRAMES = 6

@@ -24,14 +24,10 @@ def flow(trajectory: Trajectory) -> Trajectory:
     impulse = np.cumsum(stream.normal(0.0, 1.0, (len(TIME), 2, 2)), axis=0)
     impulse[0] = 0.0
     every = np.arange(11) * 0.01
-    return dataclasses.replace(
-        trajectory,
-        positions=stream.random((len(TIME), 5, 2), np.float32),
-        time=TIME,
-        scene=dataclasses.replace(trajectory.scene, baffles=BAFFLES, duration=0.1, frame_dt=0.01),
-        solid_impulse=impulse,
-        summary={"side_impulse": {"y-": (every[:, None] * [3.0, -5.0]).tolist()}},
-    )
+    scene = dataclasses.replace(trajectory.scene, baffles=BAFFLES, duration=0.1, frame_dt=0.01)
+    moving = {"positions": stream.random((len(TIME), 5, 2), np.float32), "time": TIME, "solid_impulse": impulse}
+    walls = {"y-": (every[:, None] * [3.0, -5.0]).tolist()}
+    return dataclasses.replace(trajectory, scene=scene, **moving, summary={"side_impulse": walls})
 
 
 @pytest.mark.parametrize("window", [0.0, 0.003, 0.2])

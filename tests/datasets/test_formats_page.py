@@ -45,16 +45,9 @@ def test_every_key_of_a_scene_stands_on_the_page_with_its_default(kind: type) ->
 
 def test_every_key_of_a_trajectory_stands_on_the_page(tmp_path: Path, trajectory: Trajectory) -> None:
     vectors, scalars = np.zeros((3, 5, 2)), np.zeros((3, 5))
-    dataclasses.replace(
-        trajectory,
-        volume=np.ones(5),
-        mass=np.zeros(5, np.int32),
-        velocities=vectors,
-        stress=np.zeros((3, 5, 4)),
-        pressure=scalars,
-        plastic_strain=scalars,
-        solid_impulse=np.zeros((3, 0, 2)),
-    ).save(tmp_path / "trajectory.npz")
+    fields = {"velocities": vectors, "stress": np.zeros((3, 5, 4)), "pressure": scalars, "plastic_strain": scalars}
+    own = {"volume": np.ones(5), "mass": np.zeros(5, np.int32), "solid_impulse": np.zeros((3, 0, 2))}
+    dataclasses.replace(trajectory, **fields, **own).save(tmp_path / "trajectory.npz")
     with np.load(tmp_path / "trajectory.npz", allow_pickle=False) as file:
         named = set(re.findall(r"^\| `(\w+)` \|", section("Trajectory (NPZ)"), re.MULTILINE))
         assert named == set(file.files)

@@ -65,11 +65,9 @@ def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None
 
 def test_the_ground_of_terrain_and_baffles() -> None:
     terrain = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((0.3, 0.3), (0.1, 0.1)))
-    scene = dataclasses.replace(
-        scene_of((1.0, 0.8, 0.5), ((0.2, 0.5, 0.1), (0.2, 0.1, 0.2))),
-        solids=(terrain,),
-        baffles=(Baffle(lower=(0.6, 0.0, 0.0), size=(0.11, 0.4, 0.2)),),
-    )
+    baffle = Baffle(lower=(0.6, 0.0, 0.0), size=(0.11, 0.4, 0.2))
+    scene = scene_of((1.0, 0.8, 0.5), ((0.2, 0.5, 0.1), (0.2, 0.1, 0.2)))
+    scene = dataclasses.replace(scene, solids=(terrain,), baffles=(baffle,))
     maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
     x, z = np.meshgrid(*maps.grid.axes, indexing="ij")
     on = (x > 0.59) & (x < 0.71) & (z < 0.2)
@@ -124,19 +122,10 @@ def test_the_files_of_a_flow(tmp_path: Path) -> None:
 
 def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path) -> None:
     """A slope that falls to the east; the box begins 10 m east and 5 m north of the corner of its UTM zone's raster."""
-    scene = dataclasses.replace(
-        scene_of((20.0, 30.0, 30.0), ((2.0, 18.0, 22.0), (4.0, 2.0, 6.0)), cell=1.0),
-        solids=(
-            Solid(
-                kind="terrain",
-                origin=(0.0, 0.0),
-                spacing=(20.0, 30.0),
-                heights=((15.0, 15.0), (5.0, 5.0)),
-                corner=(690_010.0, 5_300_005.0),
-                crs="EPSG:25832",
-            ),
-        ),
-    )
+    grid = {"origin": (0.0, 0.0), "spacing": (20.0, 30.0), "heights": ((15.0, 15.0), (5.0, 5.0))}
+    slope = Solid(kind="terrain", **grid, corner=(690_010.0, 5_300_005.0), crs="EPSG:25832")
+    scene = scene_of((20.0, 30.0, 30.0), ((2.0, 18.0, 22.0), (4.0, 2.0, 6.0)), cell=1.0)
+    scene = dataclasses.replace(scene, solids=(slope,))
     flow_of(scene, [initial_particles(scene).positions]).save(tmp_path / "trajectory.npz")
     assert run(command, "maps", [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path)]) == 0
     with rasterio.open(tmp_path / "thickness.tif") as raster:

@@ -124,12 +124,8 @@ def test_what_ships_is_held_out_scaled_mirrored_and_of_another_sand(name: str) -
     assert neighbours(mirrored(scaled(scene, 0.5)), scaled(scene, 3.0))
 
 
-COLUMN = scene_of(
-    Mass(lower=(0.0, 0.0), size=(0.31, 0.4)),
-    size=(2.0, 1.0),
-    cell=0.01,
-    material=read_scene("column-short-21").material,
-)
+SAND = read_scene("column-short-21").material
+COLUMN = scene_of(Mass(lower=(0.0, 0.0), size=(0.31, 0.4)), size=(2.0, 1.0), cell=0.01, material=SAND)
 
 
 def column(length: float, height: float, left: float = 0.0) -> Scene:

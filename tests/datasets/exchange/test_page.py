@@ -29,11 +29,8 @@ HOSTILE = "</script><img src=x onerror=alert(1)>"
 def parts(page: Path) -> tuple[dict[str, Any], bytes]:
     """What a page holds: its head, and the bytes of its arrays."""
     text = page.read_text(encoding="utf-8")
-    found = {
-        name: re.search(rf'<script id="{name}" type="[^"]*">(.*?)</script>', text, re.DOTALL)
-        for name in ("head", "data")
-    }
-    head, data = (each[1] for each in found.values() if each is not None)
+    script = '<script id="{}" type="[^"]*">(.*?)</script>'
+    head, data = (re.search(script.format(name), text, re.DOTALL)[1] for name in ("head", "data"))
     return json.loads(head), zlib.decompress(base64.b64decode(data))
 
 

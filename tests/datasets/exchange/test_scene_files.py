@@ -49,17 +49,10 @@ def tilted() -> np.ndarray:
 
 def write_raster(path: Path, values: np.ndarray, crs: str | None = "EPSG:32632", **changes: object) -> None:
     """A GeoTIFF or an ESRI ASCII raster whose lower left corner is at 500000, 5000000."""
-    profile = {
-        "driver": "GTiff" if path.suffix == ".tif" else "AAIGrid",
-        "count": 1,
-        "height": values.shape[0],
-        "width": values.shape[1],
-        "dtype": "float64",
-        "crs": crs,
-        "nodata": -9999.0,
-        "transform": Affine(0.1, 0.0, 500000.0, 0.0, -0.1, 5000000.0 + 0.1 * values.shape[0]),
-    } | changes
-    with rasterio.open(path, "w", **profile) as file:
+    height, width = values.shape
+    driver, place = "GTiff" if path.suffix == ".tif" else "AAIGrid", Affine(0.1, 0, 5e5, 0, -0.1, 5e6 + 0.1 * height)
+    profile = {"count": 1, "dtype": "float64", "nodata": -9999.0, "transform": place} | changes
+    with rasterio.open(path, "w", driver=driver, height=height, width=width, crs=crs, **profile) as file:
         file.write(values, 1)
 
 

@@ -26,20 +26,13 @@ def flow() -> Trajectory:
     time = np.linspace(0.0, 0.04, 5)
     stream = np.random.default_rng(2)
     positions = START + SPEED * time[:, None, None] + 0.5 * ACCELERATION * time[:, None, None] ** 2
+    left = Mass(lower=(0.0, 0.0, 0.02), size=(0.04, 0.04, 0.05))
+    right = Mass(lower=(0.04, 0.0, 0.02), size=(0.04, 0.04, 0.05), material=RIGHT)
+    near = Baffle(lower=(0.2, 0.0, 0.0), size=(0.02, 0.1, 0.03))
+    far = Baffle(lower=(0.25, 0.0, 0.05), size=(0.01, 0.05, 0.02))
+    box = {"size": (0.3, 0.2, 0.1), "cell": 0.01, "duration": 0.04, "frame_dt": 0.01}
     return flow_of(
-        scene_of(
-            Mass(lower=(0.0, 0.0, 0.02), size=(0.04, 0.04, 0.05)),
-            Mass(lower=(0.04, 0.0, 0.02), size=(0.04, 0.04, 0.05), material=RIGHT),
-            size=(0.3, 0.2, 0.1),
-            cell=0.01,
-            material=LEFT,
-            baffles=(
-                Baffle(lower=(0.2, 0.0, 0.0), size=(0.02, 0.1, 0.03)),
-                Baffle(lower=(0.25, 0.0, 0.05), size=(0.01, 0.05, 0.02)),
-            ),
-            duration=0.04,
-            frame_dt=0.01,
-        ),
+        scene_of(left, right, material=LEFT, baffles=(near, far), **box),
         positions,
         time=time,
         velocity0=np.tile(SPEED, (4, 1)).astype(np.float32),
@@ -107,13 +100,8 @@ def grounded(flow: Trajectory) -> Trajectory:
         kind="terrain", origin=(-0.1, -0.1), spacing=(0.5, 0.3), heights=((0.02, 0.02), (0.01, 0.01)), friction=0.5
     )
     wall = Solid(name="wall", lower=(0.1, 0.0, 0.0), size=(0.02, 0.05, 0.02), contact="no-slip")
-    scene = dataclasses.replace(
-        flow.scene,
-        masses=tuple(
-            dataclasses.replace(mass, lower=(mass.lower[0], 0.05, mass.lower[2])) for mass in flow.scene.masses
-        ),
-        solids=(ground, wall),
-    )
+    raised = (dataclasses.replace(mass, lower=(mass.lower[0], 0.05, mass.lower[2])) for mass in flow.scene.masses)
+    scene = dataclasses.replace(flow.scene, masses=tuple(raised), solids=(ground, wall))
     return dataclasses.replace(flow, scene=scene, solid_impulse=np.random.default_rng(5).random((5, 4, 3)))
 
 
@@ -134,15 +122,9 @@ def test_a_shorter_series_replaces_a_longer_one(tmp_path: Path, flow: Trajectory
     write_vtk(flow, tmp_path)
     (tmp_path / "particles-of-interest.txt").write_text("mine")
     write_vtk(toy(2), tmp_path, every=3)
-    assert sorted(file.name for file in tmp_path.iterdir()) == [
-        "domain.vtp",
-        "particles-0000.vtp",
-        "particles-0003.vtp",
-        "particles-0005.vtp",
-        "particles-of-interest.txt",
-        "solids.vtp",
-        "trajectory.pvd",
-    ]
+    names = {"domain.vtp", "solids.vtp", "trajectory.pvd", "particles-of-interest.txt"}
+    names |= {f"particles-{frame:04d}.vtp" for frame in (0, 3, 5)}
+    assert {file.name for file in tmp_path.iterdir()} == names
     assert list(read(tmp_path)) == toy(2).time[[0, 3, 5]].tolist()
 
 

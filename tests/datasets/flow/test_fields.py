@@ -21,14 +21,9 @@ def test_a_thinned_flow_has_the_particles_of_the_whole_one() -> None:
     flow = toy(2)
     chosen = np.arange(0, flow.positions.shape[1], 3)
     ratio = np.float32(flow.volumes.sum() / flow.volumes[chosen].sum())
-    thin = dataclasses.replace(
-        flow,
-        positions=flow.positions[:, chosen],
-        velocity0=flow.velocity0[chosen],
-        friction=flow.friction[chosen],
-        volume=(ratio * flow.volumes[chosen]).astype(np.float32),
-        mass=np.zeros(len(chosen), np.int32),
-    )
+    own = {"velocity0": flow.velocity0[chosen], "friction": flow.friction[chosen]}
+    own |= {"volume": (ratio * flow.volumes[chosen]).astype(np.float32), "mass": np.zeros(len(chosen), np.int32)}
+    thin = dataclasses.replace(flow, positions=flow.positions[:, chosen], **own)
     found = pairs(FlowFields(flow), FlowFields(thin))
     np.testing.assert_array_equal(found[0], chosen)
     np.testing.assert_array_equal(found[1], np.arange(len(chosen)))

@@ -45,10 +45,8 @@ FIRST = cube(0.5, 0.0, 0.5)
 def test_plates_with_a_point_in_common_are_refused(first: float, second: float) -> None:
     """Sand leaks through such a point: one line, unless a third solid closes it."""
     plates = [Solid(kind="polygon", vertices=tuple(plate(*each))) for each in ((first, -1.0), (second, 1.0))]
-    refused(
-        lambda: surface(scene_of(*plates, size=PLANE)),
-        said="solids[1]: expected solids that overlap or share an edge, got one that meets solids[0] in a point",
-    )
+    said = "solids[1]: expected solids that overlap or share an edge, got one that meets solids[0] in a point"
+    refused(lambda: surface(scene_of(*plates, size=PLANE)), said=said)
     lid = Solid(lower=(0.49, 0.14), size=(0.03, 0.03))
     tip = np.array([TIP])
     assert (nearest(surface(scene_of(*plates, lid, size=PLANE)), tip).distance < 0.0).all()
@@ -81,10 +79,8 @@ def test_faces_that_nearly_meet_are_not_refused(gap: float) -> None:
 @pytest.mark.parametrize(("first", "second"), [(60.0, 120.0), (0.0, 90.0)])
 def test_plates_whose_edges_nearly_meet_are_refused_in_3d(first: float, second: float) -> None:
     apart = deep(plate(first, -1.0, (TIP[0] + 1.0e-4, TIP[1])))
-    refused(
-        lambda: surface(scene_of(apart, deep(plate(second, 1.0)), size=SPACE)),
-        said="meets solids[0] along a line but for",
-    )
+    said = "meets solids[0] along a line but for"
+    refused(lambda: surface(scene_of(apart, deep(plate(second, 1.0)), size=SPACE)), said=said)
     said = "meets solids[0] in a point but for"
     refused(lambda: surface(scene_of(FIRST, cube(0.6 + 1.0e-4, 0.1, 0.6), size=SPACE)), said=said)
 
@@ -99,19 +95,15 @@ def test_plates_whose_edges_nearly_meet_are_refused_in_3d(first: float, second: 
     ],
 )
 def test_less_than_a_common_face_is_refused(second: Solid, said: str) -> None:
-    refused(
-        lambda: surface(scene_of(FIRST, second, size=SPACE)),
-        said=f"solids[1]: expected solids that overlap or share a face, got one that meets solids[0] {said}",
-    )
+    words = f"solids[1]: expected solids that overlap or share a face, got one that meets solids[0] {said}"
+    refused(lambda: surface(scene_of(FIRST, second, size=SPACE)), said=words)
 
 
 @pytest.mark.parametrize(("first", "second"), [(60.0, 120.0), (0.0, 90.0), (20.0, 160.0)])
 def test_plates_that_share_an_edge_alone_are_refused_in_3d(first: float, second: float) -> None:
     """31 of 2800 particles went through; plates that overlap by a fifth of their thickness are one."""
-    refused(
-        lambda: surface(scene_of(deep(plate(first, -1.0)), deep(plate(second, 1.0)), size=SPACE)),
-        said="solids[1]: expected solids that overlap or share a face, got one that meets solids[0] along a line",
-    )
+    said = "solids[1]: expected solids that overlap or share a face, got one that meets solids[0] along a line"
+    refused(lambda: surface(scene_of(deep(plate(first, -1.0)), deep(plate(second, 1.0)), size=SPACE)), said=said)
     closed = deep(plate(second, 1.0, (TIP[0] - 0.001, TIP[1])))
     assert surface(scene_of(deep(plate(first, -1.0)), closed, size=SPACE)).dimension == 3
 

@@ -15,12 +15,8 @@ from tests.datasets.geometry.solids import as_rows, sphere
 from tests.refusals import refused
 
 SLOPE = Solid(kind="terrain", points=((0.0, 0.5), (1.0, 0.1), (2.0, 0.1)))
-VALLEY = Solid(
-    kind="terrain",
-    origin=(0.0, 0.0),
-    spacing=(0.1, 0.1),
-    heights=tuple(tuple(0.1 + 0.4 * abs(z - 0.5) for z in np.linspace(0.0, 1.0, 11)) for _ in range(21)),
-)
+HEIGHTS = tuple(tuple(0.1 + 0.4 * abs(z - 0.5) for z in np.linspace(0.0, 1.0, 11)) for _ in range(21))
+VALLEY = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.1, 0.1), heights=HEIGHTS)
 TRIANGLE = ((0.5, 0.1), (1.0, 0.1), (0.5, 0.6))
 
 

@@ -43,16 +43,9 @@ def test_the_residual_material() -> None:
     """What is not given stays; what remains of the cohesion is the same share of it at every depth."""
     plain = Material(friction_deg=30.0, cohesion=1.0e3)
     assert plain.residual is plain
-    soil = Material(
-        friction_deg=40.0,
-        dilation_deg=10.0,
-        cohesion=4.0e3,
-        strength_gradient=1.0e3,
-        tension_cutoff=500.0,
-        softening_length=0.05,
-        residual_friction_deg=30.0,
-        residual_cohesion=1.0e3,
-    )
+    peak = {"friction_deg": 40.0, "dilation_deg": 10.0, "cohesion": 4.0e3, "strength_gradient": 1.0e3}
+    after = {"softening_length": 0.05, "residual_friction_deg": 30.0, "residual_cohesion": 1.0e3}
+    soil = Material(**peak, tension_cutoff=500.0, **after)
     residual = soil.residual
     assert residual == Material(
         friction_deg=30.0, cohesion=1.0e3, strength_gradient=250.0, tension_cutoff=500.0, density=soil.density

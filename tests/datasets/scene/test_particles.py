@@ -19,14 +19,10 @@ def test_the_mass_of_random_thin_boxes_is_exact(dimension: int) -> None:
     for _ in range(40):
         # From a fiftieth of a cell to ten cells along each axis, two boxes of different density side by side.
         sizes = 0.05 * np.exp(stream.uniform(np.log(0.02), np.log(8.0), (2, dimension)))
-        masses = tuple(
-            Mass(
-                lower=(0.5 * number, *[0.0] * (dimension - 1)),
-                size=tuple(size.tolist()),
-                material=Material(friction_deg=30.0, density=1000.0 + 700.0 * number),
-            )
-            for number, size in enumerate(sizes)
-        )
+        masses = []
+        for number, size in enumerate(sizes.tolist()):
+            sand = Material(friction_deg=30.0, density=1000.0 + 700.0 * number)
+            masses.append(Mass(lower=(0.5 * number, *[0.0] * (dimension - 1)), size=tuple(size), material=sand))
         scene = scene_of(*masses, size=(1.0,) * dimension, cell=0.05)
         points = initial_particles(scene)
         assert len(points.volume) == len(points.positions) == particle_count(scene)
@@ -91,13 +87,9 @@ GRIDS = {
     "3D": Grid((0.0, 0.1, 0.2), (0.5, 0.2, 0.1), (3, 4, 5)),
     "one node along y": Grid((0.0, 0.5), (0.25, 1.0), (5, 1)),
 }
-SCENE = scene_of(
-    Mass(lower=(0.0, 0.0), size=(0.3, 0.2)),
-    Mass(lower=(0.5, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0)),
-    size=(1.0, 0.5),
-    cell=0.05,
-    material=Material(friction_deg=30.0, cohesion=100.0),
-)
+MASSES = Mass(lower=(0.0, 0.0), size=(0.3, 0.2)), Mass(lower=(0.5, 0.0), size=(0.2, 0.2), velocity=(1.0, 0.0))
+SAND = Material(friction_deg=30.0, cohesion=100.0)
+SCENE = scene_of(*MASSES, size=(1.0, 0.5), cell=0.05, material=SAND)
 FRICTION = Field(
     quantity="friction_deg", origin=(0.0, 0.0), spacing=(1.0, 0.5), nodes=(2, 2), values=(20.0, 30.0, 40.0, 50.0)
 )
