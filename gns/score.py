@@ -74,7 +74,7 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
             flow.positions[0], flow.positions[-1], flow.volume, scene.domain.size, measures.ground_of(scene)
         )
         errors = truth.errors(length * deposit, length**scene.dimension * sample.conditions.volume.numpy())
-        scores.append(Score(released=flow.released, at_wall=truth.at_wall, **vars(errors)))
+        scores.append(Score(released=not flow.velocity0.any(), at_wall=truth.at_wall, **vars(errors)))
     return scores
 
 

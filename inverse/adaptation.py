@@ -116,8 +116,7 @@ def adapt(
     after = scored(checkpoint.load(best).simulator, held_out, best.stem)
     described = card.read(best)
     assert described is not None, "the training has written it"
-    banded = described.keeping({DATA: calibrated(after)})
-    card.write(best, dataclasses.replace(banded, scores=table(after)))
+    card.write(best, dataclasses.replace(described, scores=table(after)).keeping({DATA: calibrated(after)}))
     errors = f"{change(before, after)} on {len(held_out)} held-out flows"
     print(f"{simulated}, {minutes:.1f} minutes of training, {errors}{scatter(deposits(out, asked), asked)}")
     return best

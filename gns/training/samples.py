@@ -66,11 +66,6 @@ class Flow:
         """Initial volume of each particle [m^D], shape [N]."""
         return self.conditions.volume.numpy()
 
-    @property
-    def released(self) -> bool:
-        """Whether it starts at rest."""
-        return not self.velocity0.any()
-
     def moves(self, time: int) -> bool:
         """Whether it moves from index `time` to the next."""
         displacements = self.positions[time + 1] - self.positions[time]

@@ -58,11 +58,6 @@ class ObservationSettings(Record):
         """The measured numbers or their table by the key under which they stand; none of a twin."""
         return {key: getattr(self, key) for key in self.sources if getattr(self, key) is not None}
 
-    def without_numbers(self) -> "ObservationSettings":
-        """The same observation of another flow."""
-        none: dict[str, Any] = dict.fromkeys(self.sources)
-        return dataclasses.replace(self, **none)
-
     def stated(self, operator: Observation) -> Values:
         """The numbers that stand in the settings themselves, shape [M]. Raises InputError for impossible ones."""
         ((key, given),) = self.given.items()

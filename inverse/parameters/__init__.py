@@ -9,13 +9,15 @@ A new one is a line of `KINDS` and, where the surrogate has it among its inputs,
 """
 
 import dataclasses
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, cast
 
 import numpy as np
+from scipy.stats import qmc
 
 from datasets.errors import InputError, keyed, require
 from datasets.scene import Scene
@@ -76,6 +78,8 @@ KINDS: dict[str, Kind] = {
 
 
 LENGTHS = Bounds("positive lengths in m, up to 1e+09", gt=0.0)
+FILLING = 32
+"""Points by which the box of the bounds is filled, and corners of it, that are tried."""
 
 
 def kind(name: str) -> Kind:
@@ -210,3 +214,43 @@ class Parameter(Record):
         """Of a field: the index of the mass that has it; None for all."""
         found = re.match(r"masses\[(\d{1,6})\]\.", self.name)
         return None if found is None else int(found[1])
+
+
+def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str) -> None:
+    """Raise InputError for parameters that the scene has not, or with bounds at which it could not be simulated.
+
+    parameters: by their keys; key: of all together.
+    """
+    names = [each.name for each in parameters.values()]
+    for place, parameter in parameters.items():
+        with keyed(place):
+            require(names.count(parameter.name) == 1, "name", "each number once", f"{parameter.name!r} twice")
+            parameter.check(scene)
+    numbers = {place: each for place, each in parameters.items() if not each.is_field}
+    if not numbers:
+        return
+    together = [*numbers.values()]
+    initial, bounds = [each.start for each in together], [each.bounds for each in together]
+    check_scene(scene, together, initial, key)
+    lower, upper = np.array(bounds).T
+    corners = [*itertools.islice(itertools.product(*bounds), FILLING), upper.tolist()]
+    inside = lower + (upper - lower) * qmc.Sobol(len(bounds), seed=0).random(FILLING)
+    for values in (*corners, *inside.tolist()):
+        try:
+            check_scene(scene, together, values, key)
+        except InputError as error:
+            # One bound by itself, if there is such a one, says more.
+            for row, (place, parameter) in enumerate(numbers.items()):
+                for name, bound in zip(("lower", "upper"), parameter.bounds, strict=True):
+                    alone = [*initial[:row], bound, *initial[row + 1 :]]
+                    check_scene(scene, together, alone, f"{place}.{name}")
+            where = ", ".join(f"{each.name} = {value:.4g}" for each, value in zip(together, values, strict=True))
+            raise InputError(f"{error.message} with {where}, all within their bounds", key=key) from None
+
+
+def check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence[float], key: str) -> None:
+    """Raise InputError under `key` unless `scene` can be simulated with these values."""
+    try:
+        with_kinds(scene, [each.kind for each in parameters], values)
+    except InputError as error:
+        raise InputError(f"expected a scene that can be simulated, but {error}", key=key) from None
