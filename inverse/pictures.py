@@ -45,15 +45,9 @@ WIDTH = 10.0
 """Of a picture [inches]."""
 RESOLUTION = 100
 """Pixels per inch."""
-STYLE: dict[str, Any] = {
-    "axes.labelsize": 8,
-    "axes.titlesize": 9,
-    "axes.titlelocation": "left",
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-}
+SMALL = ("axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize")
+STYLE: dict[str, Any] = dict.fromkeys(SMALL, 8)
+STYLE |= {"axes.titlesize": 9, "axes.titlelocation": "left", "legend.frameon": False}
 PAIRS = 5
 """Parameters up to which every pair is drawn; of more, each by itself."""
 BINS = 40
