@@ -5,7 +5,7 @@ thickness makes other particles: a surrogate begins anew with them, without a gr
 
 >>> scene = with_parameters(scene, ["friction_deg", "masses[0].velocity_x"], [32.0, 1.5])
 
-A new one is a line of `KINDS` and, where the surrogate has it among its inputs, a function of `inputs`.
+A new one is a line of `KINDS` (`inverse.parameters.kind`) and, where the surrogate has it among its inputs, a function.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 import numpy as np
 from scipy.stats import qmc
@@ -22,60 +22,10 @@ from scipy.stats import qmc
 from datasets.errors import InputError, keyed, require
 from datasets.scene import Scene
 from datasets.schema import Bounds, Record
-from inverse.parameters import inputs
-from inverse.parameters.kind import (
-    Centre,
-    ChannelFriction,
-    Cohesion,
-    Constant,
-    Draft,
-    Extent,
-    Kind,
-    Residual,
-    Vector,
-    Velocity,
-)
+from inverse.parameters.kind import KINDS, Draft, Kind, Vector
 from inverse.parameters.prior import Marginal, Prior
 
 __all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
-
-_MATERIAL = (
-    Constant(form="friction_deg", unit="deg", digits=2, order=0, input=inputs.friction),
-    Cohesion(form="cohesion", unit="Pa", digits=1, order=0, input=inputs.cohesion),
-    Constant(form="young", unit="Pa", digits=0, order=0),
-    Residual(form="residual_friction_deg", unit="deg", digits=2, order=1, requires="softening_length"),
-    Residual(form="residual_cohesion", unit="Pa", digits=1, order=1, requires="softening_length"),
-    Constant(form="friction_limit_deg", unit="deg", digits=2, order=1, requires="friction_limit_deg"),
-    Constant(form="inertial_number", unit="-", digits=3, order=1, requires="friction_limit_deg"),
-)
-_AXES = {"x": 0, "y": 1, "z": 2}
-_VELOCITY: dict[str, Any] = {"unit": "m/s", "digits": 3, "attribute": "velocity", "input": inputs.velocity}
-_BAFFLE: dict[str, Any] = {"unit": "m", "digits": 4, "attribute": "size", "input": inputs.baffle}
-
-KINDS: dict[str, Kind] = {
-    each.form: each
-    for each in (
-        *_MATERIAL,
-        Kind(form="floor_friction", unit="-", digits=3, input=inputs.floor_friction),
-        ChannelFriction(form="channel.friction_deg", unit="deg", digits=2),
-        Kind(form="wall_friction", unit="-", digits=3, input=inputs.constant),
-        Kind(form="baffle_friction", unit="-", digits=3, input=inputs.baffle_friction),
-        Kind(form="damping", unit="-", digits=3, input=inputs.constant),
-        *(dataclasses.replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
-        *(Velocity(form=f"masses[].velocity_{x}", axis=axis, positive=False, **_VELOCITY) for x, axis in _AXES.items()),
-        *(Centre(form=f"baffles[].{x}", axis=_AXES[x], positive=False, **_BAFFLE) for x in "xz"),
-        Extent(form="baffles[].length", axis=_AXES["x"], positive=False, **_BAFFLE),
-        Extent(form="baffles[].height", axis=_AXES["y"], positive=False, **_BAFFLE),
-        Extent(form="baffles[].width", axis=_AXES["z"], positive=False, **_BAFFLE),
-        Kind(form="masses[].k0", unit="-", digits=3),
-        Kind(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
-        Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
-        Kind(form="solids[].friction", unit="-", digits=3, input=inputs.ground_friction),
-        Kind(form="solids[].turbulence", unit="m/s^2", digits=1),
-    )
-}
-"""Every kind by its name, with `[]` in place of an index."""
-
 
 LENGTHS = Bounds("positive lengths in m, up to 1e+09", gt=0.0)
 FILLING = 32
