@@ -119,15 +119,12 @@ def describe(
         across = [round(Units.of_body(scene).length / scene.domain.cell, 2) for scene in some]
         ranges = ranges_of(some, simulator.settings)
         datasets[name] = Dataset(scenes=len(some), cells_across=(min(across), max(across)), ranges=ranges)
+    command, seed, updates = provenance.get("command", ""), provenance.get("seed"), total_updates(provenance)
     return Card(
         settings=simulator.settings,
         features=simulator.features,
         normalisation={name: float(value) for name, value in simulator.named_buffers(recurse=False)},
-        training=Training(
-            command=provenance.get("command", ""),
-            seed=provenance.get("seed"),
-            updates=total_updates(provenance) or None,
-        ),
+        training=Training(command=command, seed=seed, updates=updates or None),
         licence=LICENCE,
         scores=scores,
         datasets=datasets,
@@ -155,10 +152,7 @@ def write(weights: Path, card: Card) -> None:
 
 
 def warning(weights: Path, scene: Scene) -> str | None:
-    """Why the model in the file `weights` may err on `scene`, in a line; None where there is no reason.
-
-    Raises InputError for a card that cannot be read.
-    """
+    """Why the model in the file `weights` may err on `scene`, in a line, or None. Raises InputError for a bad card."""
     card = read(weights)
     if card is None:
         return f"{weights.name} has no card beside it: its training range is unknown"

@@ -21,10 +21,7 @@ from gns.surroundings.initial import initial_state
 
 
 def load(model: str | Path) -> Simulator:
-    """A trained simulator with frozen weights: a file, or the name of a model that ships, such as `flow2d`.
-
-    Raises InputError, which names the file.
-    """
+    """A trained simulator with frozen weights, of a file or a shipped name such as `flow2d`. Raises InputError."""
     return checkpoint.load(model_path(model)).simulator
 
 

@@ -79,10 +79,7 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
 
 
 def validation_score(scores: Sequence[Score]) -> float:
-    """Mean of the absolute errors of front, profile and thickness, added up [-]: the smaller, the better.
-
-    Without thickness a network would be best whose sand lies flat on the floor.
-    """
+    """Mean of |front| + profile + thickness [-], the smaller the better: without thickness flat sand would be best."""
     return float(np.mean([abs(score.front) + score.profile + score.thickness for score in scores]))
 
 

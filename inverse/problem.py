@@ -198,10 +198,7 @@ class Problem(ProblemKeys):
 
     @property
     def twin_scene(self) -> Scene:
-        """The scene of a twin experiment: the true parameters, a jitter and, where asked for, cells of its own.
-
-        Raises InputError for cells that do not fit.
-        """
+        """The twin's scene: the truth, a jitter, maybe other cells. Raises InputError for cells that do not fit."""
         truth, cell = self.target.truth, self.target.cell
         scene = with_parameters(self.scene, list(truth), list(truth.values()))
         values = np.array([each.kind.read(scene) for each in self.numbers])

@@ -102,10 +102,7 @@ def fit(
     device: str | None = None,
     command: str = "python -m gns.train",
 ) -> None:
-    """Train a model, begun by `command`; for the other parameters see `gns.train.train`.
-
-    Raises InputError, WorkFailed and KeyboardInterrupt.
-    """
+    """Train a model, begun by `command`; else as `gns.train`. Raises InputError, WorkFailed and KeyboardInterrupt."""
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
     if training.correct and begin is None:
@@ -328,10 +325,7 @@ def sums(*values: float) -> list[float]:
 
 @contextmanager
 def joined(device: str | None) -> Iterator[torch.device]:
-    """Join the processes that torchrun started, if any; the device of this one, a GPU where there is one unless given.
-
-    Raises InputError.
-    """
+    """Join the processes of torchrun, if any; the device of this one, a GPU where there is one. Raises InputError."""
     kind = device or ("cuda" if torch.cuda.is_available() else "cpu")
     if kind == "cuda" and not torch.cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", key="device")

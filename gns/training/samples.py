@@ -323,10 +323,7 @@ def reflected(sample: Batch, axis: int | None) -> Batch:
 
 
 def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
-    """Normalisation constants, over times at which the flows move.
-
-    Of each flow as many random times are read as make `SAMPLED_TIMES` in all, at least two; always the same ones.
-    """
+    """Normalisation over random times at which flows move, the same each time, `SAMPLED_TIMES` or two a flow."""
     squares, count, friction = np.zeros(2), 0, []
     share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
     rng = np.random.default_rng(0)

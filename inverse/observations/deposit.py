@@ -180,10 +180,7 @@ class PassedSettings(ObservationSettings):
 
 
 class Deposit(Observation):
-    """The final position of every particle, N D numbers, of a surrogate those that it follows.
-
-    The misfit is the paper's mean of |p - p_target|^2.
-    """
+    """The final position of every particle followed, N D numbers; the misfit is the paper's mean |p - p_target|^2."""
 
     kind = "deposit"
     label = "the final position of every particle of the deposit"

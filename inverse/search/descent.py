@@ -95,10 +95,7 @@ def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values
 
 
 def with_minima(state: Inversion) -> Inversion:
-    """With the minima that its answers lead to, and a region as wide as the lowest of them asks for.
-
-    What the surrogate cannot fit it errs by: Birge's ratio, as in `inverse.noise`.
-    """
+    """With the minima that its answers lead to; a region as much wider as the lowest is off (Birge's ratio)."""
     starts = [each.point for each in state.answers[:STARTS]]
     starts = [each for each in starts if not (state.minima[state.settled] == each).all(axis=1).any()]
     if starts:

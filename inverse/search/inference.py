@@ -197,10 +197,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         return np.concatenate([np.ones((len(points), 1)), found], axis=1)
 
     def around(self, count: int, rng: np.random.Generator) -> Matrix:
-        """Points of its 95 % region that lie far from its answers and from each other, shape [count, U].
-
-        Of more than `few_parameters` points that fill the box around it evenly.
-        """
+        """Points of its 95 % region far from its answers and each other, of many parameters evenly in it, [count, U]."""
         samples = self.posterior.samples
         if samples.points.shape[1] > CONSTANTS.few_parameters:
             return Region.around(samples).filled(count, rng)
@@ -229,10 +226,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
 
 
 def begun(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
-    """With runs that fill the box, and some in its middle; as many as an emulator must have of a small budget.
-
-    None are made where the known ones are enough.
-    """
+    """With runs that fill the box and its middle, as many as an emulator needs, unless the known ones are enough."""
     unknowns = len(search.knowledge.problem.parameters)
     if len(search.known) >= fewest_runs(unknowns):
         return search
