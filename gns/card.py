@@ -147,7 +147,6 @@ def read(weights: Path) -> Card | None:
 
 
 def write(weights: Path, card: Card) -> None:
-    """Write the card beside the model's file."""
     files.write_json(card_path(weights), dataclasses.asdict(card))
 
 

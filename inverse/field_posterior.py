@@ -31,7 +31,6 @@ class FieldPosterior:
 
     @property
     def name(self) -> str:
-        """As the problem calls it."""
         return self.unknown.settings.name
 
     @property

@@ -129,12 +129,10 @@ class Problem(ProblemKeys):
 
     @property
     def names(self) -> list[str]:
-        """The names of the numbers."""
         return [each.name for each in self.numbers]
 
     @property
     def kinds(self) -> list[Kind]:
-        """What the numbers are."""
         return [each.kind for each in self.numbers]
 
     @property

@@ -149,7 +149,6 @@ def named(result: Result, values: Iterable[float], intervals: Iterable[Sequence[
 
 
 def within(number: Parameter, ends: Sequence[float]) -> str:
-    """An interval in words."""
     return " to ".join(number.kind.text(float(end)) for end in ends)
 
 
@@ -230,7 +229,6 @@ def question(result: Result) -> str:
 
 
 def every_answer(result: Result) -> str:
-    """A line for each."""
     rows = []
     for each in result.answers:
         row = found(result, each.parameters.tolist(), each.interval.T.tolist())
@@ -333,7 +331,6 @@ def mix(combination: Combination, comma: str = "") -> str:
 
 
 def search_table(result: Result) -> str:
-    """Every iteration; the MPM runs at answers."""
     rows = []
     for record in result.iterations:
         row: dict[str, Any] = {}
@@ -348,7 +345,6 @@ def search_table(result: Result) -> str:
 
 
 def cost(result: Result) -> str:
-    """Runs, seconds and memory."""
     every = [each.purpose for each in result.mpm_runs]
     runs = {"MPM runs": result.run_count} if every else {}
     runs |= {f"of them, {purpose}": every.count(purpose) for purpose in Purpose if purpose in every}

@@ -93,7 +93,6 @@ class EndLoss(nn.Module):
         self.correction.std.copy_(torch.where(deviation > CONSTANT, deviation, 1.0))
 
     def forward(self, batch: Ends) -> Tensor:
-        """The loss of a batch."""
         conditions = batch.conditions
         positions = batch.end.positions + self.simulator.end_correction(batch.state, batch.end, conditions)
         error = (positions - batch.targets[-1]) / (PLACE * length_of(self.correction.settings))

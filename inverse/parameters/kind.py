@@ -128,7 +128,6 @@ class Kind:
         return scene if self.index is None else getattr(scene, self.group)[self.index]
 
     def value(self, holder: Any) -> float:
-        """Its value."""
         found = getattr(holder, self.key)
         return float(found if self.axis is None else found[self.axis])
 
@@ -142,7 +141,6 @@ class Kind:
         return value if axis is None else (*known[:axis], value, *known[axis + 1 :])
 
     def read(self, scene: Scene) -> float:
-        """Its value in `scene`."""
         return self.value(self.holder(scene))
 
     def put(self, draft: Draft, value: float) -> None:
@@ -192,7 +190,6 @@ class Constant(Kind):
             raise InputError(f"expected a material with a {self.requires}, {WITHOUT[self.requires]}")
 
     def material(self, scene: Scene | Draft) -> Material:
-        """The material in question."""
         own = None if self.index is None else scene.masses[self.index].material
         found: Material = own or scene.material
         return found

@@ -66,7 +66,6 @@ class Inference:
 
     @cached_property
     def box(self) -> Box:
-        """Of the parameters."""
         return self.problem.box
 
     def updated(self, search: WaveSearch[Any, Any]) -> "Inference":
@@ -197,7 +196,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         return np.concatenate([np.ones((len(points), 1)), found], axis=1)
 
     def around(self, count: int, rng: np.random.Generator) -> Matrix:
-        """Points of its 95 % region far from its answers and each other, of many parameters evenly in it, [count, U]."""
+        """Points of its 95 % region far from answers and each other, of many parameters evenly in it, [count, U]."""
         samples = self.posterior.samples
         if samples.points.shape[1] > CONSTANTS.few_parameters:
             return Region.around(samples).filled(count, rng)
