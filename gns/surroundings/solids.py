@@ -34,12 +34,9 @@ class Boxes:
         """The baffles of each sample, n = B; margin: by which they are larger on every side [m]."""
         assert conditions.baffles is not None
         lower, upper = conditions.baffles.unbind(dim=2)
-        turn = conditions.baffle_turn
-        return Boxes(
-            middle=0.5 * (lower + upper),
-            half=0.5 * (upper - lower) + margin,
-            turn=None if turn is None else (turn.cos(), turn.sin()),
-        )
+        angle = conditions.baffle_turn
+        turn = None if angle is None else (angle.cos(), angle.sin())
+        return Boxes(middle=0.5 * (lower + upper), half=0.5 * (upper - lower) + margin, turn=turn)
 
     def each(self, change: Callable[[Tensor], Tensor]) -> "Boxes":
         """The boxes after the same change of all their tensors."""

@@ -243,18 +243,14 @@ class Rollouts(Sampler):
             positions = unroll(self._simulator, there.state, there.conditions, last - now, corrected=False).cpu()
         moments = sorted({last - now, *(int(each) for each in rng.integers(1, last - now + 1, size=MOMENTS))})
         moved = torch.cat((sample.state.displacements, positions[1:] - positions[:-1]))
-        return [
-            Ends(
-                state=sample.state,
-                conditions=sample.conditions,
-                targets=sample.targets[step - 1 : step],
-                end=State(
-                    positions=positions[step].clone(), displacements=moved[step : step + settings.history].clone()
-                ),
-                whole=measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0),
-            )
-            for step in moments
-        ]
+        ends = []
+        for step in moments:
+            batch = dataclasses.replace(sample, targets=sample.targets[step - 1 : step])
+            recent = moved[step : step + settings.history].clone()
+            end = State(positions=positions[step].clone(), displacements=recent)
+            required = measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0)
+            ends.append(Ends(**vars(batch), end=end, whole=required))
+        return ends
 
 
 def measured(positions: Tensor, volume: Tensor) -> Tensor:

@@ -56,8 +56,7 @@ RADIUS = 0.1
 NEGLIGIBLE = 0.02
 """Decrease of L that no further step is made for: a seventh of a standard deviation of one number."""
 ROUNDS, KNOWN = 3, 0.3
-"""Searches for minima at most, with further predictions between them while its emulator has more than this share of the
-variance."""
+"""Searches for minima at most; further predictions between them while the emulator's share of the variance is more."""
 ROUGH = 0.05
 """Expected roughness of a surrogate's own numbers, over their standard deviations by C."""
 
