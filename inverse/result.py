@@ -192,8 +192,8 @@ class Result:
             names = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells", "outliers", "probability")
             keys |= {"check": {name: getattr(fit, name) for name in names}, "discrepancy": fit.applied}
         if self.posterior is not None:
-            samples, names = self.posterior.samples, ("weights", "half_width", "identifiable")
-            keys["combinations"] = [{name: getattr(each, name) for name in names} for each in self.combinations]
+            samples, known = self.posterior.samples, ("weights", "half_width", "identifiable")
+            keys["combinations"] = [{name: getattr(each, name) for name in known} for each in self.combinations]
             sampling = {"difference": samples.difference, "acceptance": samples.acceptance}
             keys["sampling"] = sampling | {"log_evidence": samples.evidence}
         if problem.prior is not None:

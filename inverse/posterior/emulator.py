@@ -241,8 +241,7 @@ class Emulator:
 def fitted(points: Matrix, numbers: Matrix, expected: Matrix, *, trend: Trend = linear, repeats: int = 0) -> Emulator:
     """The emulator of runs at points [n, U] with the likeliest correlation lengths, of many parameters a common one.
 
-    expected: scatter; it, trend and repeats as `Emulator` has them. Raises ValueError for no more runs than functions
-    of the trend.
+    expected, trend, repeats: see `Emulator`. Raises ValueError for no more runs than functions of the trend.
     """
     count = points.shape[1]
     if len(points) <= trend(points[:1]).shape[1]:
