@@ -141,7 +141,8 @@ def fit(
                 break
             if not due:
                 run.update(progress)
-                bar.set_description_str(run.shown(progress), refresh=False)
+                what = "ends" if training.correct else f"{run.steps(progress)} steps"
+                bar.set_description_str(f"{what}, loss {np.mean(run.losses[-RECENT:]):.4f}", refresh=False)
                 bar.update(100.0 * position.progress(training) - bar.n)
                 continue
             if first:
@@ -194,11 +195,6 @@ class Run:
         """Steps that are unrolled at `progress` in [0, 1]."""
         unrolled = self.training.unroll
         return unrolled[min(int(progress * len(unrolled)), len(unrolled) - 1)]
-
-    def shown(self, progress: float) -> str:
-        """What is trained, and the recent loss."""
-        what = "ends" if self.training.correct else f"{self.steps(progress)} steps"
-        return f"{what}, loss {np.mean(self.losses[-RECENT:]):.4f}"
 
     def update(self, progress: float) -> None:
         """Draw a batch and lower its loss. Raises WorkFailed for a gradient that is not finite."""
