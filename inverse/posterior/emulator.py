@@ -239,13 +239,8 @@ class Emulator:
 
 
 def fitted(points: Matrix, numbers: Matrix, expected: Matrix, *, trend: Trend = linear, repeats: int = 0) -> Emulator:
-    """The emulator of runs at points [n, U] with the likeliest correlation lengths, of many parameters a common one.
-
-    expected, trend, repeats: see `Emulator`. Raises ValueError for no more runs than functions of the trend.
-    """
+    """The emulator with the likeliest correlation lengths, of many parameters a common one; arguments as its own."""
     count = points.shape[1]
-    if len(points) <= trend(points[:1]).shape[1]:
-        raise ValueError(f"expected more runs than functions of the trend, got {len(points)}")
     free = count if count <= CONSTANTS.separate_lengths else 1
 
     def at(logarithms: NDArray[np.floating]) -> Emulator:
