@@ -5,9 +5,8 @@ each dataset; outside of all ranges the error is unknown. `python -m gns.score D
 scores and the calibration of the bands.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from gns.simulator import Simulator
 
 LICENCE = "MIT"
-"""That of the repository."""
 LEVELS = (0.5, 0.8, 0.95)
 """Of the bands that it has quantiles for."""
 
@@ -104,10 +102,10 @@ class Card(Record):
     def keeping(self, calibrations: Mapping[str, Calibration | None]) -> "Card":
         """This card with calibrations of its datasets by name."""
         datasets = {
-            name: dataclasses.replace(each, calibration=calibrations.get(name, each.calibration))
+            name: replace(each, calibration=calibrations.get(name, each.calibration))
             for name, each in self.datasets.items()
         }
-        return dataclasses.replace(self, datasets=datasets)
+        return replace(self, datasets=datasets)
 
 
 def describe(
@@ -147,7 +145,7 @@ def read(weights: Path) -> Card | None:
 
 
 def write(weights: Path, card: Card) -> None:
-    files.write_json(card_path(weights), dataclasses.asdict(card))
+    files.write_json(card_path(weights), asdict(card))
 
 
 def warning(weights: Path, scene: Scene) -> str | None:

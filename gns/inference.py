@@ -1,8 +1,7 @@
 """Load a learned simulator, and roll a scene out with it: `gns.load`, `gns.simulate`, `gns.predict`."""
 
-import dataclasses
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +70,7 @@ def simulate(
         friction=initial.conditions.friction.numpy(),
         volume=volume,
         mass=initial.mass,
-        scene=dataclasses.replace(scene, frame_dt=initial.step, duration=initial.step * max(len(positions) - 1, 1)),
+        scene=replace(scene, frame_dt=initial.step, duration=initial.step * max(len(positions) - 1, 1)),
         summary=summary,
     )
 

@@ -8,11 +8,10 @@ Conformal prediction: a gentle introduction, Foundations and Trends in Machine L
     q = rms(e) t_n((1 + level) / 2)                  of fewer flows: Gaussian errors of unknown variance, by Student
 """
 
-import dataclasses
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -168,7 +167,7 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
             # Folders of a name are parts of one dataset.
             scores.setdefault(dataset.name, []).extend(scored(dataset, "valid"))
         found = {name: calibrated(each) for name, each in scores.items()}
-        card.write(path, dataclasses.replace(described, scores=text).keeping(found))
+        card.write(path, replace(described, scores=text).keeping(found))
         print(f"bands by {sum(each.flows for each in found.values())} flows are on {card.card_path(path)}")
 
 

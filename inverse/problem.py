@@ -1,9 +1,8 @@
 """Problem: what is unknown, what was observed and how hard to look for it. Read from TOML or built in Python."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -165,8 +164,8 @@ class Problem(ProblemKeys):
         if self.fields:
             unknown = {each.settings.quantity for each in self.fields}
             kept = tuple(each for each in scene.fields if each.quantity not in unknown)
-            scene = dataclasses.replace(scene, fields=kept + tuple(fields))
-        return scene if seed is None else dataclasses.replace(scene, seed=seed)
+            scene = replace(scene, fields=kept + tuple(fields))
+        return scene if seed is None else replace(scene, seed=seed)
 
     def named(self, values: Vector) -> dict[str, Any]:
         """The entries of a vector of numbers [U], or the rows of many such columns [U, ...], by name."""

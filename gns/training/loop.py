@@ -8,7 +8,6 @@ Several processes (`torchrun --nproc-per-node N -m gns.train ...`) draw samples 
 their gradients, which `DistributedDataParallel` takes where a model is called as a module.
 """
 
-import dataclasses
 import io
 import math
 import os
@@ -16,7 +15,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -174,7 +173,6 @@ class Run:
     ) -> None:
         self.simulator, self.training, self.out, self.seed = simulator, training, out, seed
         self.average: Any = AveragedModel(simulator, avg_fn=partial(averaged, training.average))
-        self.sampler: Sampler
         loss: nn.Module
         if simulator.correction is None:
             self.sampler, loss = Sampler(flows, simulator.settings, training), UnrolledLoss(simulator, training)
@@ -228,7 +226,7 @@ class Run:
             "loss": round(float(np.mean(self.losses or [math.nan])), 6),
             "score": round(total, 4),
         }
-        for name in (each.name for each in dataclasses.fields(Errors)):
+        for name in (each.name for each in fields(Errors)):
             row[name] = round(float(np.mean([abs(getattr(score, name)) for score in scores])), 4)
         position.rows.append(row)
         lines = [row, *(each.values() for each in position.rows)]
@@ -290,7 +288,7 @@ def load(
 def continued(model: Model, settings: ModelSettings, training: TrainingSettings) -> Simulator:
     """A model to train on. Raises InputError where its settings are others, but for the speed of rest."""
     simulator = model.simulator
-    there = asdict(dataclasses.replace(simulator.settings, rest_speed=settings.rest_speed))
+    there = asdict(replace(simulator.settings, rest_speed=settings.rest_speed))
     if other := [key for key, value in asdict(settings).items() if value != there[key]]:
         raise InputError(f"expected a model of the settings given, other is {', '.join(other)}", key="--begin")
     # No weight depends on it.

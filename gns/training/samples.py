@@ -1,9 +1,8 @@
 """Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `Batch`."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -142,7 +141,7 @@ def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: n
     first = max(0, now - settings.history)
     frames = torch.from_numpy(np.asarray(flow.positions[first : now + 1 + steps, particles]))
     given, velocity0 = frames[: now + 1 - first], torch.from_numpy(flow.velocity0[particles])
-    conditions = dataclasses.replace(
+    conditions = replace(
         known, friction=known.friction[particles], cohesion=known.cohesion[particles], volume=torch.from_numpy(volumes)
     )
     state = State.observed(given, velocity0, step=flow.step, history=settings.history)
@@ -233,7 +232,7 @@ class Rollouts(Sampler):
         """A rollout of the flow to its end, and `MOMENTS` before it."""
         settings, last = self._settings, len(flow.positions) - 1
         now, seed = self._start(flow, last - 1, rng), rng.integers(2**32)
-        every = dataclasses.replace(settings, particles_per_cell=len(flow.volume))
+        every = replace(settings, particles_per_cell=len(flow.volume))
         sample, whole = (
             turned(stretch(flow, each, now=now, steps=last - now, rng=rng), np.random.default_rng(seed))
             for each in (settings, every)
@@ -245,7 +244,7 @@ class Rollouts(Sampler):
         moved = torch.cat((sample.state.displacements, positions[1:] - positions[:-1]))
         ends = []
         for step in moments:
-            batch = dataclasses.replace(sample, targets=sample.targets[step - 1 : step])
+            batch = replace(sample, targets=sample.targets[step - 1 : step])
             recent = moved[step : step + settings.history].clone()
             end = State(positions=positions[step].clone(), displacements=recent)
             required = measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0)
@@ -304,8 +303,8 @@ def reflected(sample: Batch, axis: int | None) -> Batch:
         posts = torch.stack(torch.meshgrid(plan[0], torch.zeros(1), *plan[1:], indexing="ij"), dim=-1)
         image = Below(points(posts.flatten(0, -2)), ground, None)
         elevation, friction = (image.value(each).view(shape) for each in (ground.elevation, ground.friction))
-        ground = dataclasses.replace(ground, elevation=elevation, friction=friction)
-    conditions = dataclasses.replace(
+        ground = replace(ground, elevation=elevation, friction=friction)
+    conditions = replace(
         around,
         size=around.size[:, order],
         gravity=vectors(around.gravity),
@@ -315,7 +314,7 @@ def reflected(sample: Batch, axis: int | None) -> Batch:
         ground=ground,
     )
     state = State(positions=points(sample.state.positions), displacements=vectors(sample.state.displacements))
-    return dataclasses.replace(sample, state=state, conditions=conditions, targets=points(sample.targets))
+    return replace(sample, state=state, conditions=conditions, targets=points(sample.targets))
 
 
 def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:

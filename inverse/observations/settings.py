@@ -1,8 +1,7 @@
 """What a problem's file says of an observation; each kind adds the keys of its operator."""
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -51,7 +50,7 @@ class ObservationSettings(Record):
     @property
     def sources(self) -> list[str]:
         """Keys under which its numbers may stand."""
-        return [key for key in SOURCES if key in {each.name for each in dataclasses.fields(self)}]
+        return [key for key in SOURCES if key in {each.name for each in fields(self)}]
 
     @property
     def given(self) -> dict[str, Any]:
@@ -121,7 +120,7 @@ class TabulatedSettings(ObservationSettings):
         table = self.table(path, [name for name in self.columns if name not in self.optional], self.optional)
         numbers: dict[str, Any] = {self.columns[name]: tuple(column.tolist()) for name, column in table.items()}
         try:
-            return dataclasses.replace(self, csv=None, **numbers).read(scene, folder, released)
+            return replace(self, csv=None, **numbers).read(scene, folder, released)
         except InputError as error:
             # A mistake in a column is none of the problem's file.
             raise error.at(str(path)) if error.key in ("", *numbers) else error from None

@@ -8,11 +8,10 @@ thickness makes other particles: a surrogate begins anew with them, without a gr
 A new one is a line of `KINDS` (`inverse.parameters.kind`) and, where the surrogate has it among its inputs, a function.
 """
 
-import dataclasses
 import itertools
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, cast
 
@@ -39,7 +38,7 @@ def kind(name: str) -> Kind:
     if form not in KINDS or (index is None) == ("[]" in form):
         known = ", ".join(each.replace("[]", "[0]") for each in KINDS)
         raise InputError(f"expected one of {known}, got {name!r}")
-    return KINDS[form] if index is None else dataclasses.replace(KINDS[form], index=int(index[1]))
+    return KINDS[form] if index is None else replace(KINDS[form], index=int(index[1]))
 
 
 def known_names(scene: Scene) -> list[str]:
@@ -67,7 +66,7 @@ def with_kinds(scene: Scene, kinds: Sequence[Kind], values: Sequence[float] | Ve
     draft = Draft(**vars(scene))
     for index in in_order(kinds):
         kinds[index].put(draft, float(values[index]))
-    return dataclasses.replace(scene, **vars(draft))
+    return replace(scene, **vars(draft))
 
 
 def in_order(kinds: Sequence[Kind]) -> list[int]:

@@ -3,10 +3,9 @@
 The functions `with_...` enter a number into the surrogate: an initial state with a value, differentiable in it.
 """
 
-import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, TypeVar
 
@@ -150,7 +149,7 @@ class Kind:
             vars(draft).update(changes)
             return
         members = list(getattr(draft, self.group))
-        members[self.index] = dataclasses.replace(members[self.index], **changes)
+        members[self.index] = replace(members[self.index], **changes)
         setattr(draft, self.group, tuple(members))
 
 
@@ -176,7 +175,7 @@ class ChannelFriction(Kind):
         return scene.channel
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
-        return {"channel": dataclasses.replace(draft.channel, friction_deg=value)}
+        return {"channel": replace(draft.channel, friction_deg=value)}
 
 
 class Constant(Kind):
@@ -199,7 +198,7 @@ class Constant(Kind):
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
         own: dict[str, Any] = {self.key: value}
-        return {"material": dataclasses.replace(self.material(draft), **own)}
+        return {"material": replace(self.material(draft), **own)}
 
 
 class Cohesion(Constant):
@@ -212,7 +211,7 @@ class Cohesion(Constant):
         keys = ("tension_cutoff", "residual_cohesion", "residual_tension_cutoff")
         known = {key: getattr(material, key) for key in keys}
         scaled = {key: ratio * each for key, each in known.items() if each is not None}
-        return {"material": dataclasses.replace(material, cohesion=value, **scaled)}
+        return {"material": replace(material, cohesion=value, **scaled)}
 
 
 class Residual(Constant):
@@ -273,8 +272,8 @@ def with_velocity(kind: Kind, initial: InitialState, value: Tensor) -> InitialSt
     along = torch.arange(state.positions.shape[1]) == kind.axis
     own = initial.of_mass(kind.index).unsqueeze(1) & along
     displacement = (value * initial.step).to(state.displacements.dtype)
-    thrown = dataclasses.replace(state, displacements=torch.where(own, displacement, state.displacements))
-    return dataclasses.replace(initial, state=thrown)
+    thrown = replace(state, displacements=torch.where(own, displacement, state.displacements))
+    return replace(initial, state=thrown)
 
 
 def with_baffle(kind: Extent, initial: InitialState, value: Tensor) -> InitialState:
@@ -315,7 +314,7 @@ def with_ground_friction(kind: Kind, initial: InitialState, value: Tensor) -> In
     index = -1 if kind.index is None else kind.index
     own = torch.from_numpy(ground_raster(initial.scene, ground.spacing)[2] == index)
     found = torch.where(own, value.to(ground.friction.dtype), ground.friction)
-    return initial.with_conditions(ground=dataclasses.replace(ground, friction=found))
+    return initial.with_conditions(ground=replace(ground, friction=found))
 
 
 _MATERIAL = (
@@ -340,7 +339,7 @@ KINDS: dict[str, Kind] = {
         Kind(form="wall_friction", unit="-", digits=3, input=with_constant),
         Kind(form="baffle_friction", unit="-", digits=3, input=with_baffle_friction),
         Kind(form="damping", unit="-", digits=3, input=with_constant),
-        *(dataclasses.replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
+        *(replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
         *(Velocity(form=f"masses[].velocity_{x}", axis=axis, positive=False, **_VELOCITY) for x, axis in _AXES.items()),
         *(Centre(form=f"baffles[].{x}", axis=_AXES[x], positive=False, **_BAFFLE) for x in "xz"),
         Extent(form="baffles[].length", axis=_AXES["x"], positive=False, **_BAFFLE),

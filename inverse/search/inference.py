@@ -5,8 +5,7 @@ of all runs around the posterior so far, its posterior, and runs where the emula
 (`inverse.posterior`). A wave costs seconds, so that none is too many.
 """
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -86,7 +85,7 @@ class Inference:
             within=None if guide is None or (many and search.waves) else guide.within,
             prior=self.problem.prior,
         )
-        return dataclasses.replace(self, latest=found, region=None)
+        return replace(self, latest=found, region=None)
 
     def left(self, points: Matrix, *, known: bool) -> Region | None:
         """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there.
@@ -147,7 +146,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
             slack = 0.05 * (high - low)
             own = self.minima[np.all((self.minima >= low - slack) & (self.minima <= high + slack), axis=1)]
             point = own[int(np.argmin(self.losses(own)))] if len(own) else part.point
-            answers.append(dataclasses.replace(part, point=point))
+            answers.append(replace(part, point=point))
         return answers
 
     @cached_property
