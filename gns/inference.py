@@ -99,8 +99,7 @@ def predict(scene: Scene | str | Path, *, model: str | Path | None = None, level
         prediction = gns.predict("column-tall-42", level=0.95)
         prediction.front, prediction.half_width     # [m]; 95 of 100 fronts of the MPM are within
 
-    scene: a scene, the path of one in TOML, or the name of a shipped one; model: a file or a shipped name, that of the
-    scene's dimension where absent; level: one of `gns.card.LEVELS`. Raises InputError.
+    scene, model: as `simulate` takes them; level: one of `gns.card.LEVELS`. Raises InputError.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     path = model_path(model or shipped(scene.dimension))

@@ -50,7 +50,6 @@ class Interaction(nn.Module):
         self.from_offset = nn.Linear(columns(EDGES, settings), width, bias=False)
 
     def forward(self, x: Tensor, graph: Graph) -> Tensor:
-        """The sum of the messages to each node."""
         return messages(self.from_receiver(x), self.from_sender(x), self.from_offset.weight.T, graph)
 
 
