@@ -174,8 +174,7 @@ def scatter(runs: Sequence[tuple[Vector, Trajectory]], problem: Problem) -> str:
 def deposits(model: Path | str, problem: Problem) -> list[tuple[Vector, Trajectory]]:
     """Parameters and deposits, with all particles, of the MPM's runs that a model was adapted to `problem` by.
 
-    model: its folder or its file. None where it was adapted to another problem, or to none. Raises InputError for a
-    broken file.
+    model: its folder or its file. None where it was adapted to another problem. Raises InputError for a broken file.
     """
     run = Path(model) if Path(model).is_dir() else Path(model).parent
     if read_json(run / PROBLEM) != identity(problem):

@@ -76,8 +76,7 @@ class ObservationSettings(Record):
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         """What was measured. Raises InputError, which names the key or the table.
 
-        folder: where relative paths start; released: volume of the masses over the width [m^2], None where it is not
-        known.
+        folder: of relative paths; released: volume of the masses over the width [m^2], None where it is not known.
         """
         operator = self.operator(scene)
         return self.compared(operator, self.stated(operator))

@@ -42,11 +42,8 @@ class Inference:
     scatter: Values
     """Expected standard deviation of each number from run to run, shape [M]."""
     guide: "Inversion | None" = None
-    """What a surrogate found: it confines the posterior to its region.
-
-    Of more than `few_parameters` only the first runs are confined to it: of so many runs their own emulator excludes
-    enough, and is right where the surrogate's band is too narrow.
-    """
+    """What a surrogate found: its region confines the posterior, of more than `few_parameters` by the first runs alone:
+    of so many runs their own emulator excludes enough, and is right where the surrogate's band is too narrow."""
     factor: float = 1.0
     """Of the discrepancy."""
     discretisation: Values | None = None
