@@ -137,8 +137,7 @@ class Problem(ProblemKeys):
     @property
     def box(self) -> Box:
         """The prior bounds of the numbers."""
-        lower, upper = np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T
-        return Box(lower, upper)
+        return Box(*np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T)
 
     @cached_property
     def prior(self) -> JointPrior | None:
