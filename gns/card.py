@@ -5,9 +5,8 @@ each dataset; outside of all ranges the error is unknown. `python -m gns.score D
 scores and the calibration of the bands.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from gns.simulator import Simulator
 
 LICENCE = "MIT"
-"""That of the repository."""
 LEVELS = (0.5, 0.8, 0.95)
 """Of the bands that it has quantiles for."""
 
@@ -104,10 +102,10 @@ class Card(Record):
     def keeping(self, calibrations: Mapping[str, Calibration | None]) -> "Card":
         """This card with calibrations of its datasets by name."""
         datasets = {
-            name: dataclasses.replace(each, calibration=calibrations.get(name, each.calibration))
+            name: replace(each, calibration=calibrations.get(name, each.calibration))
             for name, each in self.datasets.items()
         }
-        return dataclasses.replace(self, datasets=datasets)
+        return replace(self, datasets=datasets)
 
 
 def describe(
@@ -119,15 +117,12 @@ def describe(
         across = [round(Units.of_body(scene).length / scene.domain.cell, 2) for scene in some]
         ranges = ranges_of(some, simulator.settings)
         datasets[name] = Dataset(scenes=len(some), cells_across=(min(across), max(across)), ranges=ranges)
+    command, seed, updates = provenance.get("command", ""), provenance.get("seed"), total_updates(provenance)
     return Card(
         settings=simulator.settings,
         features=simulator.features,
         normalisation={name: float(value) for name, value in simulator.named_buffers(recurse=False)},
-        training=Training(
-            command=provenance.get("command", ""),
-            seed=provenance.get("seed"),
-            updates=total_updates(provenance) or None,
-        ),
+        training=Training(command=command, seed=seed, updates=updates or None),
         licence=LICENCE,
         scores=scores,
         datasets=datasets,
@@ -150,15 +145,11 @@ def read(weights: Path) -> Card | None:
 
 
 def write(weights: Path, card: Card) -> None:
-    """Write the card beside the model's file."""
-    files.write_json(card_path(weights), dataclasses.asdict(card))
+    files.write_json(card_path(weights), asdict(card))
 
 
 def warning(weights: Path, scene: Scene) -> str | None:
-    """Why the model in the file `weights` may err on `scene`, in a line; None where there is no reason.
-
-    Raises InputError for a card that cannot be read.
-    """
+    """Why the model in the file `weights` may err on `scene`, in a line, or None. Raises InputError for a bad card."""
     card = read(weights)
     if card is None:
         return f"{weights.name} has no card beside it: its training range is unknown"

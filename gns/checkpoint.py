@@ -8,10 +8,9 @@
 A file may be anybody's, so no more layers are built than it has tensors, and without memory of their own.
 """
 
-import dataclasses
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +46,12 @@ class Model:
 
 def save(path: Path, simulator: Simulator, provenance: Mapping[str, Any]) -> None:
     """Write a model; `provenance` holds strings, numbers and lists or mappings of them."""
-    settings = dataclasses.asdict(simulator.settings)
-    metadata = {"settings": json.dumps(settings), "provenance": json.dumps(files.finite(provenance))}
+    parts = {"settings": asdict(simulator.settings), "provenance": files.finite(provenance)}
     tensors = {
         name: value.detach().to(device="cpu", dtype=torch.float32).contiguous()
         for name, value in simulator.state_dict().items()
     }
-    contents = serialised(tensors, {"format": FORMAT, **metadata})
+    contents = serialised(tensors, {"format": FORMAT} | {name: json.dumps(part) for name, part in parts.items()})
     with files.replacing(path) as part:
         part.write_bytes(contents)
 

@@ -1,8 +1,7 @@
 """Load a learned simulator, and roll a scene out with it: `gns.load`, `gns.simulate`, `gns.predict`."""
 
-import dataclasses
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +20,7 @@ from gns.surroundings.initial import initial_state
 
 
 def load(model: str | Path) -> Simulator:
-    """A trained simulator with frozen weights: a file, or the name of a model that ships, such as `flow2d`.
-
-    Raises InputError, which names the file.
-    """
+    """A trained simulator with frozen weights, of a file or a shipped name such as `flow2d`. Raises InputError."""
     return checkpoint.load(model_path(model)).simulator
 
 
@@ -74,7 +70,7 @@ def simulate(
         friction=initial.conditions.friction.numpy(),
         volume=volume,
         mass=initial.mass,
-        scene=dataclasses.replace(scene, frame_dt=initial.step, duration=initial.step * max(len(positions) - 1, 1)),
+        scene=replace(scene, frame_dt=initial.step, duration=initial.step * max(len(positions) - 1, 1)),
         summary=summary,
     )
 
@@ -103,8 +99,7 @@ def predict(scene: Scene | str | Path, *, model: str | Path | None = None, level
         prediction = gns.predict("column-tall-42", level=0.95)
         prediction.front, prediction.half_width     # [m]; 95 of 100 fronts of the MPM are within
 
-    scene: a scene, the path of one in TOML, or the name of a shipped one; model: a file or a shipped name, that of the
-    scene's dimension where absent; level: one of `gns.card.LEVELS`. Raises InputError.
+    scene, model: as `simulate` takes them; level: one of `gns.card.LEVELS`. Raises InputError.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
     path = model_path(model or shipped(scene.dimension))

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""The models that ship."""
 ENDING = ".safetensors"
 """Of the file of a model."""
 BEST = f"best{ENDING}"
@@ -16,7 +15,6 @@ def shipped(dimension: int) -> Path:
 
 
 def models() -> list[Path]:
-    """The models that ship, by name."""
     return sorted(WEIGHTS.glob(f"*{ENDING}"))
 
 

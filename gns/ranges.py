@@ -5,10 +5,9 @@ speeds over sqrt(g l), times over sqrt(l / g), stresses over rho g l: a scene is
 at any size.
 """
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -81,7 +80,7 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
     held = sum(mass.release is not None for mass in masses)
     # That which the scene would not have by itself.
     corrected = scene.volume_correction
-    usual = corrected is None or corrected == remembers_gaps(dataclasses.replace(scene, volume_correction=None))
+    usual = corrected is None or corrected == remembers_gaps(replace(scene, volume_correction=None))
     elevation, roughness, steepness = terrain(scene, GROUND_SPACING * body.length)
 
     def lengths(values: Iterable[float], **bounds: Any) -> Quantity:
@@ -148,10 +147,7 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
 
 
 def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], list[float]]:
-    """Relief [m], friction, and the steepest angle along an axis [deg] of the terrain; none where there is none.
-
-    spacing: of its raster [m].
-    """
+    """Relief [m], friction, steepest angle along an axis [deg] of the terrain, if any; spacing: of its raster [m]."""
     if not scene.solids:
         return [], [], []
     elevation, friction, _ = ground_raster(scene, spacing)

@@ -8,11 +8,10 @@ Conformal prediction: a gentle introduction, Foundations and Trends in Machine L
     q = rms(e) t_n((1 + level) / 2)                  of fewer flows: Gaussian errors of unknown variance, by Student
 """
 
-import dataclasses
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -74,15 +73,12 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
             flow.positions[0], flow.positions[-1], flow.volume, scene.domain.size, measures.ground_of(scene)
         )
         errors = truth.errors(length * deposit, length**scene.dimension * sample.conditions.volume.numpy())
-        scores.append(Score(released=flow.released, at_wall=truth.at_wall, **vars(errors)))
+        scores.append(Score(released=not flow.velocity0.any(), at_wall=truth.at_wall, **vars(errors)))
     return scores
 
 
 def validation_score(scores: Sequence[Score]) -> float:
-    """Mean of the absolute errors of front, profile and thickness, added up [-]: the smaller, the better.
-
-    Without thickness a network would be best whose sand lies flat on the floor.
-    """
+    """Mean of |front| + profile + thickness [-], the smaller the better: without thickness flat sand would be best."""
     return float(np.mean([abs(score.front) + score.profile + score.thickness for score in scores]))
 
 
@@ -171,7 +167,7 @@ def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, k
             # Folders of a name are parts of one dataset.
             scores.setdefault(dataset.name, []).extend(scored(dataset, "valid"))
         found = {name: calibrated(each) for name, each in scores.items()}
-        card.write(path, dataclasses.replace(described, scores=text).keeping(found))
+        card.write(path, replace(described, scores=text).keeping(found))
         print(f"bands by {sum(each.flows for each in found.values())} flows are on {card.card_path(path)}")
 
 

@@ -79,8 +79,7 @@ class TrainingSettings(Record):
     correct: bool = False
     """Train the correction of whole rollouts alone (`gns.network.correction`); unroll and loss_scale mean nothing."""
     rollouts: Count = 2
-    """Rollouts of each flow that a correction learns from: other particles of it, in another symmetry, from the start
-    or later on."""
+    """Rollouts of each flow that a correction learns from: of other particles, in another symmetry, from any time."""
     minutes: Positive = 60.0
     """Time to train [min], all parts of a resumed run together; unrolled steps and learning rate are laid over it."""
     updates: Count | None = None

@@ -47,12 +47,12 @@ DATA, PROBLEM = "data", "problem.json"
 """In the folder of a run: its flows, and what problem they are of."""
 HELD_OUT = 5
 """Of so many flows one is held out; odd, so that those lie all over the box."""
-ROLLOUTS = 3
-"""Of each flow, which are learned from."""
 FEWEST = 7
 """Flows at least, of which two are held out."""
-MOST_SCORED = 24
-"""Held-out flows at most that a training is scored by."""
+TRAINING = TrainingSettings(
+    correct=True, rollouts=3, learning_rate=1e-3, warmup=20, first=0.8, average=0.98, validations=1, validate_flows=24
+)
+"""Of a correction, by the flows of one problem."""
 EXPECTED_SCATTER = 0.01
 """Of fronts from jitter to jitter, over the extent, before any run has shown it."""
 KEPT = 8
@@ -93,7 +93,7 @@ def adapt(
     flows = definition(asked, runs, settings, seed=seed)
     entries = flows.entries(seed=seed)
     jobs = processors() if jobs is None else jobs
-    training = training_settings(minutes)
+    training = dataclasses.replace(TRAINING, minutes=minutes)
     if (known := read_json(out / PROBLEM)) not in (None, identity(asked)):
         expected = f"expected a new folder, or one of {asked.name} on the same cells"
         raise InputError(f"{expected}, it is of another problem: {', '.join(known['unknowns'])}", where=str(out))
@@ -116,8 +116,7 @@ def adapt(
     after = scored(checkpoint.load(best).simulator, held_out, best.stem)
     described = card.read(best)
     assert described is not None, "the training has written it"
-    banded = described.keeping({DATA: calibrated(after)})
-    card.write(best, dataclasses.replace(banded, scores=table(after)))
+    card.write(best, dataclasses.replace(described, scores=table(after)).keeping({DATA: calibrated(after)}))
     errors = f"{change(before, after)} on {len(held_out)} held-out flows"
     print(f"{simulated}, {minutes:.1f} minutes of training, {errors}{scatter(deposits(out, asked), asked)}")
     return best
@@ -144,21 +143,6 @@ def definition(problem: Problem, runs: int, settings: ModelSettings, *, seed: in
         split=lambda index: Split.VALID if index % HELD_OUT == 1 else Split.TRAIN,
         draw=draw,
         storage=Storage(cell=length * settings.cell, kept=KEPT, deposit=True),
-    )
-
-
-def training_settings(minutes: float) -> TrainingSettings:
-    """How a correction is trained on the flows of one problem."""
-    return TrainingSettings(
-        correct=True,
-        rollouts=ROLLOUTS,
-        minutes=minutes,
-        learning_rate=1.0e-3,
-        warmup=20,
-        first=0.8,
-        average=0.98,
-        validations=1,
-        validate_flows=MOST_SCORED,
     )
 
 
@@ -190,8 +174,7 @@ def scatter(runs: Sequence[tuple[Vector, Trajectory]], problem: Problem) -> str:
 def deposits(model: Path | str, problem: Problem) -> list[tuple[Vector, Trajectory]]:
     """Parameters and deposits, with all particles, of the MPM's runs that a model was adapted to `problem` by.
 
-    model: its folder or its file. None where it was adapted to another problem, or to none. Raises InputError for a
-    broken file.
+    model: its folder or its file. None where it was adapted to another problem. Raises InputError for a broken file.
     """
     run = Path(model) if Path(model).is_dir() else Path(model).parent
     if read_json(run / PROBLEM) != identity(problem):

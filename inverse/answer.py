@@ -147,10 +147,7 @@ def judge(problem: Problem, answers: Sequence[Answer], *, excluded: bool = False
 
 
 def unidentified(problem: Problem, answer: Answer) -> list[str]:
-    """The numbers whose interval is most of the prior's.
-
-    Of a positive one half as much will do where the half-width is above the value itself.
-    """
+    """The numbers whose interval is most of the prior's; of a positive one within its half-width, half as much."""
     names = []
     both = zip(answer.parameters, answer.half_widths, problem.prior_widths, strict=True)
     for number, (value, width, prior) in zip(problem.numbers, both, strict=True):

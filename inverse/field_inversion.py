@@ -78,8 +78,8 @@ def of_fields(problem: Problem) -> Result:
     measured = target.errors.matrix
     iterations, seed = problem.optimiser.max_iterations, problem.scene.seed
     rng, start = np.random.default_rng(seed), np.zeros(flow.size)
-    runs = flow.scattered(start)
-    draws = flow.observe(list(rng.standard_normal((problem.optimiser.ensemble, flow.size))), [seed] * len(runs))
+    runs = flow.observe([start] * len(problem.scatter_seeds), problem.scatter_seeds)
+    draws = flow.observe(list(rng.standard_normal((len(runs), flow.size))), [seed] * len(runs))
 
     def objective(runs: Floats, seeds: Sequence[int]) -> "Objective":
         return Objective(flow, target.values, measured + (1.0 + 1.0 / len(seeds)) * shrunk(runs), draws, seeds)
@@ -87,7 +87,7 @@ def of_fields(problem: Problem) -> Result:
     first = objective(runs, problem.seeds[:FIRST_SEEDS])
     nearest = first.minimise(start, iterations, FIRST_CONVERGED)
     # Again with the scatter of the fields that were found, and more seeds.
-    runs = flow.scattered(nearest.mean)
+    runs = flow.observe([nearest.mean] * len(runs), problem.scatter_seeds)
     second = objective(runs, problem.seeds)
     posterior = second.minimise(nearest.mean, iterations)
     scene = flow.scene_at(posterior.mean, problem.scatter_seeds[-1] + 1)
@@ -207,11 +207,6 @@ class WhiteFlow:
             self.bar.update(len(runs))
         self.runs += len(scenes)
         return np.stack(numbers)
-
-    def scattered(self, white: Floats) -> Floats:
-        """The observed numbers [n, M] of runs at white numbers [W] that differ in their jitter seed."""
-        seeds = self.problem.scatter_seeds
-        return self.observe([white] * len(seeds), seeds)
 
     def mean(self, white: Floats, seeds: Sequence[int]) -> Floats:
         """The observed numbers [M] at white numbers [W], mean over jitter seeds."""

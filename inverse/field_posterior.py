@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.flow import measures
-from datasets.scene.grid_field import Field
 from inverse.observations import Values
 from inverse.parameters.field import BAND, UnknownField
 
@@ -32,18 +31,12 @@ class FieldPosterior:
 
     @property
     def name(self) -> str:
-        """As the problem calls it."""
-        return self.unknown.name
+        return self.unknown.settings.name
 
     @property
     def stem(self) -> str:
         """Of its files."""
         return self.name.replace(".", "-")
-
-    @property
-    def field(self) -> Field:
-        """As a scene has it."""
-        return self.unknown.field(self.latent)
 
     @cached_property
     def arrays(self) -> dict[str, Values]:

@@ -26,30 +26,23 @@ CHAINS = ("chain", "draw")
 
 def write(result: Result, path: Path) -> None:
     """Write `posterior.nc`: S equally weighted samples, by systematic resampling, in order of their populations."""
-    posterior, problem = result.posterior, result.problem
+    posterior, problem, observation = result.posterior, result.problem, result.target.observation
     assert posterior is not None, "an optimiser has no samples"
     rng = np.random.default_rng(problem.optimiser.seed)
     points = posterior.samples.points[systematic(posterior.samples.weights, len(posterior.samples.points), rng)]
     shares = rng.random(points.shape)
     prior = shares if problem.prior is None else problem.prior.at(shares)
-    units = [kind.unit for kind in problem.kinds]
-    numbers = {
-        name: dict(zip(problem.names, zip(np.moveaxis(problem.box.at(shares), -1, 0), units, strict=True), strict=True))
-        for name, shares in (("posterior", chains(points)), ("prior", prior[None]))
-    }
     with replacing(path) as part, h5py.File(part, "w", track_order=True) as file:
-        for name, variables in numbers.items():
-            fill(file.create_group(name, track_order=True), variables, CHAINS)
-        raw, values = result.target.observation.raw, result.target.values
-        if len(values) > MAX_NUMBERS or len(posterior.reduction.mean) != len(values):
+        for name, samples in (("posterior", chains(points)), ("prior", prior[None])):
+            columns = zip(problem.numbers, np.moveaxis(problem.box.at(samples), -1, 0), strict=True)
+            fill(file, name, {each.name: (values, each.kind.unit) for each, values in columns}, CHAINS)
+        observed = observation.scale * result.target.values
+        if len(observed) > MAX_NUMBERS or len(posterior.reduction.mean) != len(observed):
             return
-        shown = {"posterior_predictive": chains(raw(predictive(posterior, points, rng))), "observed_data": raw(values)}
-        for name, samples in shown.items():
-            parts = {
-                part.name: (samples[..., part.numbers], part.observation.unit)
-                for part in result.target.observation.parts
-            }
-            fill(file.create_group(name, track_order=True), parts, CHAINS if samples.ndim > 1 else ())
+        shown = chains(observation.scale * predictive(posterior, points, rng))
+        for name, values, axes in (("posterior_predictive", shown, CHAINS), ("observed_data", observed, ())):
+            parts = {each.name: (values[..., each.numbers], each.observation.unit) for each in observation.parts}
+            fill(file, name, parts, axes)
 
 
 def chains(samples: Matrix) -> Matrix:
@@ -73,8 +66,9 @@ def predictive(posterior: Posterior, points: Matrix, rng: np.random.Generator) -
     )
 
 
-def fill(group: h5py.Group, variables: Mapping[str, tuple[Matrix, str]], first: tuple[str, ...]) -> None:
-    """Write values and units by name; their first axes are those named, a further one is their own."""
+def fill(file: h5py.File, group_name: str, variables: Mapping[str, tuple[Matrix, str]], first: tuple[str, ...]) -> None:
+    """Write a group of values and units by name; their first axes are those named, a further one is their own."""
+    group = file.create_group(group_name, track_order=True)
     for name, (values, unit) in variables.items():
         dataset = group.create_dataset(name, data=values, track_order=True)
         dataset.attrs["units"] = unit if unit not in ("", "-") else "1"

@@ -161,8 +161,7 @@ def fit(
 ) -> Fit:
     """Of runs at one answer that show numbers [k, M].
 
-    cells: d [M]; extrapolated: see `biases`; parameters: how many were fitted; slopes: by them [U, M], with which each
-    number is judged by itself (`outlying`).
+    cells: d [M]; extrapolated: see `biases`; parameters: how many were fitted; slopes: by them [U, M], for `outlying`.
     """
     share, residual = 1.0 + 1.0 / len(shown), shown.mean(axis=0) - target.values
     errors, variance = target.errors, share * scatter.variance

@@ -45,15 +45,9 @@ WIDTH = 10.0
 """Of a picture [inches]."""
 RESOLUTION = 100
 """Pixels per inch."""
-STYLE: dict[str, Any] = {
-    "axes.labelsize": 8,
-    "axes.titlesize": 9,
-    "axes.titlelocation": "left",
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-}
+SMALL = ("axes.labelsize", "xtick.labelsize", "ytick.labelsize", "legend.fontsize")
+STYLE: dict[str, Any] = dict.fromkeys(SMALL, 8)
+STYLE |= {"axes.titlesize": 9, "axes.titlelocation": "left", "legend.frameon": False}
 PAIRS = 5
 """Parameters up to which every pair is drawn; of more, each by itself."""
 BINS = 40
@@ -222,7 +216,6 @@ def posterior(result: Result) -> Figure:
 
 
 def marginal(axis: Axes, result: Result, index: int) -> None:
-    """Prior and posterior of one number."""
     assert result.posterior is not None, "an optimiser has none"
     each, truth, weights = result.problem.numbers[index], result.target.truth or {}, result.posterior.samples.weights
     style: dict[str, Any] = {"bins": BINS, "range": each.bounds, "density": True, "color": COLOURS["MPM"]}
@@ -241,7 +234,6 @@ def marginal(axis: Axes, result: Result, index: int) -> None:
 
 
 def pair(axis: Axes, result: Result, first: int, second: int) -> None:
-    """The samples of two numbers."""
     across, up = (result.problem.numbers[index] for index in (first, second))
     truth, samples = result.target.truth or {}, result.samples
     axis.scatter(samples[:, first], samples[:, second], s=2.0, alpha=0.3, color=COLOURS["MPM"], linewidths=0)
@@ -285,7 +277,6 @@ def field(posterior: FieldPosterior) -> Figure:
 
 
 def curve(posterior: FieldPosterior, axis: int, label: str) -> Figure:
-    """A field that varies along one axis."""
     figure, panel = plt.subplots(figsize=(0.6 * WIDTH, 3.0), layout="constrained")
     grid = posterior.unknown.grid
     lines = np.moveaxis(np.arange(grid.count).reshape(grid.nodes), axis, 0)

@@ -1,12 +1,11 @@
 """Problem: what is unknown, what was observed and how hard to look for it. Read from TOML or built in Python."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -14,13 +13,12 @@ from datasets.errors import InputError, keyed, naming, require
 from datasets.files import read_toml
 from datasets.scene import Scene
 from datasets.scene.grid_field import FRICTION, Field
-from datasets.scene.library import SCENES, find, read_scene
+from datasets.scene.library import find, read_scene
 from datasets.scene.particles import released_volume
 from datasets.schema import Record, from_mapping, one_of
 from inverse.observations import KINDS, Observation, ObservationSettings
 from inverse.observations.target import Target
-from inverse.parameters import Kind, Parameter, Vector, with_kinds, with_parameters
-from inverse.parameters.bounds import check_parameters, check_scene
+from inverse.parameters import Kind, Parameter, Vector, check_parameters, check_scene, with_kinds, with_parameters
 from inverse.parameters.field import UnknownField
 from inverse.parameters.prior import Correlation, JointPrior
 from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings
@@ -31,17 +29,26 @@ FEWEST_RUNS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
-class _File(Record):
+class ProblemKeys(Record):
+    """What a problem and its file have in common."""
+
+    observations: tuple[Annotated[ObservationSettings, one_of(KINDS)], ...]
+    """What was observed, compared together."""
+    correlations: tuple[Correlation, ...] = ()
+    """Of the priors of pairs of numbers."""
+    target: TargetSettings = field(default_factory=TargetSettings)
+    """Where the numbers come from."""
+    optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
+    loop: LoopSettings = field(default_factory=LoopSettings)
+    surrogate: Surrogate = Surrogate.AUTO
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File(ProblemKeys):
     """A problem as it stands in its file."""
 
     scene: str
     unknowns: tuple[Parameter, ...]
-    observations: tuple[Annotated[ObservationSettings, one_of(KINDS)], ...]
-    correlations: tuple[Correlation, ...] = ()
-    target: TargetSettings = field(default_factory=TargetSettings)
-    optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
-    loop: LoopSettings = field(default_factory=LoopSettings)
-    surrogate: Surrogate = Surrogate.AUTO
 
 
 @dataclass(frozen=True)
@@ -64,13 +71,9 @@ class Box:
         """Parameters [..., U] in fractions of the ranges, shape [..., U]."""
         return np.asarray((parameters - self.lower) / self.range)
 
-    def clip(self, parameters: Vector) -> Vector:
-        """The nearest point of the box."""
-        return np.clip(parameters, self.lower, self.upper)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Problem:
+class Problem(ProblemKeys):
     """An inverse problem, checked. Raises InputError, which names the key, for one that has no answer.
 
     >>> Problem(
@@ -91,15 +94,6 @@ class Problem:
     """The flow; its own values of the parameters are a twin's truth and nothing else."""
     parameters: tuple[Parameter, ...]
     """What to find (`[[unknowns]]`): numbers, in the order of every vector of them, and fields."""
-    observations: tuple[ObservationSettings, ...]
-    """What was observed, compared together."""
-    correlations: tuple[Correlation, ...] = ()
-    """Of the priors of pairs of numbers."""
-    target: TargetSettings = field(default_factory=TargetSettings)
-    """Where the numbers come from."""
-    optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
-    loop: LoopSettings = field(default_factory=LoopSettings)
-    surrogate: Surrogate = Surrogate.AUTO
 
     def __post_init__(self) -> None:
         require(len(self.parameters) > 0, "unknowns", "at least one unknown", "none")
@@ -134,19 +128,16 @@ class Problem:
 
     @property
     def names(self) -> list[str]:
-        """The names of the numbers."""
         return [each.name for each in self.numbers]
 
     @property
     def kinds(self) -> list[Kind]:
-        """What the numbers are."""
         return [each.kind for each in self.numbers]
 
     @property
     def box(self) -> Box:
         """The prior bounds of the numbers."""
-        lower, upper = np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T
-        return Box(lower, upper)
+        return Box(*np.array([each.bounds for each in self.numbers]).reshape(-1, 2).T)
 
     @cached_property
     def prior(self) -> JointPrior | None:
@@ -172,12 +163,12 @@ class Problem:
         if self.fields:
             unknown = {each.settings.quantity for each in self.fields}
             kept = tuple(each for each in scene.fields if each.quantity not in unknown)
-            scene = dataclasses.replace(scene, fields=kept + tuple(fields))
-        return scene if seed is None else dataclasses.replace(scene, seed=seed)
+            scene = replace(scene, fields=kept + tuple(fields))
+        return scene if seed is None else replace(scene, seed=seed)
 
-    def named(self, values: Vector) -> dict[str, float]:
-        """The entries of a vector of numbers [U] by name."""
-        return {name: float(value) for name, value in zip(self.names, values, strict=True)}
+    def named(self, values: Vector) -> dict[str, Any]:
+        """The entries of a vector of numbers [U], or the rows of many such columns [U, ...], by name."""
+        return dict(zip(self.names, values.tolist(), strict=True))
 
     @cached_property
     def measured(self) -> list[Target]:
@@ -203,10 +194,7 @@ class Problem:
 
     @property
     def twin_scene(self) -> Scene:
-        """The scene of a twin experiment: the true parameters, a jitter and, where asked for, cells of its own.
-
-        Raises InputError for cells that do not fit.
-        """
+        """The twin's scene: the truth, a jitter, maybe other cells. Raises InputError for cells that do not fit."""
         truth, cell = self.target.truth, self.target.cell
         scene = with_parameters(self.scene, list(truth), list(truth.values()))
         values = np.array([each.kind.read(scene) for each in self.numbers])
@@ -276,7 +264,7 @@ class Problem:
             with keyed(f"unknowns[{index}]"):
                 unknown.check_bounds(self.scene)
                 true = not self.target.twin or (settings.quantity, settings.mass) in true_fields
-                require(true, "name", f"a scene with a field of {unknown.name} as the truth", "none")
+                require(true, "name", f"a scene with a field of {settings.name} as the truth", "none")
             if settings.quantity == FRICTION:
                 expected = "a body without initial stress, whose yield depends on an unknown friction"
                 for number, mass in enumerate(self.scene.masses):
@@ -303,7 +291,6 @@ def read_problem(name: str) -> Problem:
     with naming(path):
         file = from_mapping(_File, read_toml(path))
         # A scene named by path lies beside the problem; a shipped one goes by its name.
-        beside = path.parent / file.scene
-        scene = read_scene(str(beside) if file.scene.endswith(".toml") else str(find(file.scene, SCENES, "scene")))
+        scene = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
         keys = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
         return Problem(parameters=keys.pop("unknowns"), **keys)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,13 @@ SUGGESTED = 3
 """Measurements, and combinations that are identifiable, that the conclusion names."""
 
 
-def markdown(result: Result, command: str, pictures: Collection[str], *, viewed: str = "") -> str:
-    """The report; command: what made it; pictures: names of the files beside it; viewed: folder that has MPM runs."""
+def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
+    """The report that lies in `folder`; pictures: names of the files beside it."""
     parts = [f"# {result.problem.name}: {result.verdict}", "\n".join(f"- {each}" for each in conclusion(result))]
-    look = f"; in a browser: `python -m validation.view {viewed}`" if viewed else ""
-    parts += [f"`{command}`{look}", question(result)]
+    command = f"`{result.command} {result.problem.asked or result.problem.name} --out {folder}`"
+    if any(each.file for each in result.mpm_runs):
+        command += f"; in a browser: `python -m validation.view {folder}`"
+    parts += [command, question(result)]
 
     def shown(name: str, text: str) -> str:
         return f"![{text}]({name})" if name in pictures else ""
@@ -134,14 +137,18 @@ def angles(result: Result) -> str:
     return sentence(parts)
 
 
+def found(result: Result, values: Iterable[float], intervals: Iterable[Sequence[float]]) -> dict[str, str]:
+    """The numbers with their intervals, by name."""
+    both = zip(result.problem.numbers, values, intervals, strict=True)
+    return {f"`{each.name}`": f"{each.kind.text(value)} ({within(each, ends)})" for each, value, ends in both}
+
+
 def named(result: Result, values: Iterable[float], intervals: Iterable[Sequence[float]]) -> str:
-    """The first numbers with their intervals."""
-    both = zip(result.problem.numbers[:NAMED], values, intervals, strict=False)
-    return ", ".join(f"`{each.name}` = {each.kind.text(value)} ({within(each, ends)})" for each, value, ends in both)
+    """The first of them."""
+    return ", ".join([f"{name} = {text}" for name, text in found(result, values, intervals).items()][:NAMED])
 
 
 def within(number: Parameter, ends: Sequence[float]) -> str:
-    """An interval in words."""
     return " to ".join(number.kind.text(float(end)) for end in ends)
 
 
@@ -222,13 +229,9 @@ def question(result: Result) -> str:
 
 
 def every_answer(result: Result) -> str:
-    """A line for each."""
     rows = []
     for each in result.answers:
-        both = zip(result.problem.numbers, each.parameters.tolist(), each.interval.T, strict=True)
-        row = {
-            f"`{number.name}`": f"{number.kind.text(value)} ({within(number, ends)})" for number, value, ends in both
-        }
+        row = found(result, each.parameters.tolist(), each.interval.T.tolist())
         row["share of the posterior"] = f"{100.0 * each.weight:.0f} %"
         row["the MPM there"] = "not asked" if each.fit is None else distance(result, each)
         rows.append(row)
@@ -237,18 +240,16 @@ def every_answer(result: Result) -> str:
 
 def comparison(result: Result) -> str:
     """Each observation as it was measured and at the answer."""
-    whole, target, shown = result.target.observation, result.target, result.predicted
-    scale = whole.raw(np.ones(len(target.values)))
-    same, rows, runs = len(shown) == len(target.values), [], len(result.answers[0].checks)
+    target, rows, runs = result.target, [], len(result.answers[0].checks)
+    numbers = (target.values, result.predicted, target.deviation)
+    measured, shown, deviation = (target.observation.scale * each for each in numbers)
     which = f"{result.forward}, at the answer" + (f", {runs} runs" if runs > 1 else "")
-    for part in whole.parts:
-        index, text, root = part.numbers, part.observation.text, part.observation.root_text
-        measured = whole.raw(target.values)[index]
-        answer = whole.raw(shown)[index] if same else shown
-        noise, residual = rms(target.deviation[index] * scale[index]), rms(answer - measured) if same else np.nan
-        row = {"observation": part.name, "target": text(measured), which: text(answer)}
-        row["noise"] = root(noise)
-        row["residual (root mean square)"] = root(residual)
+    for part in target.observation.parts:
+        own, text, root = part.numbers, part.observation.text, part.observation.root_text
+        row = {"observation": part.name, "target": text(measured[own]), which: text(shown[own])}
+        row["noise"] = root(rms(deviation[own]))
+        off = rms(shown[own] - measured[own]) if len(shown) == len(measured) else np.nan
+        row["residual (root mean square)"] = root(off)
         rows.append(row)
     return table(rows)
 
@@ -330,7 +331,6 @@ def mix(combination: Combination, comma: str = "") -> str:
 
 
 def search_table(result: Result) -> str:
-    """Every iteration; the MPM runs at answers."""
     rows = []
     for record in result.iterations:
         row: dict[str, Any] = {}
@@ -345,7 +345,6 @@ def search_table(result: Result) -> str:
 
 
 def cost(result: Result) -> str:
-    """Runs, seconds and memory."""
     every = [each.purpose for each in result.mpm_runs]
     runs = {"MPM runs": result.run_count} if every else {}
     runs |= {f"of them, {purpose}": every.count(purpose) for purpose in Purpose if purpose in every}

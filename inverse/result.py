@@ -78,11 +78,8 @@ class Result:
     @property
     def interval(self) -> dict[str, list[float]]:
         """Between which values each number lies at 95 %, within its bounds; of a field the mean of both."""
-        low, high = (self.problem.named(each) for each in self.answers[0].interval)
-        ends = {name: [low[name], high[name]] for name in low}
-        return ends | {
-            each.name: [each.average(each.arrays[end]) for end in ("lower", "upper")] for each in self.fields
-        }
+        of_fields = {each.name: [each.average(each.arrays[end]) for end in ("lower", "upper")] for each in self.fields}
+        return self.problem.named(self.answers[0].interval.T) | of_fields
 
     @property
     def inside(self) -> list[str]:
@@ -119,7 +116,7 @@ class Result:
     @property
     def scene(self) -> Scene:
         """The scene with what was found."""
-        return self.problem.scene_at(self.answer, fields=[each.field for each in self.fields])
+        return self.problem.scene_at(self.answer, fields=[each.unknown.field(each.latent) for each in self.fields])
 
     @property
     def samples(self) -> NDArray[np.float64]:
@@ -147,19 +144,28 @@ class Result:
 
     def as_json(self) -> dict[str, Any]:
         """As `result.json` has it."""
-        raw, problem, first = self.target.observation.raw, self.problem, self.answers[0]
-        key = "mpm" if self.forward == "MPM" else "surrogate"
-        same = len(self.predicted) == len(self.target.values)
-        shown = plain(raw(self.predicted) if same else self.predicted)
+        problem, target, fit = self.problem, self.target, self.answers[0].fit
+        key, whole = "mpm" if self.forward == "MPM" else "surrogate", target.observation
+        numbers = {"target": target.values, key: self.predicted}
+        observation: dict[str, Any] = {name: plain(whole.scale * values) for name, values in numbers.items()}
+        if len(whole.parts) > 1:
+            parts = [(part.name, part.observation.unit, part.numbers) for part in whole.parts]
+            observation["parts"] = [
+                {"name": name, "unit": unit, "first": own.start, "end": own.stop} for name, unit, own in parts
+            ]
+            observation["deviation"] = np.asarray(whole.scale).tolist()
+        if math.isfinite(target.front):
+            observation["front"] = target.front
+        if target.profile is not None:
+            observation["profile"] = {"x": target.profile.x.tolist(), "height": target.profile.height.tolist()}
+        same = len(self.predicted) == len(target.values)
         answers = [
             {
                 "unknowns": problem.named(each.parameters),
-                "interval": {
-                    name: list(ends) for name, ends in zip(problem.names, each.interval.T.tolist(), strict=True)
-                },
+                "interval": problem.named(each.interval.T),
                 "half_widths": problem.named(each.half_widths),
                 "weight": each.weight,
-                "misfit": self.target.misfit(each.observation) if each.checks else None,
+                "misfit": target.misfit(each.observation) if each.checks else None,
             }
             for each in self.answers
         ]
@@ -170,11 +176,11 @@ class Result:
             "interval": self.interval,
             "certainty": self.certainty,
             "answers": answers,
-            "truth": self.target.truth,
+            "truth": target.truth,
             "error_pct": self.error_pct,
-            "observation": {"target": plain(raw(self.target.values)), key: shown} | self.target.observation.record(),
-            "loss": {key: self.target.misfit(self.predicted) if same else self.iterations[-1].get("loss")},
-            "mpm_runs": [each.as_json(problem, self.target) for each in self.mpm_runs],
+            "observation": observation,
+            "loss": {key: target.misfit(self.predicted) if same else self.iterations[-1].get("loss")},
+            "mpm_runs": [each.as_json(problem, target) for each in self.mpm_runs],
             "run_count": self.run_count,
             "iterations": list(self.iterations),
             "surrogate": self.surrogate,
@@ -182,23 +188,12 @@ class Result:
             "seconds": self.seconds,
             "peak_memory_mib": peak_memory_mib(),
         }
-        if math.isfinite(self.target.front):
-            keys["observation"]["front"] = self.target.front
-        if (profile := self.target.profile) is not None:
-            keys["observation"]["profile"] = {"x": profile.x.tolist(), "height": profile.height.tolist()}
-        if fit := first.fit:
-            names = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells")
+        if fit is not None:
+            names = ("residual", "inside", "ratio", "allowed", "noise", "scatter", "cells", "outliers", "probability")
             keys |= {"check": {name: getattr(fit, name) for name in names}, "discrepancy": fit.applied}
-            keys["check"] |= {
-                "outliers": {str(index): off for index, off in fit.outliers.items()},
-                "probability": fit.probability,
-            }
         if self.posterior is not None:
-            samples = self.posterior.samples
-            keys["combinations"] = [
-                {"weights": each.weights, "half_width": each.half_width, "identifiable": each.identifiable}
-                for each in self.combinations
-            ]
+            samples, known = self.posterior.samples, ("weights", "half_width", "identifiable")
+            keys["combinations"] = [{name: getattr(each, name) for name in known} for each in self.combinations]
             sampling = {"difference": samples.difference, "acceptance": samples.acceptance}
             keys["sampling"] = sampling | {"log_evidence": samples.evidence}
         if problem.prior is not None:

@@ -15,13 +15,13 @@ from inverse.result import Result
 
 def save(result: Result, folder: Path | str) -> None:
     """Write `result.json`, `posterior.npz`, `posterior.nc`, `report.md`, pictures and missing MPM runs."""
-    folder, problem = Path(folder), result.problem
+    folder = Path(folder)
     make_folder(folder)
     for run in result.mpm_runs:
         if run.file and not (folder / run.file).exists():
             run.trajectory.save(folder / run.file)
     if result.posterior is not None:
-        names, weights = np.array(problem.names, dtype=np.str_), result.posterior.samples.weights
+        names, weights = np.array(result.problem.names, dtype=np.str_), result.posterior.samples.weights
         with replacing(folder / "posterior.npz") as part:
             np.savez_compressed(part, names=names, samples=result.samples, weights=weights)
         inference_data.write(result, folder / "posterior.nc")
@@ -31,9 +31,7 @@ def save(result: Result, folder: Path | str) -> None:
             np.savez(part, **arrays)  # type: ignore[arg-type]
         write_scene(result.scene, folder / "scene.toml")
     write_json(folder / "result.json", result.as_json())
-    command = f"{result.command} {problem.asked or problem.name} --out {folder}"
-    viewed = str(folder) if any(each.file for each in result.mpm_runs) else ""
-    write_text(folder / "report.md", report.markdown(result, command, pictures.write(result, folder), viewed=viewed))
+    write_text(folder / "report.md", report.markdown(result, folder, pictures.write(result, folder)))
 
 
 def read_samples(path: Path) -> tuple[list[str], Matrix]:

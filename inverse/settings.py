@@ -100,10 +100,8 @@ class LoopSettings(Record):
     """What the MPM may spend (`validation.loop`)."""
 
     mpm_runs: Annotated[int | None, counted(1)] = None
-    """Most MPM runs that the loop may spend on the problem's cells; 40 and 12 for each unknown where absent.
-
-    Besides come four on other cells where the target is no flow on the same, and those of a coarse surrogate.
-    """
+    """Most MPM runs that the loop may spend on the problem's cells, 40 and 12 for each unknown where absent; besides
+    come four on other cells where the target is no flow on the same, and those of a coarse surrogate."""
 
     def budget(self, unknowns: int) -> int:
         """Most MPM runs for so many unknowns."""

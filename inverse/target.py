@@ -18,8 +18,7 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
     """The target of `problem`; `simulate` makes a twin's flow, its noise is drawn. Raises InputError."""
     if problem.target.measured:
         target = joined(problem.measured, part_names(problem))
-        front = target.observation.front(target.values)
-        return dataclasses.replace(target, front=front)
+        return dataclasses.replace(target, front=target.observation.front(target.values))
     truth = None
     if problem.target.twin:
         scene = problem.twin_scene

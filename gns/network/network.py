@@ -50,7 +50,6 @@ class Interaction(nn.Module):
         self.from_offset = nn.Linear(columns(EDGES, settings), width, bias=False)
 
     def forward(self, x: Tensor, graph: Graph) -> Tensor:
-        """The sum of the messages to each node."""
         return messages(self.from_receiver(x), self.from_sender(x), self.from_offset.weight.T, graph)
 
 
@@ -146,26 +145,6 @@ class Processor(nn.Module):
         return x
 
 
-class Decoder(nn.Module):
-    """Node latents [N, C] to a and c [N, D + K]."""
-
-    def __init__(self, known: int, settings: ModelSettings) -> None:
-        super().__init__()
-        self.norm = nn.LayerNorm(settings.width)
-        self.mlp = mlp(settings.width, settings.dimension + known, settings)
-        last = self.mlp[-1]
-        assert isinstance(last, nn.Linear)
-        # An untrained model is free flight: a standard deviation of 1e-3, from that of torch's own, (3 width)^(-1/2).
-        # To draw others would load torch's compiler wherever a model is loaded.
-        nn.init.zeros_(last.bias)
-        with torch.no_grad():
-            last.weight.mul_(1.0e-3 * math.sqrt(3.0 * settings.width))
-
-    def forward(self, x: Tensor) -> Tensor:
-        """[N, C] to [N, D + K]."""
-        return torch.as_tensor(self.mlp(self.norm(x)))
-
-
 class Network(nn.Module):
     """Features of the nodes to normalised accelerations and the shares of known forces."""
 
@@ -177,7 +156,15 @@ class Network(nn.Module):
         # Its weights are `encoder.mlp.0.weight` and so on in the files of models.
         self.encoder = nn.Sequential(OrderedDict(mlp=mlp(features, settings.width, settings)))
         self.processor = Processor(settings)
-        self.decoder = Decoder(known, settings)
+        decoder = mlp(settings.width, settings.dimension + known, settings)
+        self.decoder = nn.Sequential(OrderedDict(norm=nn.LayerNorm(settings.width), mlp=decoder))
+        last = decoder[-1]
+        assert isinstance(last, nn.Linear)
+        # An untrained model is free flight: a standard deviation of 1e-3, from that of torch's own, (3 width)^(-1/2).
+        # To draw others would load torch's compiler wherever a model is loaded.
+        nn.init.zeros_(last.bias)
+        with torch.no_grad():
+            last.weight.mul_(1.0e-3 * math.sqrt(3.0 * settings.width))
 
     def forward(self, given: Inputs) -> Tensor:
         """Features of the particles to a and c [N, D + K]."""

@@ -1,7 +1,6 @@
 """What a rollout begins with: a scene at time 0, or the end of the MPM's first frames; and what is around its flow."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -61,7 +60,7 @@ class InitialState(Tensors):
 
     def with_conditions(self, **changes: Any) -> "InitialState":
         """The same state under other conditions, those of `Conditions` by name."""
-        return dataclasses.replace(self, conditions=dataclasses.replace(self.conditions, **changes))
+        return replace(self, conditions=replace(self.conditions, **changes))
 
 
 def initial_state(scene: Scene, settings: ModelSettings, frames: Trajectory | None = None) -> InitialState:

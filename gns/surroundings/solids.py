@@ -34,12 +34,9 @@ class Boxes:
         """The baffles of each sample, n = B; margin: by which they are larger on every side [m]."""
         assert conditions.baffles is not None
         lower, upper = conditions.baffles.unbind(dim=2)
-        turn = conditions.baffle_turn
-        return Boxes(
-            middle=0.5 * (lower + upper),
-            half=0.5 * (upper - lower) + margin,
-            turn=None if turn is None else (turn.cos(), turn.sin()),
-        )
+        angle = conditions.baffle_turn
+        turn = None if angle is None else (angle.cos(), angle.sin())
+        return Boxes(middle=0.5 * (lower + upper), half=0.5 * (upper - lower) + margin, turn=turn)
 
     def each(self, change: Callable[[Tensor], Tensor]) -> "Boxes":
         """The boxes after the same change of all their tensors."""
@@ -70,10 +67,7 @@ class Boxes:
 
 
 def rotated(vectors: Tensor, cosine: Tensor, sine: Tensor, *, symmetric: bool = False) -> Tensor:
-    """Vectors [..., D] turned from the first axis to the last; cosine, sine: of the angle, shape [...].
-
-    symmetric: both terms with the sine are positive, as of extents.
-    """
+    """Vectors [..., D] turned from first axis to last, by angles [...]; symmetric: as extents, both sines positive."""
     first, last = vectors[..., 0], vectors[..., -1]
     turned = cosine * first + sine * last if symmetric else cosine * first - sine * last
     between = [vectors[..., axis].expand_as(turned) for axis in range(1, vectors.shape[-1] - 1)]

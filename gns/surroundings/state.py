@@ -1,8 +1,7 @@
 """What a simulation step takes and gives: state and conditions, and how they move between units and devices."""
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, Self
 
 import torch
@@ -42,13 +41,13 @@ class Tensors:
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
         """The same on another device, its real numbers in another precision; None leaves either as it is."""
         moved: dict[str, Any] = {}
-        for each in dataclasses.fields(self):
+        for each in fields(self):
             value = getattr(self, each.name)
             if isinstance(value, Tensor):
                 moved[each.name] = value.to(device=device, dtype=dtype if value.is_floating_point() else None)
             elif isinstance(value, Tensors):
                 moved[each.name] = value.to(device, dtype)
-        return dataclasses.replace(self, **moved)
+        return replace(self, **moved)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,10 +92,7 @@ class Ground(Tensors):
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions(Tensors):
-    """What is constant during a rollout: material, volumes, box, gravity, solids; of B samples side by side.
-
-    All that is a tensor may require a gradient.
-    """
+    """What is constant during a rollout of B samples side by side: tensors, each of which may require a gradient."""
 
     friction: Tensor
     """tan(phi) of each particle [-], shape [N]."""
@@ -171,8 +167,8 @@ def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditi
         return state, conditions
     length = units.length
     if ground is not None:
-        ground = dataclasses.replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length)
-    scaled = dataclasses.replace(
+        ground = replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length)
+    scaled = replace(
         conditions,
         cohesion=conditions.cohesion / units.stress,
         volume=conditions.volume / length ** conditions.size.shape[1],

@@ -8,7 +8,6 @@ Several processes (`torchrun --nproc-per-node N -m gns.train ...`) draw samples 
 their gradients, which `DistributedDataParallel` takes where a model is called as a module.
 """
 
-import dataclasses
 import io
 import math
 import os
@@ -16,7 +15,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -102,10 +101,7 @@ def fit(
     device: str | None = None,
     command: str = "python -m gns.train",
 ) -> None:
-    """Train a model, begun by `command`; for the other parameters see `gns.train.train`.
-
-    Raises InputError, WorkFailed and KeyboardInterrupt.
-    """
+    """Train a model, begun by `command`; else as `gns.train`. Raises InputError, WorkFailed and KeyboardInterrupt."""
     if resume and not (out / LAST).exists():
         raise InputError(f"expected a run to resume, there is no {LAST}", where=str(out))
     if training.correct and begin is None:
@@ -144,7 +140,8 @@ def fit(
                 break
             if not due:
                 run.update(progress)
-                bar.set_description_str(run.shown(progress), refresh=False)
+                what = "ends" if training.correct else f"{run.steps(progress)} steps"
+                bar.set_description_str(f"{what}, loss {np.mean(run.losses[-RECENT:]):.4f}", refresh=False)
                 bar.update(100.0 * position.progress(training) - bar.n)
                 continue
             if first:
@@ -176,7 +173,6 @@ class Run:
     ) -> None:
         self.simulator, self.training, self.out, self.seed = simulator, training, out, seed
         self.average: Any = AveragedModel(simulator, avg_fn=partial(averaged, training.average))
-        self.sampler: Sampler
         loss: nn.Module
         if simulator.correction is None:
             self.sampler, loss = Sampler(flows, simulator.settings, training), UnrolledLoss(simulator, training)
@@ -197,11 +193,6 @@ class Run:
         """Steps that are unrolled at `progress` in [0, 1]."""
         unrolled = self.training.unroll
         return unrolled[min(int(progress * len(unrolled)), len(unrolled) - 1)]
-
-    def shown(self, progress: float) -> str:
-        """What is trained, and the recent loss."""
-        what = "ends" if self.training.correct else f"{self.steps(progress)} steps"
-        return f"{what}, loss {np.mean(self.losses[-RECENT:]):.4f}"
 
     def update(self, progress: float) -> None:
         """Draw a batch and lower its loss. Raises WorkFailed for a gradient that is not finite."""
@@ -235,7 +226,7 @@ class Run:
             "loss": round(float(np.mean(self.losses or [math.nan])), 6),
             "score": round(total, 4),
         }
-        for name in (each.name for each in dataclasses.fields(Errors)):
+        for name in (each.name for each in fields(Errors)):
             row[name] = round(float(np.mean([abs(getattr(score, name)) for score in scores])), 4)
         position.rows.append(row)
         lines = [row, *(each.values() for each in position.rows)]
@@ -297,7 +288,7 @@ def load(
 def continued(model: Model, settings: ModelSettings, training: TrainingSettings) -> Simulator:
     """A model to train on. Raises InputError where its settings are others, but for the speed of rest."""
     simulator = model.simulator
-    there = asdict(dataclasses.replace(simulator.settings, rest_speed=settings.rest_speed))
+    there = asdict(replace(simulator.settings, rest_speed=settings.rest_speed))
     if other := [key for key, value in asdict(settings).items() if value != there[key]]:
         raise InputError(f"expected a model of the settings given, other is {', '.join(other)}", key="--begin")
     # No weight depends on it.
@@ -328,10 +319,7 @@ def sums(*values: float) -> list[float]:
 
 @contextmanager
 def joined(device: str | None) -> Iterator[torch.device]:
-    """Join the processes that torchrun started, if any; the device of this one, a GPU where there is one unless given.
-
-    Raises InputError.
-    """
+    """Join the processes of torchrun, if any; the device of this one, a GPU where there is one. Raises InputError."""
     kind = device or ("cuda" if torch.cuda.is_available() else "cpu")
     if kind == "cuda" and not torch.cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", key="device")

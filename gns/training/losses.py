@@ -56,11 +56,7 @@ class UnrolledLoss(nn.Module):
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
-    """The loss of a rollout.
-
-    positions: of the model at the start and after each step [m], shape [K + 1, N, D]; targets: [m], [K, N, D];
-    scale: s [m].
-    """
+    """The loss of a model's positions [K + 1, N, D] [m] beside targets after each step [K, N, D] [m]; scale: s [m]."""
     steps = torch.arange(1, len(targets) + 1, device=targets.device).view(-1, 1, 1)
     error = (positions[1:] - targets) / scale
     before = torch.cat((torch.zeros_like(error[:1]), error[:-1]))
@@ -97,7 +93,6 @@ class EndLoss(nn.Module):
         self.correction.std.copy_(torch.where(deviation > CONSTANT, deviation, 1.0))
 
     def forward(self, batch: Ends) -> Tensor:
-        """The loss of a batch."""
         conditions = batch.conditions
         positions = batch.end.positions + self.simulator.end_correction(batch.state, batch.end, conditions)
         error = (positions - batch.targets[-1]) / (PLACE * length_of(self.correction.settings))

@@ -1,9 +1,8 @@
 """Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `Batch`."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,11 +64,6 @@ class Flow:
     def volume(self) -> NDArray[np.float32]:
         """Initial volume of each particle [m^D], shape [N]."""
         return self.conditions.volume.numpy()
-
-    @property
-    def released(self) -> bool:
-        """Whether it starts at rest."""
-        return not self.velocity0.any()
 
     def moves(self, time: int) -> bool:
         """Whether it moves from index `time` to the next."""
@@ -147,7 +141,7 @@ def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: n
     first = max(0, now - settings.history)
     frames = torch.from_numpy(np.asarray(flow.positions[first : now + 1 + steps, particles]))
     given, velocity0 = frames[: now + 1 - first], torch.from_numpy(flow.velocity0[particles])
-    conditions = dataclasses.replace(
+    conditions = replace(
         known, friction=known.friction[particles], cohesion=known.cohesion[particles], volume=torch.from_numpy(volumes)
     )
     state = State.observed(given, velocity0, step=flow.step, history=settings.history)
@@ -238,7 +232,7 @@ class Rollouts(Sampler):
         """A rollout of the flow to its end, and `MOMENTS` before it."""
         settings, last = self._settings, len(flow.positions) - 1
         now, seed = self._start(flow, last - 1, rng), rng.integers(2**32)
-        every = dataclasses.replace(settings, particles_per_cell=len(flow.volume))
+        every = replace(settings, particles_per_cell=len(flow.volume))
         sample, whole = (
             turned(stretch(flow, each, now=now, steps=last - now, rng=rng), np.random.default_rng(seed))
             for each in (settings, every)
@@ -248,18 +242,14 @@ class Rollouts(Sampler):
             positions = unroll(self._simulator, there.state, there.conditions, last - now, corrected=False).cpu()
         moments = sorted({last - now, *(int(each) for each in rng.integers(1, last - now + 1, size=MOMENTS))})
         moved = torch.cat((sample.state.displacements, positions[1:] - positions[:-1]))
-        return [
-            Ends(
-                state=sample.state,
-                conditions=sample.conditions,
-                targets=sample.targets[step - 1 : step],
-                end=State(
-                    positions=positions[step].clone(), displacements=moved[step : step + settings.history].clone()
-                ),
-                whole=measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0),
-            )
-            for step in moments
-        ]
+        ends = []
+        for step in moments:
+            batch = replace(sample, targets=sample.targets[step - 1 : step])
+            recent = moved[step : step + settings.history].clone()
+            end = State(positions=positions[step].clone(), displacements=recent)
+            required = measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0)
+            ends.append(Ends(**vars(batch), end=end, whole=required))
+        return ends
 
 
 def measured(positions: Tensor, volume: Tensor) -> Tensor:
@@ -313,8 +303,8 @@ def reflected(sample: Batch, axis: int | None) -> Batch:
         posts = torch.stack(torch.meshgrid(plan[0], torch.zeros(1), *plan[1:], indexing="ij"), dim=-1)
         image = Below(points(posts.flatten(0, -2)), ground, None)
         elevation, friction = (image.value(each).view(shape) for each in (ground.elevation, ground.friction))
-        ground = dataclasses.replace(ground, elevation=elevation, friction=friction)
-    conditions = dataclasses.replace(
+        ground = replace(ground, elevation=elevation, friction=friction)
+    conditions = replace(
         around,
         size=around.size[:, order],
         gravity=vectors(around.gravity),
@@ -324,14 +314,11 @@ def reflected(sample: Batch, axis: int | None) -> Batch:
         ground=ground,
     )
     state = State(positions=points(sample.state.positions), displacements=vectors(sample.state.displacements))
-    return dataclasses.replace(sample, state=state, conditions=conditions, targets=points(sample.targets))
+    return replace(sample, state=state, conditions=conditions, targets=points(sample.targets))
 
 
 def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
-    """Normalisation constants, over times at which the flows move.
-
-    Of each flow as many random times are read as make `SAMPLED_TIMES` in all, at least two; always the same ones.
-    """
+    """Normalisation over random times at which flows move, the same each time, `SAMPLED_TIMES` or two a flow."""
     squares, count, friction = np.zeros(2), 0, []
     share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
     rng = np.random.default_rng(0)

@@ -75,10 +75,7 @@ class Run:
 
 
 def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector, scene: Scene) -> Vector:
-    """dJ/d(parameters) at `values` [U], shape [U], from the gradient with respect to what the run begins with.
-
-    scene: the one that they were put into.
-    """
+    """dJ/d(parameters) at `values` [U] of `scene`, shape [U], from the gradient with respect to a run's start."""
     found = np.zeros(len(values))
     by_mass, run = gradient.of_mass(gradient.velocities), gradient.scene
     given = dataclasses.replace(scene, seed=run.seed, step_fraction=run.step_fraction, fields=run.fields)

@@ -11,7 +11,6 @@ one displacement after the other, over time in proportion to it. What each chang
 their covariance, sum_k e_k e_k^T.
 """
 
-import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -124,7 +123,7 @@ class GnsForward:
         """
         with torch.no_grad():
             start = self.entered(torch.from_numpy(parameters))
-            path = self._unrolled(start)
+            path = self._unrolled([start])
             own = self._observed(path, start)
             found = torch.stack([self._observed(each, start) - own for each in self.band.moved(path)]).numpy()
         if self.observation.every_particle:
@@ -136,7 +135,7 @@ class GnsForward:
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
         """Final positions of the particles [m], shape [n, D]."""
         with torch.no_grad():
-            return self._unrolled(self.entered(torch.from_numpy(parameters)))[-1].numpy()
+            return self._unrolled([self.entered(torch.from_numpy(parameters))])[-1].numpy()
 
     def select(self, target: Values, /) -> Values:
         """The part of an exact `target` [M] that is of the particles followed here, shape [m]."""
@@ -167,15 +166,19 @@ class GnsForward:
         """The flow with each of parameters [S, U], all in one batch where their particles are the same."""
         starts = [self.entered(each) for each in parameters]
         if self.other_particles:
-            return [(self._unrolled(each), each) for each in starts]
-        paths = self._unrolled(side_by_side(starts), len(starts))
+            return [(self._unrolled([each]), each) for each in starts]
+        paths = self._unrolled(starts)
         flows = paths.reshape(len(paths), len(starts), -1, paths.shape[2])
         return [(each, self.initial) for each in flows.unbind(1)]
 
-    def _unrolled(self, start: InitialState, flows: int = 1) -> Tensor:
-        """Positions [m] at the times of the initial state of so many flows side by side, shape [T, flows n, D]."""
-        kept = min(start.steps, self.kept_steps // flows)
-        return unroll(self.simulator, start.state, start.conditions, start.steps, kept_steps=kept)
+    def _unrolled(self, starts: Sequence[InitialState]) -> Tensor:
+        """Positions [m] of flows of the same particles side by side, at the times of each, shape [T, flows n, D]."""
+        state, conditions, steps = starts[0].state, starts[0].conditions, starts[0].steps
+        if len(starts) > 1:
+            state = State.joined([each.state for each in starts])
+            conditions = Conditions.joined([each.conditions for each in starts])
+        kept = min(steps, self.kept_steps // len(starts))
+        return unroll(self.simulator, state, conditions, steps, kept_steps=kept)
 
 
 def band_of(weights: Path, scene: Scene) -> Band:
@@ -195,12 +198,3 @@ def require_predicted(problem: Problem) -> None:
         if not operator.of_positions:
             message = f"expected what follows from positions, no surrogate predicts {operator.label}"
             raise InputError(message, where=problem.name, key=f"observations[{index}]")
-
-
-def side_by_side(flows: Sequence[InitialState]) -> InitialState:
-    """The first of flows of the same particles, with the state and the conditions of all, one after the other."""
-    if len(flows) == 1:
-        return flows[0]
-    state = State.joined([each.state for each in flows])
-    conditions = Conditions.joined([each.conditions for each in flows])
-    return dataclasses.replace(flows[0], state=state, conditions=conditions)

@@ -101,12 +101,8 @@ class Toe(Observation):
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
-        self.width, self.components = 0.5 * scene.domain.cell, scene.dimension
+        self.width, self.count, self.components = 0.5 * scene.domain.cell, scene.dimension, scene.dimension
         self.limits = (0.0, np.array(scene.domain.size))
-
-    @property
-    def count(self) -> int:
-        return self.components
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         return np.array(measures.toe(positions))
@@ -184,10 +180,7 @@ class PassedSettings(ObservationSettings):
 
 
 class Deposit(Observation):
-    """The final position of every particle, N D numbers, of a surrogate those that it follows.
-
-    The misfit is the paper's mean of |p - p_target|^2.
-    """
+    """The final position of every particle followed, N D numbers; the misfit is the paper's mean |p - p_target|^2."""
 
     kind = "deposit"
     label = "the final position of every particle of the deposit"
@@ -202,10 +195,6 @@ class Deposit(Observation):
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         return positions.double().flatten()
-
-    def front(self, values: Values) -> float:
-        positions = values.reshape(-1, self.components)
-        return measures.front(positions, particle_volumes(self.scene, len(positions)))
 
     def of_particles(self, values: Values, indices: NDArray[np.int64]) -> Values:
         return np.asarray(values.reshape(-1, self.components)[indices].ravel())
@@ -236,12 +225,9 @@ class Outline(Observation):
         angles = np.deg2rad(DIRECTIONS_DEG if directions_deg is None else np.array(directions_deg))
         self.directions = np.stack([np.cos(angles), np.sin(angles)])
         """From +x towards +z, shape [2, M]."""
+        self.count = len(angles)
         volumes = mass_volumes(scene)
         self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]
-
-    @property
-    def count(self) -> int:
-        return int(self.directions.shape[1])
 
     def exact(self, positions: NDArray[np.floating]) -> Values:
         extent = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions

@@ -46,15 +46,11 @@ class Gauges(Observation):
             self.x, self.times = np.repeat(self.x, len(self.times)), np.tile(self.times, len(self.x))
         inside = z is None or (scene.dimension == 3 and 0.0 <= z <= scene.domain.size[2])
         require(inside, "z", "a z inside a box in 3D", z)
-        self.z, self.spacing = z, spacing
+        self.z, self.spacing, self.count = z, spacing, len(self.x)
         self.area = hat_area(self.x, self.spacing, scene.domain.size[0])
         if scene.dimension == 3:
             width = scene.domain.size[2]
             self.area = self.area * (width if z is None else float(hat_area(np.array([z]), self.spacing, width)[0]))
-
-    @property
-    def count(self) -> int:
-        return len(self.x)
 
     def gathered(self, rows: Any) -> Any:
         return rows.diagonal()
@@ -105,7 +101,7 @@ class Impulse(Observation):
     kind = "impulse"
     label = "the impulse on a solid"
     unit = "N s"
-    of_positions = False
+    over_time, of_positions = True, False
 
     def __init__(self, scene: Scene, *, solid: int | str = 0, axis: int = 0, times: Numbers = None) -> None:
         super().__init__(scene, times)
@@ -116,10 +112,6 @@ class Impulse(Observation):
             raise InputError(f"expected one of {expected}, or its number from 0, got {solid!r}", key="solid")
         require(0 <= axis < scene.dimension, "axis", f"an index from 0 and below {scene.dimension}", axis)
         self.solid, self.axis = number, axis
-
-    @property
-    def over_time(self) -> bool:
-        return True
 
     def observe(self, trajectory: Trajectory) -> Values:
         return np.asarray(self.of_series(trajectory.solid_impulse, trajectory.time))

@@ -103,8 +103,7 @@ def checked_profile(
 ) -> MeasuredProfile:
     """The profile of rows [m], both of shape [R]; its area is compared with the released one where that is known.
 
-    Raises InputError for rows that are no profile, lie outside of the box, end in the middle of the deposit, or hold
-    another area than was released.
+    Raises InputError for rows that are no profile, lie outside of the box, end within the deposit or hold another area.
     """
     if len(falls := np.flatnonzero(np.diff(x) <= 0.0)):
         raise InputError(f"expected x in ascending order, got {x[falls[0] + 1]:g} m after {x[falls[0]]:g} m")

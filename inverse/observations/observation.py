@@ -67,10 +67,16 @@ class Observation:
     """Between which its numbers are possible."""
     every_particle: ClassVar[bool] = False
     """Whether its numbers are those of single particles: too many for a Jacobian, and as many in every run."""
+    count: int = 1
+    """M, of numbers that were measured."""
     components: int = 1
     """How many of the numbers are the components of one point: their squared differences add up in the misfit."""
+    scale: Values | float = 1.0
+    """What 1 stands for in the unit of a number, shape [M] or the same for all."""
     times: Values | None = None
     """When it looks at the flow [s], one time for each number or one for all; in the end where absent."""
+    over_time: bool = False
+    """Whether it needs more of a trajectory than its last frame."""
     of_positions: bool = True
     """Whether it follows from positions alone: what the surrogate predicts."""
 
@@ -80,20 +86,10 @@ class Observation:
         self.parts: tuple[JointPart, ...] = (JointPart(name=self.kind, observation=self, numbers=slice(None)),)
         if times is None:
             return
-        self.times = np.array(times)
+        self.times, self.count, self.over_time = np.array(times), len(times), True
         beyond = self.times[(self.times < 0.0) | (self.times > scene.duration * (1.0 + 1e-9))]
         expected = f"times in [0, {scene.duration:g}] s, which the scene lasts"
         require(len(beyond) == 0, "times", expected, ", ".join(f"{time:g}" for time in beyond))
-
-    @property
-    def count(self) -> int:
-        """M, of numbers that were measured."""
-        return 1 if self.times is None else len(self.times)
-
-    @property
-    def over_time(self) -> bool:
-        """Whether it needs more of a trajectory than its last frame."""
-        return self.times is not None
 
     def observe(self, trajectory: Trajectory) -> Values:
         """Of a run, exactly; shape [M]."""
@@ -137,14 +133,6 @@ class Observation:
         """Expected standard deviation of each of `values` [M] from flow to flow, shape [M]."""
         return np.full(len(values), SCATTER_CELLS * self.scene.domain.cell)
 
-    def raw(self, values: Values) -> Values:
-        """`values` [M] in their own units."""
-        return values
-
-    def record(self) -> dict[str, Any]:
-        """What `result.json` tells of the numbers besides their values."""
-        return {}
-
     def text(self, values: Values) -> str:
         """The numbers in words."""
         if len(values) > 3:
@@ -175,27 +163,14 @@ class Joint(Observation):
         """scale, prior: of each number, in its unit, both of shape [M]."""
         self.parts, self.scale, self.prior = tuple(parts), scale, prior
         self.of_positions = all(part.observation.of_positions for part in parts)
-
-    @property
-    def over_time(self) -> bool:
-        return any(part.observation.over_time for part in self.parts)
-
-    def raw(self, values: Values) -> Values:
-        return np.asarray(values * self.scale)
-
-    def record(self) -> dict[str, Any]:
-        parts = [
-            {"name": part.name, "unit": part.observation.unit, "first": part.numbers.start, "end": part.numbers.stop}
-            for part in self.parts
-        ]
-        return {"parts": parts, "deviation": self.scale.tolist()}
+        self.over_time = any(part.observation.over_time for part in parts)
 
     def observe(self, trajectory: Trajectory) -> Values:
         return np.concatenate([part.observation.observe(trajectory) for part in self.parts]) / self.scale
 
     def predict(self, rollout: Rollout) -> Tensor:
         numbers = torch.cat([part.observation.predict(rollout) for part in self.parts])
-        return numbers / torch.from_numpy(self.scale)
+        return numbers / torch.as_tensor(self.scale)
 
     def prior_scatter(self, values: Values) -> Values:
         return np.asarray(self.prior / self.scale)

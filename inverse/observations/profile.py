@@ -8,9 +8,8 @@ both profiles alike. A row is the height at one x, the model's a mean over its s
 `REPRESENTATION` of a cell, comes on top of the noise of each height.
 """
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -179,7 +178,7 @@ class ProfileSettings(LengthsSettings):
         """`values` [M] with stated errors of the heights and of representation, more where rows scatter more."""
         noise = Noise.stated(self.noise)
         represented = math.hypot(noise.deviation, REPRESENTATION * operator.scene.domain.cell)
-        stated = profile.deviation(dataclasses.replace(noise, deviation=represented))
+        stated = profile.deviation(replace(noise, deviation=represented))
         roughness = profile.roughness(stated)
         draws = np.random.default_rng(0).standard_normal((DRAWS, len(profile.x)))
         heights = np.maximum(profile.height + roughness * stated * draws, 0.0)

@@ -1,8 +1,7 @@
 """What a problem's file says of an observation; each kind adds the keys of its operator."""
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -51,17 +50,12 @@ class ObservationSettings(Record):
     @property
     def sources(self) -> list[str]:
         """Keys under which its numbers may stand."""
-        return [key for key in SOURCES if key in {each.name for each in dataclasses.fields(self)}]
+        return [key for key in SOURCES if key in {each.name for each in fields(self)}]
 
     @property
     def given(self) -> dict[str, Any]:
         """The measured numbers or their table by the key under which they stand; none of a twin."""
         return {key: getattr(self, key) for key in self.sources if getattr(self, key) is not None}
-
-    def without_numbers(self) -> "ObservationSettings":
-        """The same observation of another flow."""
-        none: dict[str, Any] = dict.fromkeys(self.sources)
-        return dataclasses.replace(self, **none)
 
     def stated(self, operator: Observation) -> Values:
         """The numbers that stand in the settings themselves, shape [M]. Raises InputError for impossible ones."""
@@ -82,8 +76,7 @@ class ObservationSettings(Record):
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         """What was measured. Raises InputError, which names the key or the table.
 
-        folder: where relative paths start; released: volume of the masses over the width [m^2], None where it is not
-        known.
+        folder: of relative paths; released: volume of the masses over the width [m^2], None where it is not known.
         """
         operator = self.operator(scene)
         return self.compared(operator, self.stated(operator))
@@ -126,7 +119,7 @@ class TabulatedSettings(ObservationSettings):
         table = self.table(path, [name for name in self.columns if name not in self.optional], self.optional)
         numbers: dict[str, Any] = {self.columns[name]: tuple(column.tolist()) for name, column in table.items()}
         try:
-            return dataclasses.replace(self, csv=None, **numbers).read(scene, folder, released)
+            return replace(self, csv=None, **numbers).read(scene, folder, released)
         except InputError as error:
             # A mistake in a column is none of the problem's file.
             raise error.at(str(path)) if error.key in ("", *numbers) else error from None

@@ -5,77 +5,30 @@ thickness makes other particles: a surrogate begins anew with them, without a gr
 
 >>> scene = with_parameters(scene, ["friction_deg", "masses[0].velocity_x"], [32.0, 1.5])
 
-A new one is a line of `KINDS` and, where the surrogate has it among its inputs, a function of `inputs`.
+A new one is a line of `KINDS` (`inverse.parameters.kind`) and, where the surrogate has it among its inputs, a function.
 """
 
-import dataclasses
+import itertools
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 import numpy as np
+from scipy.stats import qmc
 
 from datasets.errors import InputError, keyed, require
 from datasets.scene import Scene
 from datasets.schema import Bounds, Record
-from inverse.parameters import inputs
-from inverse.parameters.kind import (
-    Centre,
-    ChannelFriction,
-    Cohesion,
-    Constant,
-    Draft,
-    Extent,
-    Kind,
-    Residual,
-    Vector,
-    Velocity,
-)
+from inverse.parameters.kind import KINDS, Draft, Kind, Vector
 from inverse.parameters.prior import Marginal, Prior
 
 __all__ = ["Kind", "Parameter", "Vector", "kind", "known_names", "with_parameters"]
 
-_MATERIAL = (
-    Constant(form="friction_deg", unit="deg", digits=2, order=0, input=inputs.friction),
-    Cohesion(form="cohesion", unit="Pa", digits=1, order=0, input=inputs.cohesion),
-    Constant(form="young", unit="Pa", digits=0, order=0),
-    Residual(form="residual_friction_deg", unit="deg", digits=2, order=1, requires="softening_length"),
-    Residual(form="residual_cohesion", unit="Pa", digits=1, order=1, requires="softening_length"),
-    Constant(form="friction_limit_deg", unit="deg", digits=2, order=1, requires="friction_limit_deg"),
-    Constant(form="inertial_number", unit="-", digits=3, order=1, requires="friction_limit_deg"),
-)
-_AXES = {"x": 0, "y": 1, "z": 2}
-_VELOCITY: dict[str, Any] = {"unit": "m/s", "digits": 3, "attribute": "velocity", "input": inputs.velocity}
-_BAFFLE: dict[str, Any] = {"unit": "m", "digits": 4, "attribute": "size", "input": inputs.baffle}
-
-KINDS: dict[str, Kind] = {
-    each.form: each
-    for each in (
-        *_MATERIAL,
-        Kind(form="floor_friction", unit="-", digits=3, input=inputs.floor_friction),
-        ChannelFriction(form="channel.friction_deg", unit="deg", digits=2),
-        Kind(form="wall_friction", unit="-", digits=3, input=inputs.constant),
-        Kind(form="baffle_friction", unit="-", digits=3, input=inputs.baffle_friction),
-        Kind(form="damping", unit="-", digits=3, input=inputs.constant),
-        *(dataclasses.replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
-        *(Velocity(form=f"masses[].velocity_{x}", axis=axis, positive=False, **_VELOCITY) for x, axis in _AXES.items()),
-        *(Centre(form=f"baffles[].{x}", axis=_AXES[x], positive=False, **_BAFFLE) for x in "xz"),
-        Extent(form="baffles[].length", axis=_AXES["x"], positive=False, **_BAFFLE),
-        Extent(form="baffles[].height", axis=_AXES["y"], positive=False, **_BAFFLE),
-        Extent(form="baffles[].width", axis=_AXES["z"], positive=False, **_BAFFLE),
-        Kind(form="masses[].k0", unit="-", digits=3),
-        Kind(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
-        Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
-        Kind(form="solids[].friction", unit="-", digits=3, input=inputs.ground_friction),
-        Kind(form="solids[].turbulence", unit="m/s^2", digits=1),
-    )
-}
-"""Every kind by its name, with `[]` in place of an index."""
-
-
 LENGTHS = Bounds("positive lengths in m, up to 1e+09", gt=0.0)
+FILLING = 32
+"""Points by which the box of the bounds is filled, and corners of it, that are tried."""
 
 
 def kind(name: str) -> Kind:
@@ -85,7 +38,7 @@ def kind(name: str) -> Kind:
     if form not in KINDS or (index is None) == ("[]" in form):
         known = ", ".join(each.replace("[]", "[0]") for each in KINDS)
         raise InputError(f"expected one of {known}, got {name!r}")
-    return KINDS[form] if index is None else dataclasses.replace(KINDS[form], index=int(index[1]))
+    return KINDS[form] if index is None else replace(KINDS[form], index=int(index[1]))
 
 
 def known_names(scene: Scene) -> list[str]:
@@ -113,7 +66,7 @@ def with_kinds(scene: Scene, kinds: Sequence[Kind], values: Sequence[float] | Ve
     draft = Draft(**vars(scene))
     for index in in_order(kinds):
         kinds[index].put(draft, float(values[index]))
-    return dataclasses.replace(scene, **vars(draft))
+    return replace(scene, **vars(draft))
 
 
 def in_order(kinds: Sequence[Kind]) -> list[int]:
@@ -210,3 +163,40 @@ class Parameter(Record):
         """Of a field: the index of the mass that has it; None for all."""
         found = re.match(r"masses\[(\d{1,6})\]\.", self.name)
         return None if found is None else int(found[1])
+
+
+def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str) -> None:
+    """Raise InputError, under a parameter's key or `key` of all, unless flows at all their bounds can be simulated."""
+    names = [each.name for each in parameters.values()]
+    for place, parameter in parameters.items():
+        with keyed(place):
+            require(names.count(parameter.name) == 1, "name", "each number once", f"{parameter.name!r} twice")
+            parameter.check(scene)
+    numbers = {place: each for place, each in parameters.items() if not each.is_field}
+    if not numbers:
+        return
+    together = [*numbers.values()]
+    initial, bounds = [each.start for each in together], [each.bounds for each in together]
+    check_scene(scene, together, initial, key)
+    lower, upper = np.array(bounds).T
+    corners = [*itertools.islice(itertools.product(*bounds), FILLING), upper.tolist()]
+    inside = lower + (upper - lower) * qmc.Sobol(len(bounds), seed=0).random(FILLING)
+    for values in (*corners, *inside.tolist()):
+        try:
+            check_scene(scene, together, values, key)
+        except InputError as error:
+            # One bound by itself, if there is such a one, says more.
+            for row, (place, parameter) in enumerate(numbers.items()):
+                for name, bound in zip(("lower", "upper"), parameter.bounds, strict=True):
+                    alone = [*initial[:row], bound, *initial[row + 1 :]]
+                    check_scene(scene, together, alone, f"{place}.{name}")
+            where = ", ".join(f"{each.name} = {value:.4g}" for each, value in zip(together, values, strict=True))
+            raise InputError(f"{error.message} with {where}, all within their bounds", key=key) from None
+
+
+def check_scene(scene: Scene, parameters: Sequence[Parameter], values: Sequence[float], key: str) -> None:
+    """Raise InputError under `key` unless `scene` can be simulated with these values."""
+    try:
+        with_kinds(scene, [each.kind for each in parameters], values)
+    except InputError as error:
+        raise InputError(f"expected a scene that can be simulated, but {error}", key=key) from None

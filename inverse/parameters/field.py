@@ -105,15 +105,12 @@ class UnknownField:
         for key, bound in (("lower", self.settings.lower), ("upper", self.settings.upper)):
             try:
                 if bound is not None:
-                    dataclasses.replace(scene, fields=(*others, self.uniform(bound)))
+                    # The bound itself is never reached.
+                    values = np.full(self.grid.count, bound + 1e-6 * (self.mean - bound))
+                    dataclasses.replace(scene, fields=(*others, self.of_values(values)))
             except InputError as error:
                 message = f"expected a bound at which the scene can be simulated, but {error}"
                 raise InputError(message, key=key) from None
-
-    @property
-    def name(self) -> str:
-        """In files and reports."""
-        return self.settings.name
 
     @property
     def unit(self) -> str:
@@ -143,10 +140,6 @@ class UnknownField:
     def field(self, latent: Floats) -> Field:
         """As a scene has it, of u [K]."""
         return self.of_values(self.values(latent))
-
-    def uniform(self, value: float) -> Field:
-        """All but `value` at every node; a bound itself is never reached."""
-        return self.of_values(np.full(self.grid.count, value + 1e-6 * (self.mean - value)))
 
     def of_values(self, values: Floats) -> Field:
         """A field with `values` [K]."""
@@ -198,7 +191,7 @@ class Prior:
 
     def __init__(self, grid: Grid, deviation: float, lengths: Sequence[float]) -> None:
         """deviation: standard deviation at every node; lengths: of correlation along each axis [m]."""
-        self.grid, self.deviation, self.lengths = grid, deviation, tuple(lengths)
+        self.grid, self.deviation = grid, deviation
         # Along an axis with one node the field does not vary.
         dimension = sum(count > 1 for count in grid.nodes)
         scales = np.array(lengths) / math.sqrt(8.0 * (2.0 - 0.5 * dimension))  # nu

@@ -1,18 +1,23 @@
-"""Kinds of numbers that can be unknown: where each stands in a scene, how it is read and set, and its unit."""
+"""Kinds of numbers that can be unknown: where each stands in a scene, how it is read and set, and its unit.
 
-import dataclasses
+The functions `with_...` enter a number into the surrogate: an initial state with a value, differentiable in it.
+"""
+
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
+from datasets.geometry.ground import ground_raster
 from datasets.scene import DOMAIN_SIDES, Scene
-from datasets.scene.material import Material
+from datasets.scene.material import Material, sine_of_slope
 from gns.surroundings.initial import InitialState
 
 Vector = NDArray[np.float64]
@@ -57,7 +62,7 @@ class Kind:
     requires: str = ""
     """Of a constant of a material: another, without which it has no effect."""
     input: Input | None = None
-    """How it enters the surrogate (`inverse.parameters.inputs`); None of what is no input of it."""
+    """How it enters the surrogate; None of what is no input of it."""
 
     @property
     def group(self) -> str:
@@ -106,11 +111,8 @@ class Kind:
             return "all sides of the box are open"
         if self.form == "floor_friction" and "y-" in scene.open_sides:
             return "the floor is open"
-        if self.form == "floor_friction" and scene.solids:
-            from datasets.geometry.ground import ground_raster
-
-            if (ground_raster(scene, scene.domain.cell)[2] >= 0).all():
-                return "terrain covers the floor"
+        if self.form == "floor_friction" and scene.solids and (ground_raster(scene, scene.domain.cell)[2] >= 0).all():
+            return "terrain covers the floor"
         if self.form == "solids[].friction" and self.holder(scene).contact != "coulomb":
             return f"solids[{self.index}] lets nothing slide"
         varies = [each.mass for each in scene.fields if each.quantity == self.form.split(".")[-1]]
@@ -125,7 +127,6 @@ class Kind:
         return scene if self.index is None else getattr(scene, self.group)[self.index]
 
     def value(self, holder: Any) -> float:
-        """Its value."""
         found = getattr(holder, self.key)
         return float(found if self.axis is None else found[self.axis])
 
@@ -139,7 +140,6 @@ class Kind:
         return value if axis is None else (*known[:axis], value, *known[axis + 1 :])
 
     def read(self, scene: Scene) -> float:
-        """Its value in `scene`."""
         return self.value(self.holder(scene))
 
     def put(self, draft: Draft, value: float) -> None:
@@ -149,7 +149,7 @@ class Kind:
             vars(draft).update(changes)
             return
         members = list(getattr(draft, self.group))
-        members[self.index] = dataclasses.replace(members[self.index], **changes)
+        members[self.index] = replace(members[self.index], **changes)
         setattr(draft, self.group, tuple(members))
 
 
@@ -175,7 +175,7 @@ class ChannelFriction(Kind):
         return scene.channel
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
-        return {"channel": dataclasses.replace(draft.channel, friction_deg=value)}
+        return {"channel": replace(draft.channel, friction_deg=value)}
 
 
 class Constant(Kind):
@@ -189,7 +189,6 @@ class Constant(Kind):
             raise InputError(f"expected a material with a {self.requires}, {WITHOUT[self.requires]}")
 
     def material(self, scene: Scene | Draft) -> Material:
-        """The material in question."""
         own = None if self.index is None else scene.masses[self.index].material
         found: Material = own or scene.material
         return found
@@ -199,7 +198,7 @@ class Constant(Kind):
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
         own: dict[str, Any] = {self.key: value}
-        return {"material": dataclasses.replace(self.material(draft), **own)}
+        return {"material": replace(self.material(draft), **own)}
 
 
 class Cohesion(Constant):
@@ -212,7 +211,7 @@ class Cohesion(Constant):
         keys = ("tension_cutoff", "residual_cohesion", "residual_tension_cutoff")
         known = {key: getattr(material, key) for key in keys}
         scaled = {key: ratio * each for key, each in known.items() if each is not None}
-        return {"material": dataclasses.replace(material, cohesion=value, **scaled)}
+        return {"material": replace(material, cohesion=value, **scaled)}
 
 
 class Residual(Constant):
@@ -247,3 +246,110 @@ class Centre(Extent):
 
     def moved(self, low: T, size: T, value: T) -> tuple[T, T]:
         return value - 0.5 * size, size
+
+
+def with_friction(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
+    """Angle of friction [deg], an input as tan(phi) (`datasets.scene.material`: which angle)."""
+    known, material = initial.conditions.friction, kind.material(initial.scene)
+    tangent = torch.tan(torch.deg2rad(value))
+    if material.angle == "slope":
+        sine = sine_of_slope(tangent, math.radians(material.dilation_deg))
+        tangent = sine / torch.sqrt(1.0 - sine * sine)
+    friction = torch.where(initial.of_mass(kind.index), tangent.to(known.dtype), known)
+    return initial.with_conditions(friction=friction)
+
+
+def with_cohesion(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
+    """Cohesion at the top [Pa]; its growth with depth stays."""
+    known, material = initial.conditions.cohesion, kind.material(initial.scene)
+    changed = known + (value - material.cohesion).to(known.dtype)
+    return initial.with_conditions(cohesion=torch.where(initial.of_mass(kind.index), changed, known))
+
+
+def with_velocity(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
+    """Initial velocity of a mass [m/s]: its particles' history is as if they had always moved with it."""
+    state = initial.state
+    along = torch.arange(state.positions.shape[1]) == kind.axis
+    own = initial.of_mass(kind.index).unsqueeze(1) & along
+    displacement = (value * initial.step).to(state.displacements.dtype)
+    thrown = replace(state, displacements=torch.where(own, displacement, state.displacements))
+    return replace(initial, state=thrown)
+
+
+def with_baffle(kind: Extent, initial: InitialState, value: Tensor) -> InitialState:
+    """Centre or extent of a baffle [m]."""
+    boxes, index = initial.conditions.baffles, kind.index or 0
+    assert boxes is not None, "the scene has baffles, and so has the model"
+    number, corner, axis = torch.meshgrid(*map(torch.arange, boxes.shape[1:]), indexing="ij")
+    own = torch.eq(number, index) & torch.eq(axis, kind.axis or 0)
+    lower, upper = boxes[0, index, :, kind.axis]
+    low, size = kind.moved(lower, upper - lower, value.to(boxes.dtype))
+    return initial.with_conditions(baffles=torch.where(own, low + corner * size, boxes))
+
+
+def with_baffle_friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
+    """Friction of the baffles that have none of their own [-]."""
+    known = initial.conditions.baffle_friction
+    assert known is not None, "the scene has baffles, and so has the model"
+    shared = torch.tensor([baffle.friction is None for baffle in initial.scene.baffles])
+    return initial.with_conditions(baffle_friction=torch.where(shared, value.to(known.dtype), known))
+
+
+def with_constant(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
+    """Friction of the walls, damping [-]."""
+    known = getattr(initial.conditions, kind.key)
+    return initial.with_conditions(**{kind.key: value.to(known.dtype).expand_as(known)})
+
+
+def with_floor_friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
+    """Friction of the floor [-], also where it is the ground beside terrain."""
+    return with_ground_friction(kind, with_constant(kind, initial, value), value)
+
+
+def with_ground_friction(kind: Kind, initial: InitialState, value: Tensor) -> InitialState:
+    """Friction where the ground is the terrain of this index, without an index the floor [-]."""
+    ground = initial.conditions.ground
+    if ground is None:
+        return initial
+    index = -1 if kind.index is None else kind.index
+    own = torch.from_numpy(ground_raster(initial.scene, ground.spacing)[2] == index)
+    found = torch.where(own, value.to(ground.friction.dtype), ground.friction)
+    return initial.with_conditions(ground=replace(ground, friction=found))
+
+
+_MATERIAL = (
+    Constant(form="friction_deg", unit="deg", digits=2, order=0, input=with_friction),
+    Cohesion(form="cohesion", unit="Pa", digits=1, order=0, input=with_cohesion),
+    Constant(form="young", unit="Pa", digits=0, order=0),
+    Residual(form="residual_friction_deg", unit="deg", digits=2, order=1, requires="softening_length"),
+    Residual(form="residual_cohesion", unit="Pa", digits=1, order=1, requires="softening_length"),
+    Constant(form="friction_limit_deg", unit="deg", digits=2, order=1, requires="friction_limit_deg"),
+    Constant(form="inertial_number", unit="-", digits=3, order=1, requires="friction_limit_deg"),
+)
+_AXES = {"x": 0, "y": 1, "z": 2}
+_VELOCITY: dict[str, Any] = {"unit": "m/s", "digits": 3, "attribute": "velocity", "input": with_velocity}
+_BAFFLE: dict[str, Any] = {"unit": "m", "digits": 4, "attribute": "size", "input": with_baffle}
+
+KINDS: dict[str, Kind] = {
+    each.form: each
+    for each in (
+        *_MATERIAL,
+        Kind(form="floor_friction", unit="-", digits=3, input=with_floor_friction),
+        ChannelFriction(form="channel.friction_deg", unit="deg", digits=2),
+        Kind(form="wall_friction", unit="-", digits=3, input=with_constant),
+        Kind(form="baffle_friction", unit="-", digits=3, input=with_baffle_friction),
+        Kind(form="damping", unit="-", digits=3, input=with_constant),
+        *(replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
+        *(Velocity(form=f"masses[].velocity_{x}", axis=axis, positive=False, **_VELOCITY) for x, axis in _AXES.items()),
+        *(Centre(form=f"baffles[].{x}", axis=_AXES[x], positive=False, **_BAFFLE) for x in "xz"),
+        Extent(form="baffles[].length", axis=_AXES["x"], positive=False, **_BAFFLE),
+        Extent(form="baffles[].height", axis=_AXES["y"], positive=False, **_BAFFLE),
+        Extent(form="baffles[].width", axis=_AXES["z"], positive=False, **_BAFFLE),
+        Kind(form="masses[].k0", unit="-", digits=3),
+        Kind(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
+        Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
+        Kind(form="solids[].friction", unit="-", digits=3, input=with_ground_friction),
+        Kind(form="solids[].turbulence", unit="m/s^2", digits=1),
+    )
+}
+"""Every kind by its name, with `[]` in place of an index."""

@@ -76,15 +76,8 @@ def parts(samples: Samples, log_likelihood: Callable[[Matrix], Row], rng: np.ran
         if float(log_likelihood(centre[None])[0]) < threshold:
             dense = inside[samples.log_likelihood[belonging] >= threshold]
             centre = dense[int(np.argmin((((dense - centre) / scale) ** 2).sum(axis=1)))]
-        regions.append(
-            Part(
-                point=centre,
-                interval=np.stack([low, high]),
-                weight=float(weights.sum()),
-                points=inside,
-                threshold=threshold,
-            )
-        )
+        interval, weight = np.stack([low, high]), float(weights.sum())
+        regions.append(Part(point=centre, interval=interval, weight=weight, points=inside, threshold=threshold))
     return regions
 
 

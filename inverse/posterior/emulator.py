@@ -238,26 +238,15 @@ class Emulator:
         return np.asarray(np.maximum(mean, CONSTANTS.smallest_ratio))
 
 
-def fitted(
-    points: Matrix, numbers: Matrix, expected_scatter: Matrix, *, trend: Trend = linear, repeats: int = 0
-) -> Emulator:
-    """The emulator of runs at points [n, U] with the likeliest correlation lengths, of many parameters a common one.
-
-    Raises ValueError for no more runs than functions of the trend.
-    """
+def fitted(points: Matrix, numbers: Matrix, expected: Matrix, *, trend: Trend = linear, repeats: int = 0) -> Emulator:
+    """The emulator with the likeliest correlation lengths, of many parameters a common one; arguments as its own."""
     count = points.shape[1]
-    if len(points) <= trend(points[:1]).shape[1]:
-        raise ValueError(f"expected more runs than functions of the trend, got {len(points)}")
     free = count if count <= CONSTANTS.separate_lengths else 1
 
     def at(logarithms: NDArray[np.floating]) -> Emulator:
+        lengths = np.broadcast_to(np.exp(logarithms), (count,))
         return Emulator(
-            points=points,
-            numbers=numbers,
-            expected_scatter=expected_scatter,
-            lengths=np.broadcast_to(np.exp(logarithms), (count,)),
-            trend=trend,
-            repeats=repeats,
+            points=points, numbers=numbers, expected_scatter=expected, lengths=lengths, trend=trend, repeats=repeats
         )
 
     middle = round(math.log(CONSTANTS.length_scale * np.sqrt(count)) / LENGTH_STEPS[-1])

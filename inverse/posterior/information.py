@@ -46,10 +46,7 @@ def measurements(scene: Scene, deposit: NDArray[np.floating], extent: float) -> 
 def information(
     points: Matrix, shown: Mapping[str, Matrix], samples: Samples, *, cell: float, rng: np.random.Generator
 ) -> dict[str, float]:
-    """I [nat] of each measurement by name, most first.
-
-    shown: by name what runs at points [n, U] show, shape [n]; cell: of the grid [m].
-    """
+    """I [nat] of each measurement, most first; shown: by name what runs at points [n, U] show, [n]; cell: [m]."""
     where = samples.points[systematic(samples.weights, 400, rng)]
     gains = {}
     for name, numbers in shown.items():

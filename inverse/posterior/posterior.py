@@ -203,7 +203,6 @@ class Posterior:
 
     @property
     def emulator(self) -> Emulator:
-        """Of the components."""
         return self.likelihood.emulator
 
     def expected(self, points: Matrix) -> Matrix:

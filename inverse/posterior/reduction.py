@@ -63,13 +63,9 @@ def reduction(numbers: Matrix, points: Matrix, target: Target, *, scatter: Row) 
     scaled = basis * weights[:, None]
     # Between errors of single numbers and one of all together, of M^(1/2) times the effect.
     expected = np.sqrt((scaled**2).T @ scatter**2) * len(scatter) ** 0.25
+    noise = target.errors.combined(scaled)
     return Reduction(
-        mean=mean,
-        weights=weights,
-        basis=basis,
-        components=components,
-        expected_scatter=expected,
-        noise=target.errors.combined(scaled),
+        mean=mean, weights=weights, basis=basis, components=components, expected_scatter=expected, noise=noise
     )
 
 

@@ -56,8 +56,7 @@ RADIUS = 0.1
 NEGLIGIBLE = 0.02
 """Decrease of L that no further step is made for: a seventh of a standard deviation of one number."""
 ROUNDS, KNOWN = 3, 0.3
-"""Searches for minima at most, with further predictions between them while its emulator has more than this share of the
-variance."""
+"""Searches for minima at most; further predictions between them while the emulator's share of the variance is more."""
 ROUGH = 0.05
 """Expected roughness of a surrogate's own numbers, over their standard deviations by C."""
 
@@ -95,10 +94,7 @@ def inverted(forward: Forward, problem: Problem, target: Target, scatter: Values
 
 
 def with_minima(state: Inversion) -> Inversion:
-    """With the minima that its answers lead to, and a region as wide as the lowest of them asks for.
-
-    What the surrogate cannot fit it errs by: Birge's ratio, as in `inverse.noise`.
-    """
+    """With the minima that its answers lead to; a region as much wider as the lowest is off (Birge's ratio)."""
     starts = [each.point for each in state.answers[:STARTS]]
     starts = [each for each in starts if not (state.minima[state.settled] == each).all(axis=1).any()]
     if starts:

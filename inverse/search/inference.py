@@ -5,8 +5,7 @@ of all runs around the posterior so far, its posterior, and runs where the emula
 (`inverse.posterior`). A wave costs seconds, so that none is too many.
 """
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -43,11 +42,8 @@ class Inference:
     scatter: Values
     """Expected standard deviation of each number from run to run, shape [M]."""
     guide: "Inversion | None" = None
-    """What a surrogate found: it confines the posterior to its region.
-
-    Of more than `few_parameters` only the first runs are confined to it: of so many runs their own emulator excludes
-    enough, and is right where the surrogate's band is too narrow.
-    """
+    """What a surrogate found: its region confines the posterior, of more than `few_parameters` by the first runs alone:
+    of so many runs their own emulator excludes enough, and is right where the surrogate's band is too narrow."""
     factor: float = 1.0
     """Of the discrepancy."""
     discretisation: Values | None = None
@@ -66,7 +62,6 @@ class Inference:
 
     @cached_property
     def box(self) -> Box:
-        """Of the parameters."""
         return self.problem.box
 
     def updated(self, search: WaveSearch[Any, Any]) -> "Inference":
@@ -87,7 +82,7 @@ class Inference:
             within=None if guide is None or (many and search.waves) else guide.within,
             prior=self.problem.prior,
         )
-        return dataclasses.replace(self, latest=found, region=None)
+        return replace(self, latest=found, region=None)
 
     def left(self, points: Matrix, *, known: bool) -> Region | None:
         """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there.
@@ -148,7 +143,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
             slack = 0.05 * (high - low)
             own = self.minima[np.all((self.minima >= low - slack) & (self.minima <= high + slack), axis=1)]
             point = own[int(np.argmin(self.losses(own)))] if len(own) else part.point
-            answers.append(dataclasses.replace(part, point=point))
+            answers.append(replace(part, point=point))
         return answers
 
     @cached_property
@@ -197,10 +192,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         return np.concatenate([np.ones((len(points), 1)), found], axis=1)
 
     def around(self, count: int, rng: np.random.Generator) -> Matrix:
-        """Points of its 95 % region that lie far from its answers and from each other, shape [count, U].
-
-        Of more than `few_parameters` points that fill the box around it evenly.
-        """
+        """Points of its 95 % region far from answers and each other, of many parameters evenly in it, [count, U]."""
         samples = self.posterior.samples
         if samples.points.shape[1] > CONSTANTS.few_parameters:
             return Region.around(samples).filled(count, rng)
@@ -229,10 +221,7 @@ class Inversion(WaveSearch[ModelRun, Inference]):
 
 
 def begun(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
-    """With runs that fill the box, and some in its middle; as many as an emulator must have of a small budget.
-
-    None are made where the known ones are enough.
-    """
+    """With runs that fill the box and its middle, as many as an emulator needs, unless the known ones are enough."""
     unknowns = len(search.knowledge.problem.parameters)
     if len(search.known) >= fewest_runs(unknowns):
         return search

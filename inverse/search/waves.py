@@ -47,10 +47,8 @@ class WaveSearch(Generic[R, K]):
     """All runs so far, and what they say. It never changes: more runs make another one."""
 
     model: Callable[..., Sequence[R]]
-    """The forward model: points [n, U] in fractions of the ranges, and the number of the first run -> the runs.
-
-    The number decides the jitter of a run, so that an interrupted search finds its stored runs again.
-    """
+    """The forward model: points [n, U] in fractions of the ranges, and the number of the first run -> the runs. It
+    decides the jitter of each, so that an interrupted search finds its stored runs again."""
     knowledge: K
     """What the runs said when they were last asked."""
     seed: int

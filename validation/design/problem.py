@@ -21,8 +21,7 @@ from datasets.scene import Scene
 from datasets.scene.library import SCENES, find, read_scene, scene_from
 from datasets.schema import Bounds, Record, from_mapping
 from inverse.observations.observation import SCATTER_CELLS
-from inverse.parameters import Kind, Parameter, with_kinds
-from inverse.parameters.bounds import check_parameters
+from inverse.parameters import Kind, Parameter, check_parameters, with_kinds
 from inverse.parameters.prior import Correlation, JointPrior
 from inverse.posterior import Matrix, Row
 from inverse.problem import Box

@@ -44,10 +44,10 @@ class Task:
         """Parameters at points [S, U] of the unit box, to a millionth of the range: a run is found again by them."""
         box = self.problem.box
         digits = 6 - np.ceil(np.log10(box.range)).astype(int)
-        return [
-            box.clip(np.array([round(float(each), int(count)) for each, count in zip(row, digits, strict=True)]))
-            for row in box.at(points)
+        rounded = [
+            [round(float(each), int(count)) for each, count in zip(row, digits, strict=True)] for row in box.at(points)
         ]
+        return [*np.clip(np.reshape(rounded, points.shape), box.lower, box.upper)]
 
     def __call__(self, points: Matrix, first: int, *, purpose: Purpose = Purpose.WAVE) -> tuple[MpmRun, ...]:
         """Runs at points [S, U] of the unit box, each with a jitter seed of its own; first: number of the first."""

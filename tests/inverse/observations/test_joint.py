@@ -29,7 +29,7 @@ def problem(folder: Path, text: str, scene: str = "column-tall-42") -> Problem:
 def joint(folder: Path, text: str) -> tuple[Joint, np.ndarray]:
     """Operator and the target's values in their own units."""
     target = read_target(problem(folder, text), never)
-    return target.observation, target.observation.raw(target.values)
+    return target.observation, target.observation.scale * target.values
 
 
 def never(scene: Scene) -> Trajectory:

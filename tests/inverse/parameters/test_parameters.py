@@ -10,8 +10,7 @@ from datasets import Baffle, Channel, Mass, Material, Scene, Solid
 from datasets.scene.particles import released_volume
 from inverse import Parameter, read_problem
 from inverse.forward.gns import GnsForward
-from inverse.parameters import kind, with_parameters
-from inverse.parameters.bounds import check_parameters
+from inverse.parameters import check_parameters, kind, with_parameters
 from tests.gns.training.test_samples import tensors
 from tests.inverse.flows import problem_of, simulator_of
 from tests.refusals import refused
