@@ -62,7 +62,7 @@ class Error:
 
     errors: tuple[float, ...]
     """Over the extent [-]."""
-    thickness: tuple[float, ...] = ()
+    thickness: tuple[float, ...]
     """`measures.Errors.thickness` [-]."""
     seconds: float
     """Of a run, of the time of all that ran beside it."""
@@ -71,6 +71,8 @@ class Error:
 
 Errors = Mapping[Resolution, Mapping[str, Error]]
 """By resolution and name of the scene."""
+Limits = Mapping[int, Mapping[Resolution, float]]
+"""The bound of each measured resolution, by dimension."""
 
 
 def own(cells: float, *, step_fraction: float = OWN_STEP, particles_per_axis: int = 2) -> Resolution:
@@ -197,8 +199,8 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
             chosen = [each for tolerance in TRIED if (each := selected(dimension, tolerance, known))]
             tried = list(dict.fromkeys(each.resolution for each in chosen))
             trials[dimension] = errors_of(read_flows(dimension, unseen=True), tried, reference, (SEED,), store)
-    draw(out / "accuracy.png", trials, known)
-    limits = {dimension: promises(dimension, known) for dimension in trials}
+    limits = {d: {each.resolution: each.promised for each in known if each.dimension == d} for d in trials}
+    draw(out / "accuracy.png", trials, limits)
     selections = [
         {
             "": f"{d}D",
@@ -224,11 +226,6 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
     )
 
 
-def promises(dimension: int, known: Sequence[Measured]) -> dict[Resolution, float]:
-    """The bound of each measured resolution of a dimension."""
-    return {each.resolution: each.promised for each in known if each.dimension == dimension}
-
-
 def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> list[dict[str, str]]:
     """A line per scene, and those of thickness and seconds."""
     heads = {r: f"{r.cells:g} cells (bound {percent(limits[r])})" for r in found}
@@ -241,7 +238,7 @@ def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]
     return [{f"{dimension}D": name} | {heads[r]: cell for r, cell in cells.items()} for name, cells in rows.items()]
 
 
-def conclusion(trials: Mapping[int, Errors], limits: Mapping[int, Mapping[Resolution, float]]) -> list[str]:
+def conclusion(trials: Mapping[int, Errors], limits: Limits) -> list[str]:
     """How many scenes are within the bound, and what the errors cost."""
     held = [
         each.errors[0] <= limits[dimension][resolution]
@@ -256,16 +253,16 @@ def conclusion(trials: Mapping[int, Errors], limits: Mapping[int, Mapping[Resolu
     return said
 
 
-def draw(path: Path, trials: Mapping[int, Errors], known: Sequence[Measured]) -> None:
+def draw(path: Path, trials: Mapping[int, Errors], limits: Limits) -> None:
     """Error over seconds, a pane per dimension."""
     with figure(path, columns=len(trials), size=(4.2, 3.8)) as axes:
         for axis, (dimension, found) in zip(axes[0], trials.items(), strict=True):
             for name in next(iter(found.values())):
                 points = [(each[name].seconds, 100.0 * each[name].errors[0]) for each in found.values()]
                 axis.plot(*zip(*points, strict=True), ".-", color=GREY, linewidth=0.5, markersize=3)
-            seconds, limits = [mean_seconds(errors) for errors in found.values()], promises(dimension, known)
+            seconds = [mean_seconds(errors) for errors in found.values()]
             axis.plot(seconds, [100.0 * rms(errors) for errors in found.values()], "o-", color=BLUE, label="rms")
-            bounds = [100.0 * limits[each] for each in found]
+            bounds = [100.0 * limits[dimension][each] for each in found]
             axis.plot(seconds, bounds, "s--", color=ORANGE, label="bound for nine of ten")
             axis.set(title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
             axis.set(xscale="log", yscale="log", ylabel="error over the extent [%]")
