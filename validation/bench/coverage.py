@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import chisquare, kstest
@@ -30,7 +31,7 @@ from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
 from mpm import simulate_many
 from mpm.cluster import connected, pool
-from validation.bench.page import Keep, Out, Row, emphasised, kept, write_page
+from validation.bench.page import Keep, Many, Out, Row, emphasised, kept, write_page
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
 from validation.plots import GREY, figure
@@ -101,10 +102,10 @@ def bench(
     *,
     out: Out,
     keep: Keep = None,
-    twins: int | None = None,
+    twins: Annotated[int | None, Many] = None,
     only: tuple[str, ...] = DEFAULT,
     model: Path | None = None,
-    jobs: int | None = None,
+    jobs: Annotated[int | None, Many] = None,
     scheduler: str = "",
 ) -> str:
     """Solve twin experiments with truths from the prior, side by side, each on one thread.
@@ -124,9 +125,6 @@ def bench(
     """
     if unknown := [name for name in only if name not in FAMILIES]:
         raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
-    for key, number in (("--twins", twins), ("--jobs", jobs)):
-        if number is not None and number < 1:
-            raise InputError(f"expected an integer of at least 1, got {number}", where=key)
     if scheduler and jobs is not None:
         raise InputError("expected none with --scheduler, whose workers are the jobs", where="--jobs")
     if model is None and any(FAMILIES[name].adapted for name in only):

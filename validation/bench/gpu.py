@@ -6,7 +6,7 @@ from datasets.errors import InputError
 from datasets.processes import processors
 from validation.bench.measuring import Spread, turns
 from validation.bench.network import PER_NODE, network_rows
-from validation.bench.page import Out, between, write_page
+from validation.bench.page import Out, Rounds, between, write_page
 from validation.bench.speed import Case, Mode, rate, rate_rows
 
 CASES = (
@@ -20,15 +20,10 @@ CASES = (
 )
 
 
-def bench(*, out: Out, rounds: int = 2) -> str:
+def bench(*, out: Out, rounds: Rounds = 2) -> str:
     """Measure rates over sizes and steps of the networks on a GPU, in turn with all processors of the same machine.
 
     Raises InputError where there is no GPU.
-
-    Parameters
-    ----------
-    rounds
-        How often everything is measured, in turn; the tables give the median and the range.
     """
     from torch import cuda
 

@@ -4,18 +4,16 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from datasets import maps
 from datasets.files import make_folder
-from datasets.flow.array_files import FrameWriter
 from datasets.flow.trajectory import open_trajectory
 from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from inverse.answer import peak_memory_mib
-from mpm import Recording, simulate
+from mpm import Recording
 from mpm.arrays.layout import node_shape
-from validation.bench.measuring import once
+from validation.bench.measuring import Found, once, recorded
 from validation.bench.page import Row
 from validation.runs import Run
 
@@ -23,52 +21,37 @@ CELL = 0.375
 """Of the grid [m]."""
 EVERY = 5
 """Frames from one that is kept for the maps to the next."""
-
-Found = Mapping[str, Any]
-"""What a stage came to and took: particles, steps, seconds, memory and disk [bytes]."""
+FLOW = "flow.h5"
 
 
-def slide(cell: float) -> Scene:
-    """`hillside` on cells of another size [m], its layer a little thicker, its soil as soft as its speed allows."""
-    scene = read_scene("hillside").with_cell(cell)
+def slide() -> Scene:
+    """`hillside` on other cells, its layer a little thicker, its soil as soft as its speed allows."""
+    scene = read_scene("hillside").with_cell(CELL)
     soil, layer = replace(scene.material, young=6.0e6), replace(scene.masses[0], thickness=6.25)
     return replace(scene, material=soil, masses=(layer,), duration=8.0, step_fraction=0.9)
 
 
-def flow(cell: float, folder: Path) -> Found:
+def flow(folder: Path) -> Found:
     """The run whose frames go to a file."""
-    began, scene, path = time.perf_counter(), slide(cell), folder / f"{cell:g}.h5"
-    with FrameWriter(path) as file:
-        found = simulate(scene, record=Recording(frames=EVERY), file=file, progress=True)
-        file.put(**found.arrays())
-    summary = found.summary
-    return {
-        "particles": summary["particles"],
-        "steps": summary["steps"],
-        "seconds": summary["wall_s"],
-        "before": time.perf_counter() - began - summary["wall_s"] - summary["compile_s"],
-        "memory": peak_memory_mib() * 2**20,
-        "disk": path.stat().st_size,
-        "nodes": " x ".join(map(str, node_shape(scene.domain))),
-    }
+    found = recorded(slide, Recording(frames=EVERY), folder / FLOW)
+    return found | {"nodes": " x ".join(map(str, node_shape(slide().domain)))}
 
 
-def mapped(cell: float, folder: Path) -> Found:
+def mapped(folder: Path) -> Found:
     """The maps of that run."""
-    began, trajectory = time.perf_counter(), open_trajectory(folder / f"{cell:g}.h5")
+    began, trajectory = time.perf_counter(), open_trajectory(folder / FLOW)
     make_folder(folder / "maps")
-    maps.write(trajectory, maps.maps_of(trajectory, cell, progress=True), folder / "maps")
-    disk = sum(path.stat().st_size for path in (folder / "maps").iterdir())
+    maps.write(trajectory, maps.maps_of(trajectory, CELL, progress=True), folder / "maps")
+    disk = sum(path.stat().st_size for path in (folder / "maps").iterdir()) / 2**20
     seconds = time.perf_counter() - began
-    return {"seconds": seconds, "memory": peak_memory_mib() * 2**20, "disk": disk, "frames": len(trajectory.time)}
+    return {"seconds": seconds, "memory": peak_memory_mib(), "disk": disk, "frames": len(trajectory.time)}
 
 
 def measured(keep: Path) -> dict[str, Found]:
     """Both stages by name, each in a process of its own; what is in `keep` is not done again."""
-    folder = keep / f"large-{Run(scene=slide(CELL)).digest}"
+    folder = keep / f"terrain-{Run(scene=slide()).digest}"
     make_folder(folder)
-    stages = {"flow": flow, "maps": mapped}
-    return {name: once(folder / f"{name}.json", work, CELL, folder) for name, work in stages.items()}
+    return {name: once(folder / f"{name}.json", work, folder) for name, work in (("flow", flow), ("maps", mapped))}
 
 
 def rows(found: Mapping[str, Found]) -> list[Row]:
@@ -81,7 +64,7 @@ def rows(found: Mapping[str, Found]) -> list[Row]:
     }
     return [
         {"stage": stage, "seconds": f"{took['seconds']:.1f}"}
-        | {f"{key} [MiB]": f"{took[key] / 2**20:.0f}" if key in took else "-" for key in ("memory", "disk")}
+        | {f"{key} [MiB]": f"{took[key]:.0f}" if key in took else "-" for key in ("memory", "disk")}
         for stage, took in stages.items()
     ]
 

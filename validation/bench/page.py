@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Annotated
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 from tabulate import tabulate
 
 from datasets.files import write_text
@@ -25,6 +26,9 @@ Out = Annotated[Path, Parameter(help="Folder of the page and its pictures.")]
 Keep = Annotated[
     Path | None, Parameter(help="Folder of finished work, which is not done again; temporary if not given.")
 ]
+Many = Parameter(validator=Number(gte=1))
+"""Of things of which there is at least one."""
+Rounds = Annotated[int, Many, Parameter(help="How often everything is measured: tables give median and range.")]
 TEMPLATES = Path(__file__).parent / "pages"
 CONCLUSION = 5
 """Most sentences of a conclusion."""
@@ -99,7 +103,6 @@ def machine() -> str:
 
 def cpuinfo(key: str) -> str:
     """The first value of `key` in Linux's description of its processors, empty elsewhere."""
-    if not CPUINFO.exists():
-        return ""
-    lines = (line.partition(":") for line in CPUINFO.read_text(encoding="utf-8").splitlines())
-    return next((value.strip() for name, _, value in lines if name.strip() == key), "")
+    text = CPUINFO.read_text(encoding="utf-8") if CPUINFO.exists() else ""
+    found = re.search(rf"^{key}\s*: (.*)$", text, re.MULTILINE)
+    return "" if found is None else found[1].strip()

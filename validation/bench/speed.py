@@ -12,7 +12,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
 from datasets.processes import processors
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.scene.library import read_scene
@@ -24,9 +23,9 @@ from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
 from validation.bench import large
-from validation.bench.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
+from validation.bench.measuring import Spread, isolated, reset_peak, seconds_of, turns
 from validation.bench.network import PER_NODE, network_rows
-from validation.bench.page import Keep, Out, Row, between, kept, write_page
+from validation.bench.page import Keep, Out, Rounds, Row, between, kept, write_page
 from validation.plots import BLUE, ORANGE, figure
 
 CUBE = 0.375
@@ -132,10 +131,9 @@ def rate(case: Case, mode: Mode) -> float:
     scene = column(case.dimension, case.cells, case.frames)
     scene = replace(scene, volume_correction=True) if case.corrected else scene
     scenes = [replace(scene, seed=seed) for seed in range(case.scenes)]
-    place: Options = (
-        {"precision": precision, "threads": threads} if threads else {"precision": precision, "arch": "cuda"}
-    )
+    place: Options = {"precision": precision, "threads": threads}
     if not threads:
+        place = {"precision": precision, "arch": "cuda"}
         # On a GPU the first frame compiles.
         simulate_many([replace(scene, duration=scene.frame_dt) for scene in scenes], **place)
     summaries = [flow.summary for flow in simulate_many(scenes, **place)]
@@ -178,12 +176,9 @@ def started(scene: Scene, folder: str) -> float:
 
 def first_runs() -> list[Row]:
     """Scenes of each kind of kernel: a first run, which compiles, and a second one, which finds the kernels on disk."""
-    scenes = {"column-short-21": read_scene("column-short-21"), "flume-35": read_scene("flume-35")}
+    scenes = {name: read_scene(name) for name in ("column-short-21", "flume-35", "valley-3d")}
     scenes |= {f"{name}, baffles": scene for name, scene in behind_baffles().items() if name != "baffles-5"}
-    scenes |= {
-        "baffles-2, no baffles": replace(read_scene("baffles-2"), baffles=()),
-        "valley-3d": read_scene("valley-3d"),
-    }
+    scenes["baffles-2, no baffles"] = replace(read_scene("baffles-2"), baffles=())
     rows: list[Row] = []
     for name, scene in scenes.items():
         with TemporaryDirectory() as folder:
@@ -204,8 +199,7 @@ def price(scene: Scene, repeats: int) -> Price:
     short = replace(scene, duration=0.02)
     simulate(short, record=LAST, threads=1)
     gradient(short, mean_x, threads=1)
-    reset_peak()
-    before = resident()
+    before = reset_peak()
     work = {
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
         "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1, memory_mib=GRADIENT_MIB)),
@@ -220,18 +214,11 @@ def price(scene: Scene, repeats: int) -> Price:
     )
 
 
-def bench(*, out: Out, keep: Keep = None, rounds: int = 2) -> str:
+def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     """Measure rates over sizes and at baffles, gradients, steps of networks, a large terrain; needs a quiet machine.
 
     KEEP has the stages of the large terrain; other times are of one command.
-
-    Parameters
-    ----------
-    rounds
-        How often everything is measured, in turn; the tables give the median and the range.
     """
-    if rounds < 1:
-        raise InputError(f"expected at least 1, got {rounds}", key="--rounds")
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")

@@ -15,7 +15,7 @@ from validation.bench import gns as bench_gns
 from validation.bench import page as pages
 from validation.bench.__main__ import PAGES, main
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.large import CELL, slide
+from validation.bench.large import slide
 from validation.bench.page import kept, write_page
 from validation.bench.speed import CASES, column, mean_x, modes
 
@@ -79,7 +79,7 @@ def test_columns_have_the_particles_that_the_cases_state() -> None:
 
 
 def test_the_large_terrain_has_about_a_million_particles() -> None:
-    assert particle_count(slide(CELL)) == 1_013_760
+    assert particle_count(slide()) == 1_013_760
 
 
 def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:
