@@ -8,7 +8,7 @@ over runs has not. So has that of two baffles in 3D.
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import torch
@@ -49,8 +49,6 @@ BAFFLE_STEP = 0.02
 """Step of the differences of two baffles [m]."""
 JITTERS, BAFFLE_JITTERS = 4, 12
 """Jitter seeds over which gradients of the MPM are averaged: by the place of a baffle one adjoint scatters by half."""
-
-
 SURROGATE, ADJOINT, DIFFERENCES = "surrogate", "adjoint of the MPM", "differences of the MPM"
 """Methods; that of the surrogate is the reverse mode through its rollout."""
 
@@ -105,15 +103,15 @@ def blocks(columns: int, layers: int) -> Problem:
     across = round(whole.masses[0].size[0] / spacing)
     up = round(max(mass.lower[1] + mass.size[1] for mass in whole.masses) / spacing)
     x, y = (np.round(np.linspace(0, count, parts + 1)) for count, parts in ((across, columns), (up, layers)))
-    places = [*product(range(layers), range(columns))]
-    speeds = [AT_FLOOR + (AT_TOP - AT_FLOOR) * float((y[j] + y[j + 1]) / 2.0 / up) for j, _ in places]
+    boxes = [*product(pairwise(y), pairwise(x))]
+    speeds = [AT_FLOOR + (AT_TOP - AT_FLOOR) * float((low + high) / 2.0 / up) for (low, high), _ in boxes]
     masses = tuple(
         Mass(
-            lower=(float(x[i] * spacing), float(y[j] * spacing)),
-            size=(float((x[i + 1] - x[i]) * spacing), float((y[j + 1] - y[j]) * spacing)),
+            lower=(float(left * spacing), float(low * spacing)),
+            size=(float((right - left) * spacing), float((high - low) * spacing)),
             velocity=(speed, 0.0),
         )
-        for speed, (j, i) in zip(speeds, places, strict=True)
+        for speed, ((low, high), (left, right)) in zip(speeds, boxes, strict=True)
     )
     return Problem(
         name=f"blocks-{len(masses)}",
@@ -204,16 +202,12 @@ def conclusion(gradients: Sequence[Gradient]) -> list[str]:
     prices = ", ".join(f"{each.seconds:.2g} s by {each.method}" for each in shown)
     cosines = [f"{each.cosine:.2f} by {each.method}" for each in shown if each.method != DIFFERENCES]
     scatter = {each.method: each.scatter for each in gradients if each.problem == BAFFLES}
-    said = [
+    return [
         f"A gradient with respect to {largest} unknown velocities takes {prices}.",
         f"Its cosine with the differences of the MPM, means over {JITTERS} jitters, is {' and '.join(cosines)}.",
+        f"For the places of two baffles, the adjoint of one jitter scatters by {scatter[ADJOINT]:.0%} of the"
+        f" mean gradient, differences over {1000.0 * BAFFLE_STEP:g} mm by {scatter[DIFFERENCES]:.0%}.",
     ]
-    if scatter:
-        said.append(
-            f"For the places of two baffles, the adjoint of one jitter scatters by {scatter[ADJOINT]:.0%} of the"
-            f" mean gradient, differences over {1000.0 * BAFFLE_STEP:g} mm by {scatter[DIFFERENCES]:.0%}."
-        )
-    return said
 
 
 def gradient_row(each: Gradient) -> Row:

@@ -16,13 +16,14 @@ from scipy.special import stdtrit
 from datasets.errors import InputError
 from datasets.files import write_text
 from datasets.flow import measures
+from datasets.flow.measures import Deposit
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
+from datasets.scene.particles import initial_particles
 from mpm import simulate_many
 from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
 from mpm.runtime import Arch
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
-from validation.bench.held_out import deposit_of
 from validation.bench.page import Keep, Out, emphasised, kept, percent, tables, write_page
 from validation.plots import BLUE, GREY, ORANGE, figure
 from validation.runs import SHARE, Run, RunStore
@@ -54,6 +55,12 @@ def error(flow: Trajectory, reference: Trajectory) -> float:
     apart = measures.transport_distance(found, flow.volumes, exact, reference.volumes)
     extent = front - min(mass.lower[0] for mass in flow.scene.masses)
     return max(abs(measures.front(found, flow.volumes) - front), apart) / extent
+
+
+def deposit_of(flow: Trajectory) -> Deposit:
+    """That of a reference: the MPM on fine cells."""
+    scene, start = flow.scene, initial_particles(flow.scene).positions
+    return Deposit.of_positions(start, flow.positions[-1], flow.volumes, scene.domain.size, measures.ground_of(scene))
 
 
 @dataclass(frozen=True, kw_only=True)
