@@ -123,11 +123,10 @@ class Outcome:
     criteria: Criteria
     paper: Paper = Paper()
     result: dict[str, Any]
-    """The contents of `result.json`."""
+    """`result.json`."""
 
     @property
     def surrogate(self) -> dict[str, Any]:
-        """What `result.json` says of the surrogate."""
         return self.result.get("surrogate") or {}
 
     @property
@@ -137,7 +136,6 @@ class Outcome:
 
     @cached_property
     def numbers(self) -> list[Number]:
-        """What was found of each number."""
         result, own, truth = self.result, self.surrogate.get("unknowns", {}), self.result.get("truth") or {}
         known = dict(zip(self.problem.names, self.paper.values, strict=False))
         return [
@@ -156,7 +154,6 @@ class Outcome:
 
     @property
     def fields(self) -> list[dict[str, Any]]:
-        """Of each unknown field, as `result.json` has it."""
         return list(self.result.get("fields", ()))
 
     @property
@@ -218,7 +215,13 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
     solved = [ways for problems in found.values() for ways in problems.values()]
     write_csv(out / "problems.csv", [each for ways in solved for each in ways.values()])
     draw(out / "pictures" / "problems.png", solved)
-    said = written(out, found, pictures)
+    said = write_page(
+        out,
+        "problems",
+        conclusion(solved),
+        families="\n\n".join(section(*each) for each in found.items()),
+        pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
+    )
     if failed:
         raise WorkFailed(f"could not be run: {', '.join(failed)}")
     return said
@@ -251,24 +254,15 @@ def ran(problem: Problem, folder: Path) -> bool:
     return True
 
 
-def written(out: Path, found: Mapping[str, Mapping[str, Outcomes]], pictures: Sequence[str]) -> str:
-    """Write the page of all problems that were `found`, by their families' titles, and return its conclusion."""
-    families = []
-    for title, problems in found.items():
-        every = [each for ways in problems.values() for each in ways.values()]
-        fields = [field_row(each, field) for each in every for field in each.fields]
-        table = fields or [row for ways in problems.values() for row in rows(ways)]
-        filled = {key for row in table for key, cell in row.items() if cell != ""}
-        table = [{key: cell for key, cell in row.items() if key in filled} for row in table]
-        missed = [f"- `{each.problem.name}`, {each.way}: {'; '.join(each.missed)}" for each in every if each.missed]
-        families += [f"## {title}", tables([table]), "\n".join(missed)]
-    return write_page(
-        out,
-        "problems",
-        conclusion([ways for problems in found.values() for ways in problems.values()]),
-        families="\n\n".join(part for part in families if part),
-        pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
-    )
+def section(title: str, problems: Mapping[str, Outcomes]) -> str:
+    """Of a family: its table, without columns that nothing fills, and the criteria that are missed."""
+    every = [each for ways in problems.values() for each in ways.values()]
+    fields = [field_row(each, field) for each in every for field in each.fields]
+    table = fields or [row for ways in problems.values() for row in rows(ways)]
+    filled = {key for row in table for key, cell in row.items() if cell != ""}
+    table = [{key: cell for key, cell in row.items() if key in filled} for row in table]
+    missed = [f"- `{each.problem.name}`, {each.way}: {'; '.join(each.missed)}" for each in every if each.missed]
+    return "\n\n".join([f"## {title}", tables([table]), "\n".join(missed)]).rstrip()
 
 
 def conclusion(solved: Sequence[Outcomes]) -> list[str]:
@@ -306,10 +300,7 @@ def rows(ways: Outcomes) -> list[Row]:
     """The rows of a problem: one for each number, or one for many."""
     problem, numbers = next((each.problem, each.numbers) for each in ways.values())
     many, found = len(numbers) > LISTED, list[Row]()
-    for index, (number, kind) in enumerate(zip(numbers, problem.kinds, strict=True)):
-        if many and index > 0:
-            break
-        cells = {way: cell(each, index, f".{kind.digits}f", many=many) for way, each in ways.items()}
+    for index, (number, kind) in enumerate(zip(numbers[:1] if many else numbers, problem.kinds, strict=False)):
         said = [ways[way].result for way in COLOURS if way in ways and index == 0]
         name = f"`{problem.name}`" if index == 0 else ""
         found.append(
@@ -317,7 +308,7 @@ def rows(ways: Outcomes) -> list[Row]:
                 "problem": name if many or len(numbers) == 1 else f"{name} {number.unknown}",
                 "true value": "-" if number.truth is None else kind.text(number.truth) if not many else "",
                 "paper": "" if number.paper is None else f"{number.paper:g}",
-                **{way: cells.get(way, "") for way in COLOURS},
+                **{way: cell(ways[way], index, kind.digits, many=many) if way in ways else "" for way in COLOURS},
                 "MPM runs": " / ".join(str(len(each["mpm_runs"])) for each in said),
                 "CPU s": " / ".join(f"{each['seconds']['processors']:.0f}" for each in said),
             }
@@ -325,10 +316,10 @@ def rows(ways: Outcomes) -> list[Row]:
     return found
 
 
-def cell(outcome: Outcome, index: int, form: str, *, many: bool) -> str:
+def cell(outcome: Outcome, index: int, digits: int, *, many: bool) -> str:
     """A number that was found with its interval; of many how many true values are within theirs."""
     number, verdict = outcome.numbers[index], outcome.result["verdict"]
-    text = f"{number.found:{form}} [{number.low:{form}}, {number.high:{form}}]"
+    text = f"{number.found:.{digits}f} [{number.low:.{digits}f}, {number.high:.{digits}f}]"
     if many:
         text = f"{sum(each.inside for each in outcome.numbers)} of {len(outcome.numbers)} in their intervals"
     if index == 0 and verdict != Verdict.CONFIRMED.value:

@@ -173,12 +173,6 @@ def fronts() -> Fronts:
     return {key: front(flow.positions[-1], flow.volumes) for key, flow in zip(scenes, flows, strict=True)}
 
 
-def spread(found: Fronts, dimension: int, transfer: str) -> str:
-    """Largest less smallest front over their mean."""
-    some = [value for (*kind, _, _), value in found.items() if kind == [dimension, transfer]]
-    return percent((max(some) - min(some)) / float(np.mean(some)))
-
-
 def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32") -> str:
     """Check every hard case, and measure factors of safety and fronts over stiffness and step.
 
@@ -207,7 +201,7 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
         fronts=[
             {"": f"{dimension}D", "stiffness": f"{stiffness:g}", "step": f"{step:g}"}
             | {transfer: f"{found[dimension, transfer, stiffness, step]:.4f}" for transfer in TRANSFERS}
-            for dimension, stiffness, step in dict.fromkeys((d, s, t) for d, _, s, t in found)
+            for dimension, stiffness, step in itertools.product(RELEASED, STIFFNESSES, STEPS)
         ],
     )
     if red := [f"{each.row.name}: {'; '.join(each.failures)}" for each in verdicts if each.failures]:
@@ -223,11 +217,11 @@ def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factor
         max(one.value for each in verdicts for one in each.kept if one.check == check)
         for check in ("energy", "momentum")
     )
-    own, other = TRANSFERS
-    moved = [
-        f"{spread(found, dimension, own)} in {dimension}D (with APIC by {spread(found, dimension, other)})"
-        for dimension in dict.fromkeys(dimension for dimension, *_ in found)
-    ]
+    moved = []
+    for size in RELEASED:
+        groups = [[x for (d, by, _, _), x in found.items() if (d, by) == (size, transfer)] for transfer in TRANSFERS]
+        own, other = (percent((max(group) - min(group)) / float(np.mean(group))) for group in groups)
+        moved.append(f"{own} in {size}D (with APIC by {other})")
     return [
         f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases pass{'; **red**: ' * bool(red)}{', '.join(red)}.",
         f"{sum(exact)} of {len(exact)} cases with an exact solution agree with it.",
