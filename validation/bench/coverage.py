@@ -181,42 +181,27 @@ def misread(target: Target, outlier: float, number: int) -> Target:
 
 
 def drawn(family: Family, number: int) -> Problem:
-    """The twin experiment of this number, with its truth and its jitter seeds."""
-    asked, rng = stated(family), np.random.default_rng([FIRST_SEED, number])
+    """The twin experiment of this number: the problem of its family with priors, a truth of these and jitter seeds."""
+    beside = Path(__file__).parent / family.problem
+    asked = read_problem(str(beside) if beside.exists() else family.problem)
+    rng = np.random.default_rng([FIRST_SEED, number])
+    if family.priors:
+        both = zip(asked.parameters, family.priors, strict=True)
+        asked = replace(asked, parameters=tuple(replace(each, prior=prior) for each, prior in both))
+    if family.correlation is not None:
+        pair = Correlation(between=(asked.names[0], asked.names[-1]), coefficient=family.correlation)
+        asked = replace(asked, correlations=(pair,))
     shares = rng.random(len(asked.names))
     truth = asked.named(asked.box.at(shares if asked.prior is None else asked.prior.at(shares)))
     scene = replace(asked.scene, seed=int(rng.integers(2**31)))
     if family.cell is not None:
         scene = scene.with_cell(family.cell)
-    return replace(
-        asked,
-        scene=scene,
-        observations=tuple(
-            replace(each, noise=each.noise if family.noise is None else family.noise) for each in asked.observations
-        ),
-        target=TargetSettings(
-            twin=True,
-            seed=FIRST_SEED + number,
-            truth=truth,
-            cell=None if family.finer is None else family.finer * scene.domain.cell,
-        ),
-        surrogate=family.surrogate,
-    )
-
-
-def stated(family: Family) -> Problem:
-    """The problem of a family, with its priors."""
-    beside = Path(__file__).parent / family.problem
-    problem = read_problem(str(beside) if beside.exists() else family.problem)
-    if not family.priors:
-        return problem
-    both = zip(problem.parameters, family.priors, strict=True)
-    pair = (problem.names[0], problem.names[-1])
-    return replace(
-        problem,
-        parameters=tuple(replace(each, prior=prior) for each, prior in both),
-        correlations=() if family.correlation is None else (Correlation(between=pair, coefficient=family.correlation),),
-    )
+    observations = asked.observations
+    if family.noise is not None:
+        observations = tuple(replace(each, noise=family.noise) for each in observations)
+    cell = None if family.finer is None else family.finer * scene.domain.cell
+    target = TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=cell)
+    return replace(asked, scene=scene, observations=observations, target=target, surrogate=family.surrogate)
 
 
 def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
@@ -278,9 +263,10 @@ def ranks(found: Sequence[Twin]) -> float:
 
 
 def row(family: Family, found: Sequence[Twin]) -> Row:
-    shares = {level: held(found, level) for level in REGIONS}
-    ranges = {level: WITHIN.get(level, (0.0, 1.0)) for level in REGIONS}
-    within = [emphasised(f"{shares[level]:.0%}", low <= shares[level] <= high) for level, (low, high) in ranges.items()]
+    within = []
+    for level in REGIONS:
+        share, (low, high) = held(found, level), WITHIN.get(level, (0.0, 1.0))
+        within.append(emphasised(f"{share:.0%}", low <= share <= high))
     inside = sum(each.inside for each in found) / (len(found[0].below) * len(found))
     return {
         "inversions": f"{family.title}: {len(found)}",
