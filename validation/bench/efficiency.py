@@ -7,7 +7,7 @@ over runs has not. So has that of two baffles in 3D.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -30,7 +30,8 @@ from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import simulate, simulate_many
-from validation.bench.page import Out, Row, write_page
+from validation.bench.measuring import Found
+from validation.bench.page import Out, formatted, write_page
 
 SCENE = "layers-10"
 CUTS = ((1, 1), (1, 10), (10, 10))
@@ -51,24 +52,10 @@ JITTERS, BAFFLE_JITTERS = 4, 12
 """Jitter seeds over which gradients of the MPM are averaged: by the place of a baffle one adjoint scatters by half."""
 SURROGATE, ADJOINT, DIFFERENCES = "surrogate", "adjoint of the MPM", "differences of the MPM"
 """Methods; that of the surrogate is the reverse mode through its rollout."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gradient:
-    problem: str
-    method: str
-    unknowns: int
-    seconds: float
-    columns: int
-    """Unknowns whose differences were run; the seconds of the others are taken to be the same."""
-    cosine: float
-    """Of the angle between its mean over the jitters and that of the MPM's differences, over those unknowns."""
-    length: float
-    """Over that of the differences' mean."""
-    scatter: float
-    """Of the gradient of one jitter, rms over the length of their mean; of the surrogate, which has one, 0."""
-
-
+SCATTER = "scatter of one jitter"
+GRADIENT = {"unknowns": ",", "seconds": ".2f", "cosine": ".3f", "length": ".2f", SCATTER: ".2f"}
+"""Forms of the columns. Cosine and length are those of the gradient's mean over the jitters to that of the MPM's
+differences, over the unknowns of which these were run; the scatter is rms over the length of the mean."""
 Slope = tuple[float, Vector]
 """Seconds of a gradient, and the gradient of the loss, the mean of the squared distances of what is compared."""
 
@@ -144,11 +131,11 @@ def bench(*, out: Out) -> str:
         columns=MOST_COLUMNS,
         jitters=JITTERS,
         baffle_jitters=BAFFLE_JITTERS,
-        gradients=[gradient_row(each) for each in gradients],
+        gradients=formatted(gradients, GRADIENT),
     )
 
 
-def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator, jitters: int) -> list[Gradient]:
+def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator, jitters: int) -> list[Found]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     target, start = read_target(problem, simulate), problem.initial
     observation, unknowns = target.observation, len(problem.numbers)
@@ -179,44 +166,32 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     for method, slopes in found.items():
         mean = np.mean([slope for _, slope in slopes], axis=0)
         length, off = float(np.linalg.norm(mean)), [np.linalg.norm(slope - mean) for _, slope in slopes]
-        run = len(chosen) if method == DIFFERENCES else unknowns
+        # The differences of the unknowns that were not chosen would take as long as the others.
+        more = (1 + 2 * unknowns) / (1 + 2 * len(chosen)) if method == DIFFERENCES else 1.0
         gradients.append(
-            Gradient(
-                problem=name,
-                method=method,
-                unknowns=unknowns,
-                seconds=slopes[0][0] * (1 + 2 * unknowns) / (1 + 2 * run),
-                columns=run,
-                cosine=float(mean @ expected / (length * np.linalg.norm(expected))),
-                length=length / float(np.linalg.norm(expected)),
-                scatter=float(np.sqrt(np.sum(np.square(off)) / max(1, len(off) - 1))) / length,
-            )
+            {
+                "problem": name,
+                "unknowns": unknowns,
+                "by": method,
+                "seconds": slopes[0][0] * more,
+                "cosine": float(mean @ expected / (length * np.linalg.norm(expected))),
+                "length": length / float(np.linalg.norm(expected)),
+                SCATTER: float(np.sqrt(np.sum(np.square(off)) / max(1, len(off) - 1))) / length,
+            }
         )
     return gradients
 
 
-def conclusion(gradients: Sequence[Gradient]) -> list[str]:
+def conclusion(gradients: Sequence[Found]) -> list[str]:
     """The price of a gradient and its direction."""
-    largest = max(each.unknowns for each in gradients)
-    shown = [each for each in gradients if each.unknowns == largest]
-    prices = ", ".join(f"{each.seconds:.2g} s by {each.method}" for each in shown)
-    cosines = [f"{each.cosine:.2f} by {each.method}" for each in shown if each.method != DIFFERENCES]
-    scatter = {each.method: each.scatter for each in gradients if each.problem == BAFFLES}
+    largest = max(each["unknowns"] for each in gradients)
+    shown = [each for each in gradients if each["unknowns"] == largest]
+    prices = ", ".join(f"{each['seconds']:.2g} s by {each['by']}" for each in shown)
+    cosines = [f"{each['cosine']:.2f} by {each['by']}" for each in shown if each["by"] != DIFFERENCES]
+    scatter = {each["by"]: each[SCATTER] for each in gradients if each["problem"] == BAFFLES}
     return [
         f"A gradient with respect to {largest} unknown velocities takes {prices}.",
         f"Its cosine with the differences of the MPM, means over {JITTERS} jitters, is {' and '.join(cosines)}.",
         f"For the places of two baffles, the adjoint of one jitter scatters by {scatter[ADJOINT]:.0%} of the"
         f" mean gradient, differences over {1000.0 * BAFFLE_STEP:g} mm by {scatter[DIFFERENCES]:.0%}.",
     ]
-
-
-def gradient_row(each: Gradient) -> Row:
-    return {
-        "problem": each.problem,
-        "unknowns": f"{each.unknowns:,}",
-        "by": each.method,
-        "seconds": f"{'≈ ' if each.columns < each.unknowns else ''}{each.seconds:.2f}",
-        "cosine": f"{each.cosine:.3f}",
-        "length": f"{each.length:.2f}",
-        "scatter of one jitter": "-" if each.method == SURROGATE else f"{each.scatter:.2f}",
-    }

@@ -35,7 +35,7 @@ RESET_PEAK = "5"
 
 @dataclass(frozen=True)
 class Spread:
-    """Of at least one measurement."""
+    """Of at least one measurement; in a format the median, and the range where there is one."""
 
     values: Sequence[float]
 
@@ -43,9 +43,8 @@ class Spread:
     def median(self) -> float:
         return statistics.median(self.values)
 
-    def written(self, digits: int) -> str:
-        """The median, and the range where there is one."""
-        low, middle, high = (f"{each:.{digits}f}" for each in (min(self.values), self.median, max(self.values)))
+    def __format__(self, form: str) -> str:
+        low, middle, high = (format(each, form) for each in (min(self.values), self.median, max(self.values)))
         return middle if low == high else f"{middle} ({low}-{high})"
 
 

@@ -13,7 +13,7 @@ from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
@@ -71,6 +71,11 @@ def emphasised(text: str, ok: bool) -> str:
 def tables(many: Iterable[Sequence[Row]]) -> str:
     """Tables one after the other, each with the headings of its first row; none without rows."""
     return "\n\n".join(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True) for rows in many if rows)
+
+
+def formatted(rows: Iterable[Mapping[str, Any]], forms: Mapping[str, str]) -> list[Row]:
+    """Rows with each number in the form of its column."""
+    return [{key: format(cell, forms[key]) if key in forms else cell for key, cell in row.items()} for row in rows]
 
 
 def write_page(

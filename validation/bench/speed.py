@@ -23,9 +23,9 @@ from mpm.adjoint.gradient import gradient
 from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
 from validation.bench import large
-from validation.bench.measuring import Spread, isolated, reset_peak, seconds_of, turns
-from validation.bench.network import PER_NODE, network_rows
-from validation.bench.page import Keep, Out, Rounds, Row, between, kept, write_page
+from validation.bench.measuring import Found, Spread, isolated, reset_peak, seconds_of, turns
+from validation.bench.network import NETWORK, PER_NODE, network_rows
+from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, kept, write_page
 from validation.plots import BLUE, ORANGE, figure
 
 CUBE = 0.375
@@ -78,23 +78,9 @@ CASES = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Price:
-    """What a gradient by the adjoint takes, beside the run that it is of, on one thread."""
-
-    particles: int
-    steps: int
-    run: float
-    """[s], without compilation, as all."""
-    gradient: float
-    memory: int
-    """Greatest resident size of the process above what it held before the gradient [bytes]."""
-
-    @property
-    def ratio(self) -> float:
-        return self.gradient / self.run
-
-
+PRICE = {"particles": ",", "steps": ",", "run [s]": ".2f", "gradient [s]": ".2f", "runs per gradient": ".1f"}
+"""What a gradient by the adjoint takes, beside the run that it is of, on one thread and without compilation: forms of
+the columns. The memory is the greatest resident size of the process above what it held before the gradient."""
 Mode = tuple[Precision, int]
 """Precision and threads; no threads: a GPU."""
 Rates = Mapping[tuple[Case, Mode], Spread]
@@ -158,8 +144,8 @@ def baffle_row(name: str, scene: Scene, rounds: int) -> Row:
     found = turns({key: partial(nanoseconds, each) for key, each in work.items()}, rounds, name)
     ratio = Spread([one / other for one, other in zip(*found.values(), strict=True)])
     counts = {"particles": f"{particle_count(scene):,}", "baffles": str(len(scene.baffles))}
-    times = {key: Spread(each).written(1) for key, each in found.items()}
-    return {"scene": f"`{name}`"} | counts | times | {"ratio": ratio.written(3)}
+    times = {key: f"{Spread(each):.1f}" for key, each in found.items()}
+    return {"scene": f"`{name}`"} | counts | times | {"ratio": f"{ratio:.3f}"}
 
 
 def started(scene: Scene, folder: str) -> float:
@@ -194,7 +180,7 @@ def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[floa
     return float(positions[..., 0].mean()), slope, None
 
 
-def price(scene: Scene, repeats: int) -> Price:
+def price(scene: Scene, repeats: int) -> Found:
     """Of one scene in this process, the median of `repeats` turns; kernels are compiled on a short flow before."""
     short = replace(scene, duration=0.02)
     simulate(short, record=LAST, threads=1)
@@ -204,14 +190,15 @@ def price(scene: Scene, repeats: int) -> Price:
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
         "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1, memory_mib=GRADIENT_MIB)),
     }
-    found = turns(work, repeats, "gradient")
-    return Price(
-        particles=particle_count(scene),
-        steps=int(simulate(scene, record=LAST, threads=1).summary["steps"]),
-        run=statistics.median(found["run"]),
-        gradient=statistics.median(found["gradient"]),
-        memory=max(0, int(peak_memory_mib() * 2**20) - before),
-    )
+    run, own = (statistics.median(seconds) for seconds in turns(work, repeats, "gradient").values())
+    return {
+        "particles": particle_count(scene),
+        "steps": simulate(scene, record=LAST, threads=1).summary["steps"],
+        "run [s]": run,
+        "gradient [s]": own,
+        "runs per gradient": own / run,
+        "memory [MiB]": max(0.0, peak_memory_mib() - before / 2**20),
+    }
 
 
 def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
@@ -241,8 +228,8 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
         baffles=solids,
         starts=first_runs(),
         priced=PRICED,
-        prices=[price_row(each) for each in prices],
-        networks=networks,
+        prices=formatted(prices, PRICE | {"memory [MiB]": ".0f"}),
+        networks=formatted(networks, NETWORK),
         cell=large.CELL,
         particles=terrain["flow"]["particles"],
         nodes=terrain["flow"]["nodes"],
@@ -250,22 +237,11 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     )
 
 
-def price_row(price: Price) -> Row:
-    return {
-        "particles": f"{price.particles:,}",
-        "steps": f"{price.steps:,}",
-        "run [s]": f"{price.run:.2f}",
-        "gradient [s]": f"{price.gradient:.2f}",
-        "runs per gradient": f"{price.ratio:.1f}",
-        "memory [MiB]": f"{price.memory / 2**20:.0f}",
-    }
-
-
-def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping[str, str]]) -> list[str]:
+def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found]) -> list[str]:
     """Rates by dimension, the price of a gradient, the network's step."""
-    largest = max(prices, key=lambda each: each.memory)
-    ratios = between([each.ratio for each in prices], ".1f")
-    steps = between([float(each[PER_NODE]) for each in networks], ".0f")
+    largest = max(prices, key=lambda each: float(each["memory [MiB]"]))
+    ratios = between([each["runs per gradient"] for each in prices], ".1f")
+    steps = between([each[PER_NODE] for each in networks], ".0f")
     best = {dimension: best_rates(rates, dimension) for dimension in dict.fromkeys(case.dimension for case, _ in rates)}
     return [
         *(
@@ -274,7 +250,7 @@ def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping
             for dimension, own in best.items()
         ),
         f"A gradient by the adjoint takes as long as {ratios} runs, for any number of unknowns, and at most"
-        f" {largest.memory / 2**20:.0f} MiB ({largest.particles:,} particles, {largest.steps:,} steps).",
+        f" {largest['memory [MiB]']:.0f} MiB ({largest['particles']:,} particles, {largest['steps']:,} steps).",
         f"A step of the shipped networks with its gradient takes {steps} µs per node, on one thread.",
     ]
 
@@ -301,7 +277,7 @@ def rate_rows(rates: Rates) -> list[Row]:
         for precision, threads in used:
             place = f"{threads} thread{'s' * (threads > 1)}" if threads else "GPU"
             found = rates.get((case, (precision, threads)))
-            row[f"{precision}, {place}"] = found.written(1) if found else "-"
+            row[f"{precision}, {place}"] = f"{found:.1f}" if found else "-"
         rows.append(row)
     return rows
 
