@@ -18,7 +18,7 @@ import gns
 from datasets.definitions import flow2d, obstacle3d, paper_families
 from datasets.errors import InputError
 from datasets.flow import measures
-from datasets.flow.measures import Deposit
+from datasets.flow.measures import Errors
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Domain, Mass, Scene
 from datasets.scene.material import Material
@@ -58,19 +58,6 @@ AGAIN = "the MPM, jittered anew"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured(measures.Errors):
-    """One scene by one method, and its errors beside the reference's deposit."""
-
-    seconds: float
-    """On one thread, without compilation and without loading a model [s]."""
-
-    @staticmethod
-    def of_flow(flow: Trajectory, reference: Deposit) -> "Measured":
-        errors = reference.errors(flow.positions[-1], flow.volumes)
-        return Measured(seconds=flow.summary["wall_s"], **vars(errors))
-
-
-@dataclass(frozen=True, kw_only=True)
 class Compared:
     """One held-out scene by a model and by the MPM."""
 
@@ -80,8 +67,10 @@ class Compared:
     """Of the reference's deposit [m]."""
     free: bool
     """Whether no wall holds the reference's front."""
-    by: Mapping[str, Measured]
+    by: Mapping[str, Errors]
     """By method: the model's name, the MPM on coarse cells, a run like the reference jittered anew."""
+    seconds: Mapping[str, float]
+    """By method: on one thread, without compilation and without loading a model."""
     band: tuple[float, float] | None
     """Error of the predicted front and half-width of its band [m]; of free fronts at larger x, of models with bands."""
 
@@ -97,16 +86,12 @@ class Model:
     @property
     def points(self) -> dict[str, tuple[float, float]]:
         """Mean seconds of each method, and the rms over the scenes of the larger error of front and profile."""
-        runs = {
-            method: [each.by[method] for each in self.compared] for method in self.compared[0].by if method != AGAIN
-        }
-        return {
-            method: (
-                float(np.mean([each.seconds for each in some])),
-                measures.rms(np.array([max(abs(each.front), each.profile) for each in some])),
-            )
-            for method, some in runs.items()
-        }
+        found = {}
+        for method in [each for each in self.compared[0].by if each != AGAIN]:
+            seconds, errors = zip(*((each.seconds[method], each.by[method]) for each in self.compared), strict=True)
+            larger = np.array([max(abs(each.front), each.profile) for each in errors])
+            found[method] = float(np.mean(seconds)), measures.rms(larger)
+        return found
 
     @property
     def held(self) -> list[bool]:
@@ -184,7 +169,8 @@ def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequen
                 kind=kind,
                 extent=truth.extent,
                 free=not truth.at_wall,
-                by={method: Measured.of_flow(flow, truth) for method, flow in flows.items()},
+                by={method: truth.errors(flow.positions[-1], flow.volumes) for method, flow in flows.items()},
+                seconds={method: flow.summary["wall_s"] for method, flow in flows.items()},
                 band=None if truth.at_wall or truth.side != 1 else band(path, scene, truth.front),
             )
         )
