@@ -59,14 +59,10 @@ def find_design(
         if remarks and not limit.force:
             found = replace(found, remark=remarks[0])
         if out is not None:
-            save(found, folder)
+            write_json(folder / "design.json", record(found))
+            draw(found, folder / "design.png")
+            write_text(folder / "report.md", report(found))
     return found
-
-
-def save(found: Design, folder: Path) -> None:
-    write_json(folder / "design.json", record(found))
-    draw(found, folder / "design.png")
-    write_text(folder / "report.md", report(found))
 
 
 def record(found: Design) -> dict[str, Any]:
