@@ -26,7 +26,6 @@ from datasets.schema import Record, from_mapping
 from inverse.observations.target import Target
 from inverse.parameters.prior import Correlation, Prior
 from inverse.problem import Problem, read_problem
-from inverse.result import Result
 from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
 from mpm import simulate_many
@@ -169,7 +168,23 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
         with tempfile.TemporaryDirectory() as folder:
             target = misread(read_target(problem, lambda scene: simulate([scene])[0]), family.outlier, number)
             found = run(Task(problem=problem, target=target, folder=Path(folder), simulate=simulate))
-    return located(found, problem.target.truth, FIRST_SEED + number)
+    posterior, box = found.posterior, problem.box
+    assert posterior is not None, "of numbers"
+    where, samples = posterior.region.sampled, posterior.samples
+    values = np.array([problem.target.truth[name] for name in problem.names])
+    point = box.shares(values)
+    excluded = np.any((point < where.low) | (point > where.high))
+    density = -np.inf if excluded else float(posterior.likelihood(point[None])[0])
+    return Twin(
+        seed=FIRST_SEED + number,
+        denser=float(samples.weights[samples.log_likelihood > density].sum()),
+        below=problem.named(samples.weights @ (samples.points < point)),
+        inside=max(int(each.holds(values).sum()) for each in found.answers),
+        answers=len(found.answers),
+        verdict=found.verdict.value,
+        runs=len(found.mpm_runs),
+        seconds=found.seconds["total"],
+    )
 
 
 def misread(target: Target, outlier: float, number: int) -> Target:
@@ -202,26 +217,6 @@ def drawn(family: Family, number: int) -> Problem:
     cell = None if family.finer is None else family.finer * scene.domain.cell
     target = TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=cell)
     return replace(asked, scene=scene, observations=observations, target=target, surrogate=family.surrogate)
-
-
-def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
-    found, box = result.posterior, result.problem.box
-    assert found is not None, "of numbers"
-    where = found.region.sampled
-    values = np.array([truth[name] for name in result.problem.names])
-    point, samples = box.shares(values), found.samples
-    excluded = np.any((point < where.low) | (point > where.high))
-    density = -np.inf if excluded else float(found.likelihood(point[None])[0])
-    return Twin(
-        seed=seed,
-        denser=float(samples.weights[samples.log_likelihood > density].sum()),
-        below=result.problem.named(samples.weights @ (samples.points < point)),
-        inside=max(int(each.holds(values).sum()) for each in result.answers),
-        answers=len(result.answers),
-        verdict=result.verdict.value,
-        runs=len(result.mpm_runs),
-        seconds=result.seconds["total"],
-    )
 
 
 def written(out: Path, found: Mapping[Family, Sequence[Twin]]) -> str:

@@ -20,7 +20,7 @@ from datasets.processes import processors
 from datasets.scene import Mass
 from datasets.scene.library import read_scene
 from gns.simulator import Simulator
-from inverse.forward import Differentiable, Forward
+from inverse.forward import Forward
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
 from inverse.forward.mpm import MpmForward
@@ -58,16 +58,6 @@ GRADIENT = {"unknowns": ",", "seconds": ".2f", "cosine": ".3f", "length": ".2f",
 differences, over the unknowns of which these were run; the scatter is rms over the length of the mean."""
 Slope = tuple[float, Vector]
 """Seconds of a gradient, and the gradient of the loss, the mean of the squared distances of what is compared."""
-
-
-def by_reverse(forward: Differentiable, target: Values, components: int, at: Vector) -> Slope:
-    """By one backward pass of the loss against `target` [m], shape [U]."""
-    began = time.perf_counter()
-    point = torch.tensor(at, dtype=torch.float64, requires_grad=True)
-    loss = components * (forward.predict(point) - torch.from_numpy(target)).square().mean()
-    loss.backward()  # type: ignore[no-untyped-call]
-    assert point.grad is not None, "a leaf"
-    return time.perf_counter() - began, point.grad.numpy()
 
 
 def by_runs(forward: Forward, target: Values, components: int, at: Vector, moves: NDArray[np.float64]) -> Slope:
@@ -146,12 +136,15 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     seeded = [replace(problem, scene=replace(problem.scene, seed=seed)) for seed in seeds]
 
     def reverse(*forwards: GnsForward | AdjointForward) -> list[Slope]:
-        # The first of all compiles kernels.
-        found = [
-            by_reverse(each, each.select(target.values), observation.components, start)
-            for each in (forwards[0], *forwards)
-        ]
-        return [(seconds, slope[chosen]) for seconds, slope in found[1:]]
+        """By one backward pass each; one before compiles kernels."""
+        found = []
+        for each in (forwards[0], *forwards):
+            began, point = time.perf_counter(), torch.tensor(start, dtype=torch.float64, requires_grad=True)
+            residual = each.predict(point) - torch.from_numpy(each.select(target.values))
+            loss = observation.components * residual.square().mean()
+            (slope,) = torch.autograd.grad(loss, point)
+            found.append((time.perf_counter() - began, slope.numpy()[chosen]))
+        return found[1:]
 
     runs = [MpmForward(each, observation, simulate_many) for each in seeded]
     own = runs[0].select(target.values)

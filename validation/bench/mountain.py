@@ -105,12 +105,6 @@ def peaks(eastings: Floats, speed: Floats, thickness: float) -> Found:
     }
 
 
-def peaks_of(data: Path, code: str) -> Found:
-    """Those of another code. Raises InputError."""
-    speed, thickness = (read_raster(data / f"peak-{kind}-{code}.tif") for kind in ("speed", "thickness"))
-    return peaks(speed.x, np.nan_to_num(speed.values), float(np.nanmax(thickness.values)))
-
-
 def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] = (4.0, 2.0)) -> str:
     """Measure a slide of three kilometres on a raster of 300,000 posts: how far, how fast, at what price.
 
@@ -122,7 +116,10 @@ def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] =
         Edges of the grid's cells [m], coarse ones first.
     """
     require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
-    others, found = {code: peaks_of(data, code) for code in CODES}, {}
+    others, found = dict[str, Found](), dict[float, Found]()
+    for code in CODES:
+        speed, thickness = (read_raster(data / f"peak-{kind}-{code}.tif") for kind in ("speed", "thickness"))
+        others[code] = peaks(speed.x, np.nan_to_num(speed.values), float(np.nanmax(thickness.values)))
     with kept(keep) as folder:
         for cell in cells:
             place = folder / f"mountain-{Run(scene=scene_of(data, cell)).digest}"
