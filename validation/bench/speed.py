@@ -12,21 +12,24 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
+from datasets import maps
+from datasets.files import make_folder
+from datasets.flow.trajectory import open_trajectory
 from datasets.processes import processors
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.scene.library import read_scene
 from datasets.scene.material import Material
 from datasets.scene.particles import particle_count
 from inverse.answer import peak_memory_mib
-from mpm import LAST, simulate, simulate_many
+from mpm import LAST, Recording, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
-from mpm.arrays.layout import Precision
+from mpm.arrays.layout import Precision, node_shape
 from mpm.simulation import LARGE, Options
-from validation.bench import large
-from validation.bench.measuring import Found, Spread, isolated, reset_peak, seconds_of, turns
+from validation.bench.measuring import Found, Spread, isolated, once, recorded, reset_peak, seconds_of, turns
 from validation.bench.network import NETWORK, PER_NODE, network_rows
 from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, kept, write_page
 from validation.plots import BLUE, ORANGE, figure
+from validation.runs import Run
 
 CUBE = 0.375
 """Edge of the column in 3D [m]."""
@@ -37,6 +40,8 @@ CACHE = "TI_OFFLINE_CACHE_FILE_PATH"
 PRICED = "column-tall-42"
 FINER = ((1, 0.5), (2, 0.25), (2, 0.5), (4, 0.0625))
 """How many times finer than the shipped column's the cells are, and duration [s], of runs whose gradient is priced."""
+CELL, EVERY, FLOW = 0.375, 5, "flow.h5"
+"""Of the large terrain: cells [m], frames from one that is kept for the maps to the next, file of the flow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,6 +206,36 @@ def price(scene: Scene, repeats: int) -> Found:
     }
 
 
+def slide() -> Scene:
+    """`hillside` on other cells, its layer a little thicker, its soil as soft as its speed allows."""
+    scene = read_scene("hillside").with_cell(CELL)
+    soil, layer = replace(scene.material, young=6.0e6), replace(scene.masses[0], thickness=6.25)
+    return replace(scene, material=soil, masses=(layer,), duration=8.0, step_fraction=0.9)
+
+
+def slid(folder: Path) -> Found:
+    """The run whose frames go to a file."""
+    found = recorded(slide, Recording(frames=EVERY), folder / FLOW)
+    return found | {"nodes": " x ".join(map(str, node_shape(slide().domain)))}
+
+
+def mapped(folder: Path) -> Found:
+    """The maps of that run."""
+    began, trajectory = time.perf_counter(), open_trajectory(folder / FLOW)
+    make_folder(folder / "maps")
+    maps.write(trajectory, maps.maps_of(trajectory, CELL, progress=True), folder / "maps")
+    disk = sum(path.stat().st_size for path in (folder / "maps").iterdir()) / 2**20
+    seconds = time.perf_counter() - began
+    return {"seconds": seconds, "memory": peak_memory_mib(), "disk": disk, "frames": len(trajectory.time)}
+
+
+def large_terrain(keep: Path) -> list[Found]:
+    """Run and maps, each in a process of its own; what is in `keep` is not done again."""
+    folder = keep / f"terrain-{Run(scene=slide()).digest}"
+    make_folder(folder)
+    return [once(folder / f"{work.__name__}.json", work, folder) for work in (slid, mapped)]
+
+
 def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     """Measure rates over sizes and at baffles, gradients, steps of networks, a large terrain; needs a quiet machine.
 
@@ -216,12 +251,16 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     prices = [isolated(price, scene, rounds) for scene in finer]
     networks = network_rows(rounds=rounds)
     with kept(keep) as folder:
-        terrain = large.measured(folder)
+        flow, drawn = large_terrain(folder)
+    whole_way = flow["before"] + flow["seconds"] + drawn["seconds"]
     draw(out / "speed.png", rates)
     return write_page(
         out,
         "speed",
-        [*conclusion(rates, prices, networks), large.sentence(terrain)],
+        [
+            *conclusion(rates, prices, networks),
+            f"A terrain of {flow['particles']:,} particles takes {whole_way:.0f} s from the raster to the maps.",
+        ],
         flags=f" --rounds {rounds}",
         large=LARGE,
         rates=rate_rows(rates),
@@ -230,10 +269,10 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
         priced=PRICED,
         prices=formatted(prices, PRICE | {"memory [MiB]": ".0f"}),
         networks=formatted(networks, NETWORK),
-        cell=large.CELL,
-        particles=terrain["flow"]["particles"],
-        nodes=terrain["flow"]["nodes"],
-        terrain=large.rows(terrain),
+        cell=CELL,
+        particles=flow["particles"],
+        nodes=flow["nodes"],
+        terrain=terrain_rows(flow, drawn),
     )
 
 
@@ -252,6 +291,20 @@ def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found])
         f"A gradient by the adjoint takes as long as {ratios} runs, for any number of unknowns, and at most"
         f" {largest['memory [MiB]']:.0f} MiB ({largest['particles']:,} particles, {largest['steps']:,} steps).",
         f"A step of the shipped networks with its gradient takes {steps} µs per node, on one thread.",
+    ]
+
+
+def terrain_rows(flow: Found, drawn: Found) -> list[Row]:
+    """What each stage takes."""
+    stages = {
+        "raster to particles and contact": {"seconds": flow["before"]},
+        f"run of {flow['steps']:,} steps, every {EVERY}th frame to HDF5": flow,
+        f"maps of {drawn['frames']} frames": drawn,
+    }
+    return [
+        {"stage": stage, "seconds": f"{took['seconds']:.1f}"}
+        | {f"{key} [MiB]": f"{took[key]:.0f}" if key in took else "-" for key in ("memory", "disk")}
+        for stage, took in stages.items()
     ]
 
 

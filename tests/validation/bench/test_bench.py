@@ -15,9 +15,8 @@ from validation.bench import gns as bench_gns
 from validation.bench import page as pages
 from validation.bench.__main__ import PAGES, main
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.large import slide
 from validation.bench.page import kept, write_page
-from validation.bench.speed import CASES, column, mean_x, modes
+from validation.bench.speed import CASES, column, mean_x, modes, slide
 
 
 @pytest.mark.parametrize("name", PAGES)
