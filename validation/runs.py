@@ -7,16 +7,19 @@ of the run and the version of this package.
 import dataclasses
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from tqdm import tqdm
 
 from datasets import __version__
 from datasets.errors import InputError, WorkFailed
 from datasets.flow.trajectory import Trajectory
+from datasets.lock import locked
 from datasets.processes import processors
 from datasets.scene import Scene
 from datasets.scene.particles import particle_count
@@ -58,6 +61,13 @@ class Run:
         """What is recorded and the kernel that it needs; a large run, which takes all threads, last."""
         features = features_of([self.scene], self.precision, record=self.record)
         return particle_count(self.scene) >= LARGE, repr(self.record), repr(features)
+
+
+@contextmanager
+def kept(folder: Path | str | None) -> Iterator[Path]:
+    """The folder of finished work, held for this process, or a temporary one."""
+    with TemporaryDirectory() if folder is None else locked(Path(folder)) as found:
+        yield Path(found)
 
 
 def caveats(flows: Sequence[Trajectory]) -> list[str]:

@@ -30,10 +30,11 @@ from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
 from mpm import simulate_many
 from mpm.cluster import connected, pool
-from validation.bench.page import Keep, Many, Out, Row, emphasised, kept, write_page
+from validation.bench.page import Keep, Many, Out, Row, emphasised, write_page
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
 from validation.plots import GREY, figure
+from validation.runs import kept
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}

@@ -11,7 +11,7 @@ import numpy as np
 
 from datasets.flow.trajectory import Trajectory
 from mpm import AT_REST
-from validation.bench.page import Keep, Out, Row, emphasised, kept, percent, signed, write_page
+from validation.bench.page import Keep, Out, Row, emphasised, percent, signed, write_page
 from validation.experiments.experiment import (
     FOLDER,
     Angle,
@@ -24,7 +24,7 @@ from validation.experiments.experiment import (
     read_experiments,
 )
 from validation.plots import BLUE, INK, LIGHT_BLUE, figure
-from validation.runs import Run, RunStore
+from validation.runs import Run, RunStore, kept
 
 CLOSE = 2.0
 """Spreads within which a number agrees."""

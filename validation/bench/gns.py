@@ -26,9 +26,9 @@ from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
 from validation.bench.accuracy.bench import deposit_of
-from validation.bench.page import Keep, Out, Row, kept, signed, tables, write_page
+from validation.bench.page import Keep, Out, Row, signed, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
-from validation.runs import Run, RunStore
+from validation.runs import Run, RunStore, kept
 
 SEED = 1
 """Of the held-out scenes; the training data have 0."""

@@ -20,8 +20,8 @@ from datasets.scene.library import scene_from
 from inverse.answer import peak_memory_mib
 from mpm import Recording
 from validation.bench.measuring import Found, once, recorded
-from validation.bench.page import Keep, Out, Row, between, kept, write_page
-from validation.runs import Run
+from validation.bench.page import Keep, Out, Row, between, write_page
+from validation.runs import Run, kept
 
 CASE = "CoulombOnly"
 CODES = ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D")

@@ -1,18 +1,16 @@
 """Pages of figures in Markdown: templates with a conclusion, the command, the machine and tables filled in.
 
-Also the flags that all pages share, and where finished work of a page stays.
+Also the flags that all pages share.
 """
 
 import math
 import os
 import platform
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -20,7 +18,6 @@ from cyclopts.validators import Number
 from tabulate import tabulate
 
 from datasets.files import write_text
-from datasets.lock import locked
 
 Out = Annotated[Path, Parameter(help="Folder of the page and its pictures.")]
 Keep = Annotated[
@@ -38,13 +35,6 @@ CPUINFO = Path("/proc/cpuinfo")
 
 Row = Mapping[str, object]
 """A row of a table: its cells by column heading."""
-
-
-@contextmanager
-def kept(folder: Path | None) -> Iterator[Path]:
-    """The folder of finished work, held for this process, or a temporary one."""
-    with TemporaryDirectory() if folder is None else locked(folder) as found:
-        yield Path(found)
 
 
 def percent(fraction: float) -> str:

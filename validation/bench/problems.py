@@ -22,8 +22,9 @@ from gns import library
 from inverse.answer import Verdict
 from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate
-from validation.bench.page import Keep, Out, Row, between, emphasised, kept, tables, write_page
+from validation.bench.page import Keep, Out, Row, between, emphasised, tables, write_page
 from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
+from validation.runs import kept
 
 RESULT, KEY = "result.json", "made-of.txt"
 """Of a problem: what the loop wrote, and a digest of what it was made of."""

@@ -27,9 +27,9 @@ from mpm.arrays.layout import Precision, node_shape
 from mpm.simulation import LARGE, Options
 from validation.bench.measuring import Found, Spread, isolated, once, recorded, reset_peak, seconds_of, turns
 from validation.bench.network import NETWORK, PER_NODE, network_rows
-from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, kept, write_page
+from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, write_page
 from validation.plots import BLUE, ORANGE, figure
-from validation.runs import Run
+from validation.runs import Run, kept
 
 CUBE = 0.375
 """Edge of the column in 3D [m]."""

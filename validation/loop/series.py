@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from datasets.errors import InputError, WorkFailed, naming
+from datasets.errors import InputError, naming
 from datasets.files import make_folder, write_json, write_text
 from datasets.flow.trajectory import SUFFIXES, Trajectory
 from inverse.answer import Verdict
@@ -146,10 +146,3 @@ def summary(rows: Sequence[Mapping[str, Any]], count: int) -> str:
         f"{len(rows)} of {count} deposits inverted, {confirmed} of them confirmed by the MPM; "
         f"{runs:.1f} MPM runs and {seconds:.0f} s a deposit."
     )
-
-
-def require_confirmed(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
-    """Raise WorkFailed where the MPM has not confirmed every deposit's answer."""
-    others = [str(each["deposit"]) for each in rows if not Verdict(each["verdict"]).confirms]
-    if others:
-        raise WorkFailed(f"not confirmed: {', '.join(others)}; see {out}/report.md")

@@ -15,8 +15,9 @@ from validation.bench import gns as bench_gns
 from validation.bench import page as pages
 from validation.bench.__main__ import PAGES, main
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.page import kept, write_page
+from validation.bench.page import write_page
 from validation.bench.speed import CASES, column, mean_x, modes, slide
+from validation.runs import kept
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -24,9 +24,9 @@ from mpm import simulate_many
 from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
 from mpm.runtime import Arch
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
-from validation.bench.page import Keep, Out, emphasised, kept, percent, tables, write_page
+from validation.bench.page import Keep, Out, emphasised, percent, tables, write_page
 from validation.plots import BLUE, GREY, ORANGE, figure
-from validation.runs import SHARE, Run, RunStore
+from validation.runs import SHARE, Run, RunStore, kept
 
 TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)
 """The resolution that each selects is shown."""
