@@ -44,33 +44,22 @@ TRANSFERS = {"AFLIP, default": None, "APIC": 0.0}
 """Relaxation times of the transfer."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Quantity(Record):
-    """How a function of `quantities.py` is called, and the range in which it usually has to lie."""
+ROWS = read_toml(FOLDER / "rows.toml")
 
+
+@dataclass(frozen=True, kw_only=True)
+class Check(Record):
+    """A function of `quantities.py`, how it is called, and the range in which it has to lie."""
+
+    quantity: str
     name: str
     unit: str = ""
     minimum: float = -math.inf
     maximum: float = math.inf
 
-
-ROWS = read_toml(FOLDER / "rows.toml")
-QUANTITIES = {key: from_mapping(Quantity, each) for key, each in ROWS["quantities"].items()}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Check(Record):
-    """A quantity, with another range where one is given."""
-
-    quantity: str
-    minimum: float | None = None
-    maximum: float | None = None
-
     def finding(self, flow: Trajectory) -> Finding:
-        usual, value = QUANTITIES[self.quantity], getattr(quantities, self.quantity)(flow)
-        low = usual.minimum if self.minimum is None else self.minimum
-        high = usual.maximum if self.maximum is None else self.maximum
-        return Finding(check=usual.name, value=value, unit=usual.unit, minimum=low, maximum=high)
+        value = getattr(quantities, self.quantity)(flow)
+        return Finding(check=self.name, value=value, unit=self.unit, minimum=self.minimum, maximum=self.maximum)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +104,11 @@ class Verdict:
 
 def read_rows(names: Sequence[str] = ()) -> list[Row]:
     """The rows of these names and those they are compared with; all where there are none. Raises InputError."""
-    rows = {each["name"]: from_mapping(Row, each) for each in ROWS["rows"]}
+    rows = {}
+    for each in ROWS["rows"]:
+        # What a check leaves out is as usual for its quantity.
+        checks = [ROWS["quantities"][check["quantity"]] | check for check in each.get("checks", ())]
+        rows[each["name"]] = from_mapping(Row, {**each, "checks": checks})
     for name in names:
         if name not in rows:
             near = difflib.get_close_matches(name, rows, n=1)
