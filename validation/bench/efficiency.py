@@ -176,7 +176,6 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
 
 
 def conclusion(gradients: Sequence[Found]) -> list[str]:
-    """The price of a gradient and its direction."""
     largest = max(each["unknowns"] for each in gradients)
     shown = [each for each in gradients if each["unknowns"] == largest]
     prices = ", ".join(f"{each['seconds']:.2g} s by {each['by']}" for each in shown)

@@ -65,7 +65,6 @@ class Score:
 
     @property
     def agrees(self) -> bool:
-        """Whether it is within CLOSE times the spread."""
         return abs(self.error) <= CLOSE
 
 
@@ -257,7 +256,6 @@ def conclusion(firsts: Sequence[Score], found: Sequence[Inferred]) -> list[str]:
 
 
 def draw(path: Path, scores: Sequence[Score]) -> None:
-    """Lengths over the measured ones, a row each."""
     rows, value = range(len(scores)), np.array([each.measured.value for each in scores])
     spread = np.array([each.measured.spread for each in scores]) / value
     with figure(path, size=(8.0, 1.6 + 0.36 * max(len(scores), 1))) as axes:

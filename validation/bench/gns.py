@@ -214,7 +214,6 @@ def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | 
 
 
 def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
-    """Errors, their price, bands, rest."""
     fronts, prices = [], []
     for each in found:
         off, again = ([one.by[method].front for one in each.compared if one.free] for method in (each.name, AGAIN))
@@ -262,7 +261,6 @@ def price_rows(model: Model) -> list[Row]:
 
 
 def draw(path: Path, found: Sequence[Model]) -> None:
-    """Errors of fronts by kind, and errors over seconds; a row of panes for each model."""
     with figure(path, rows=len(found), columns=2, size=(5.6, 3.4)) as axes:
         for (left, right), model in zip(axes, found, strict=True):
             free = [(each.kind, 100.0 * each.by[model.name].front) for each in model.compared if each.free]

@@ -132,7 +132,6 @@ def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] =
 
 
 def conclusion(found: Mapping[float, Found], others: Mapping[str, Found]) -> list[str]:
-    """Of the finest cells beside the other codes: how far, how fast, how thick, at what price."""
     finest = found[min(found)]
     alike = np.array([others[code]["speeds"] for code in ALIKE])
     apart = np.abs(finest["speeds"] / alike.mean(axis=0) - 1.0)
@@ -164,7 +163,6 @@ def cost(cell: float, took: Found) -> Row:
 
 
 def row(name: str, each: Found) -> Row:
-    """Of a code."""
     speeds = {f"at {x:.0f} m": f"{speed:.1f}" for x, speed in zip(SECTIONS, each["speeds"], strict=True)}
     first = {"code": name, "furthest x [m]": f"{each['furthest']:.0f}"}
     return first | speeds | {"thickness [m]": f"{each['thickness']:.1f}", "area [ha]": f"{each['area']:.1f}"}

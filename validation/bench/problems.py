@@ -267,7 +267,6 @@ def section(title: str, problems: Mapping[str, Outcomes]) -> str:
 
 
 def conclusion(solved: Sequence[Outcomes]) -> list[str]:
-    """Which answers are as expected, the intervals, the errors beside the paper's, fields, the cost."""
     outcomes = [each for ways in solved for each in ways.values()]
     if not outcomes:
         return ["No problem has been solved yet."]

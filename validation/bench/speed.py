@@ -64,7 +64,6 @@ class Case:
 
     @property
     def text(self) -> str:
-        """Its size."""
         return f"{self.scenes} x {self.particles:,} particles in {self.dimension}D"
 
 
@@ -277,7 +276,6 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
 
 
 def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found]) -> list[str]:
-    """Rates by dimension, the price of a gradient, the network's step."""
     largest = max(prices, key=lambda each: float(each["memory [MiB]"]))
     ratios = between([each["runs per gradient"] for each in prices], ".1f")
     steps = between([each[PER_NODE] for each in networks], ".0f")
@@ -318,7 +316,6 @@ def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
 
 
 def rate_rows(rates: Rates) -> list[Row]:
-    """A line per case: its rates by precision and threads."""
     rows: list[Row] = []
     used = sorted({mode for _, mode in rates})
     for case in sorted({case for case, _ in rates}, key=astuple):
@@ -336,7 +333,6 @@ def rate_rows(rates: Rates) -> list[Row]:
 
 
 def draw(path: Path, rates: Rates) -> None:
-    """Rates over particles."""
     with figure(path) as axes:
         axis = axes[0, 0]
         for dimension, colour in ((2, BLUE), (3, ORANGE)):

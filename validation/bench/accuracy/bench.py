@@ -234,7 +234,6 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
 
 
 def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> list[dict[str, str]]:
-    """A line per scene, and those of thickness and seconds."""
     heads = {r: f"{r.cells:g} cells (bound {percent(limits[r])})" for r in found}
     rows = {
         name: {r: emphasised(percent(of[name].errors[0]), of[name].errors[0] <= limits[r]) for r, of in found.items()}
@@ -246,7 +245,6 @@ def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]
 
 
 def conclusion(trials: Mapping[int, Errors], limits: Limits) -> list[str]:
-    """How many scenes are within the bound, and what the errors cost."""
     held = [
         each.errors[0] <= limits[dimension][resolution]
         for dimension, found in trials.items()
@@ -261,7 +259,6 @@ def conclusion(trials: Mapping[int, Errors], limits: Limits) -> list[str]:
 
 
 def draw(path: Path, trials: Mapping[int, Errors], limits: Limits) -> None:
-    """Error over seconds, a pane per dimension."""
     with figure(path, columns=len(trials), size=(4.2, 3.8)) as axes:
         for axis, (dimension, found) in zip(axes[0], trials.items(), strict=True):
             for name in next(iter(found.values())):

@@ -98,7 +98,6 @@ class Verdict:
 
     @property
     def failures(self) -> list[str]:
-        """What is wrong; empty for a green row."""
         return [self.blown_up] * bool(self.blown_up) + [str(each) for each in (*self.kept, *self.own) if not each.ok]
 
 
@@ -203,7 +202,6 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
 
 
 def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors) -> list[str]:
-    """Rows that hold, energy and momentum, fronts, factors of safety."""
     red = [each.row.name for each in verdicts if each.failures]
     exact = [not each.failures for each in verdicts if each.row.exact]
     rise, balance = (
