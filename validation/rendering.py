@@ -38,6 +38,8 @@ WIDTH, HEIGHT = 1600, 1200
 """An image is at most this large [px]."""
 MARGIN = (0.13, 0.24)
 """Share of the image's width and height beside the flow, for scales, colour bar and time."""
+BAR = {"vertical": True, "position_x": 0.91, "position_y": 0.2, "height": 0.55, "width": 0.05, "fmt": "%g"}
+LETTERS = {"color": INK, "title_font_size": 20, "label_font_size": 20}
 
 
 def require_recorded(trajectory: Trajectory, colour: Colour) -> None:
@@ -169,19 +171,7 @@ class Picture:
             # Shaded, but not so much that the colours could not be read.
             ambient=0.35,
             diffuse=0.75,
-            scalar_bar_args={
-                "title": field.title,
-                "vertical": True,
-                "position_x": 0.91,
-                "position_y": 0.2,
-                "height": 0.55,
-                "width": 0.05,
-                "n_labels": 0 if named else len(marks),
-                "fmt": "%g",
-                "color": INK,
-                "title_font_size": 20,
-                "label_font_size": 20,
-            },
+            scalar_bar_args={"title": field.title, "n_labels": 0 if named else len(marks), **BAR, **LETTERS},
         )
 
     def _largest(self) -> float:
