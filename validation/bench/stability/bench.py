@@ -2,10 +2,10 @@
 
 import difflib
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,21 +48,6 @@ ROWS = read_toml(FOLDER / "rows.toml")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check(Record):
-    """A function of `quantities.py`, how it is called, and the range in which it has to lie."""
-
-    quantity: str
-    name: str
-    unit: str = ""
-    minimum: float = -math.inf
-    maximum: float = math.inf
-
-    def finding(self, flow: Trajectory) -> Finding:
-        value = getattr(quantities, self.quantity)(flow)
-        return Finding(check=self.name, value=value, unit=self.unit, minimum=self.minimum, maximum=self.maximum)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Row(Record):
     """A row of `rows.toml`."""
 
@@ -76,7 +61,8 @@ class Row(Record):
     until_rest: bool = False
     energy: float | None = None
     """Energy that it may gain, over the available one, where that is more than usual."""
-    checks: tuple[Check, ...] = ()
+    checks: tuple[dict[str, Any], ...] = ()
+    """Of `quantities.py`: `quantity`, and its keys in `rows.toml` that are others here."""
     over: str = ""
     within: float = 0.0
     remark: str = ""
@@ -103,11 +89,7 @@ class Verdict:
 
 def read_rows(names: Sequence[str] = ()) -> list[Row]:
     """The rows of these names and those they are compared with; all where there are none. Raises InputError."""
-    rows = {}
-    for each in ROWS["rows"]:
-        # What a check leaves out is as usual for its quantity.
-        checks = [ROWS["quantities"][check["quantity"]] | check for check in each.get("checks", ())]
-        rows[each["name"]] = from_mapping(Row, {**each, "checks": checks})
+    rows = {each["name"]: from_mapping(Row, each) for each in ROWS["rows"]}
     for name in names:
         if name not in rows:
             near = difflib.get_close_matches(name, rows, n=1)
@@ -140,7 +122,11 @@ def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFai
         kept = [each for each in kept if each.check != "energy"]
     if row.energy is not None:
         kept = [replace(each, maximum=row.energy) if each.check == "energy" else each for each in kept]
-    own = [check.finding(flow) for check in row.checks]
+    own = []
+    for check in row.checks:
+        keys = ROWS["quantities"][check["quantity"]] | check
+        value = getattr(quantities, keys.pop("quantity"))(flow)
+        own.append(Finding(value=value, **keys))
     if isinstance(other, Trajectory):
         value = front(flow.positions[-1], flow.volumes) / front(other.positions[-1], other.volumes)
         name = f"front over that of {row.over}"
