@@ -77,17 +77,11 @@ class Family(Record):
         return first + [(replace(problem, surrogate=self.second), f"{name}-{self.second}") for problem, name in first]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shipped(Record):
-    """`problems.toml`."""
-
-    paper: dict[str, Paper]
-    families: tuple[Family, ...]
-
-
-def read_shipped() -> Shipped:
-    """The families in the order of the page, and the paper's figures."""
-    return from_mapping(Shipped, read_toml(Path(__file__).with_suffix(".toml")))
+SHIPPED = read_toml(Path(__file__).with_suffix(".toml"))
+FAMILIES = [from_mapping(Family, each) for each in SHIPPED["families"]]
+"""In the order of the page."""
+PAPER = {name: from_mapping(Paper, each) for name, each in SHIPPED["paper"].items()}
+"""Its figures, by problem."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,23 +186,23 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
     as_kept
         Solve nothing: write the page from the results in KEEP, whatever they were made of.
     """
-    shipped, failed, pictures = read_shipped(), list[str](), list[str]()
-    names = [name for family in shipped.families for name in family.problems]
+    failed, pictures = list[str](), list[str]()
+    names = [name for family in FAMILIES for name in family.problems]
     if unknown := [name for name in only if name not in names]:
         raise InputError("expected the name of a shipped problem", where=unknown[0], key="--only")
     found: dict[str, dict[str, dict[str, Outcome]]] = {}
     with kept(keep) as folder:
-        for family in shipped.families:
+        for family in FAMILIES:
             for problem, name in family.inversions():
                 asked = problem.name in (only or names) and not as_kept
                 if asked and not is_current(problem, folder / name) and not ran(problem, folder / name):
                     failed.append(name)
                 result = read_json(folder / name / RESULT) if as_kept or is_current(problem, folder / name) else None
                 if result is not None:
-                    known = shipped.paper.get(problem.name, Paper())
+                    known = PAPER.get(problem.name, Paper())
                     outcome = Outcome(problem=problem, criteria=family.criteria, paper=known, result=result)
                     found.setdefault(family.title, {}).setdefault(problem.name, {}).setdefault(outcome.way, outcome)
-        for name in (each for family in shipped.families for each in family.pictures):
+        for name in (each for family in FAMILIES for each in family.pictures):
             source, target = folder / f"{name}.png", out / "pictures" / f"{name.replace('/', '-')}.png"
             if source.exists():
                 target.parent.mkdir(parents=True, exist_ok=True)
