@@ -251,14 +251,14 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     networks = network_rows(rounds=rounds)
     with kept(keep) as folder:
         flow, drawn = large_terrain(folder)
-    whole_way = flow["before"] + flow["seconds"] + drawn["seconds"]
+    seconds = flow["before"] + flow["seconds"] + drawn["seconds"]
     draw(out / "speed.png", rates)
     return write_page(
         out,
         "speed",
         [
             *conclusion(rates, prices, networks),
-            f"A terrain of {flow['particles']:,} particles takes {whole_way:.0f} s from the raster to the maps.",
+            f"A terrain of {flow['particles']:,} particles takes {seconds:.0f} s from the raster to the maps.",
         ],
         flags=f" --rounds {rounds}",
         large=LARGE,

@@ -91,14 +91,12 @@ def print_outcome(result: Result, out: Path) -> None:
         raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")
 
 
-def run(
-    task: Task, *, model: Path | None = None, load: surrogate.Load = surrogate.learned, known: Sequence[Known] = ()
-) -> Result:
-    """Search, check the answers, judge; load: in place of the learned surrogate; known: runs for other targets."""
+def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -> Result:
+    """Search, check the answers, judge; known: runs for other targets."""
     began, used = time.perf_counter(), time.process_time()
     before = tuple(task.run(*each) for each in known)
     led, outcome, cells = None, None, tuple[MpmRun, ...]()
-    forward, reason = surrogate.choose(task, model=model, load=load)
+    forward, reason = surrogate.choose(task, model)
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
         rough = 1.0 if isinstance(forward, MpmForward) else ROUGH
