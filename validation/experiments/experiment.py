@@ -295,11 +295,8 @@ def edge(stations: Floats, heights: Floats, thickness: float) -> float:
     stations, heights: [m], shape [S] each; the last station where it never does.
     """
     top = int(np.argmax(heights))
-    below = np.flatnonzero(heights[top:] < thickness)
+    below = top + np.flatnonzero(heights[top:] < thickness)
     if len(below) == 0:
         return float(stations[-1])
-    right = top + int(below[0])
-    if right == top:
-        return float(stations[top])
-    share = (heights[right - 1] - thickness) / (heights[right - 1] - heights[right])
-    return float(stations[right - 1] + share * (stations[right] - stations[right - 1]))
+    around = [below[0], max(below[0] - 1, top)]
+    return float(np.interp(thickness, heights[around], stations[around]))
