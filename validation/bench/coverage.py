@@ -8,7 +8,6 @@ highest density regions, Am. Stat. 50 (1996) 120-126).
 """
 
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -166,9 +165,9 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
     if family.outlier == 0.0:
         found = solve(problem, simulate=simulate, model=model if family.adapted else None)
     else:
-        with tempfile.TemporaryDirectory() as folder:
+        with kept(None) as folder:
             target = misread(read_target(problem, lambda scene: simulate([scene])[0]), family.outlier, number)
-            found = run(Task(problem=problem, target=target, folder=Path(folder), simulate=simulate))
+            found = run(Task(problem=problem, target=target, folder=folder, simulate=simulate))
     posterior, box = found.posterior, problem.box
     assert posterior is not None, "of numbers"
     where, samples = posterior.region.sampled, posterior.samples
