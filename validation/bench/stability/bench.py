@@ -65,7 +65,6 @@ class Row(Record):
     """Of `quantities.py`: `quantity`, and its keys in `rows.toml` that are others here."""
     over: str = ""
     within: float = 0.0
-    remark: str = ""
 
     @property
     def scene(self) -> Scene:
@@ -174,7 +173,6 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
         count=len(verdicts),
         precision=precision,
         cases=[row_of(each) for each in verdicts],
-        remarks="\n".join(f"- `{each.row.name}`: {each.row.remark}" for each in verdicts if each.row.remark),
         safety=slopes.rows(safety),
         fronts=[
             {"": f"{dimension}D", "stiffness": f"{stiffness:g}", "step": f"{step:g}"}
