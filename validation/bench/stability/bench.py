@@ -42,8 +42,6 @@ RELEASED = {
 """Columns whose fronts are compared, and cells across them, by dimension."""
 TRANSFERS = {"AFLIP, default": None, "APIC": 0.0}
 """Relaxation times of the transfer."""
-
-
 ROWS = read_toml(FOLDER / "rows.toml")
 
 
