@@ -38,9 +38,11 @@ WIDTH, HEIGHT = 1600, 1200
 """An image is at most this large [px]."""
 MARGIN = (0.13, 0.24)
 """Share of the image's width and height beside the flow, for scales, colour bar and time."""
+BAR = {"vertical": True, "position_x": 0.91, "position_y": 0.2, "height": 0.55, "width": 0.05, "fmt": "%g"}
+LETTERS = {"color": INK, "title_font_size": 20, "label_font_size": 20}
 
 
-def require(trajectory: Trajectory, colour: Colour) -> None:
+def require_recorded(trajectory: Trajectory, colour: Colour) -> None:
     """Raise InputError where `trajectory` has not recorded what `colour` is to show."""
     missing = colour in (Colour.PRESSURE, Colour.PLASTIC_STRAIN) and getattr(trajectory, colour) is None
     if missing or (colour is Colour.VELOCITY and FlowFields(trajectory).velocity(0) is None):
@@ -55,10 +57,10 @@ class Picture:
     """
 
     def __init__(self, trajectory: Trajectory, colour: Colour, *, smooth: bool = False) -> None:
-        require(trajectory, colour)
+        require_recorded(trajectory, colour)
         self.trajectory, self.meshes, self.colour = trajectory, Meshes(trajectory), colour
         lower, upper = extent(trajectory.scene, trajectory.positions)
-        marks = _marks(0.0, float(np.max(upper - lower)), 10)
+        marks = _marks(float(np.max(upper - lower)), 10)
         self.step = float(marks[1] - marks[0])
         """Distance between two numbers of a scale [m]."""
         self.lower = self.step * np.floor(lower / self.step + 1e-6)
@@ -155,7 +157,7 @@ class Picture:
             colours: Any = ListedColormap(colormaps[field.colours](np.arange(len(materials)) % 8)[:, :3])
             names = {float(index): f"{index}: {each.friction_deg:g}°" for index, each in enumerate(materials)}
         else:
-            marks = _marks(0.0, self._largest(), 5)
+            marks = _marks(self._largest(), 5)
             limits, colours, names = (0.0, float(marks[-1])), field.colours, None
         self.plotter.add_mesh(
             self.cloud,
@@ -169,19 +171,7 @@ class Picture:
             # Shaded, but not so much that the colours could not be read.
             ambient=0.35,
             diffuse=0.75,
-            scalar_bar_args={
-                "title": field.title,
-                "vertical": True,
-                "position_x": 0.91,
-                "position_y": 0.2,
-                "height": 0.55,
-                "width": 0.05,
-                "n_labels": 0 if named else len(marks),
-                "fmt": "%g",
-                "color": INK,
-                "title_font_size": 20,
-                "label_font_size": 20,
-            },
+            scalar_bar_args={"title": field.title, "n_labels": 0 if named else len(marks), **BAR, **LETTERS},
         )
 
     def _largest(self) -> float:
@@ -197,9 +187,7 @@ class Picture:
         lower, upper = self.lower.copy(), self.upper.copy()
         if flat:
             lower[2] = upper[2] = -self.meshes.fields.spacing
-        counts = dict(
-            zip(("n_xlabels", "n_ylabels", "n_zlabels"), np.rint((upper - lower) / step).astype(int) + 1, strict=True)
-        )
+        counts = np.rint((upper - lower) / step).astype(int) + 1
         self.plotter.show_bounds(
             bounds=np.stack([lower, upper], axis=1).ravel().tolist(),
             grid="front" if flat else "back",
@@ -214,13 +202,13 @@ class Picture:
             font_size=20,
             bold=False,
             use_2d=flat,
-            **counts,
+            **dict(zip(("n_xlabels", "n_ylabels", "n_zlabels"), counts, strict=True)),
         )
 
 
-def _marks(lower: float, upper: float, count: int) -> Floats:
-    """About `count` round numbers, as far apart, from `lower` or before to `upper` or behind."""
-    return np.asarray(MaxNLocator(count, steps=(1, 2, 5, 10)).tick_values(lower, upper))
+def _marks(upper: float, count: int) -> Floats:
+    """About `count` round numbers, as far apart, from 0 to `upper` or behind."""
+    return np.asarray(MaxNLocator(count, steps=(1, 2, 5, 10)).tick_values(0.0, upper))
 
 
 def _window(width: int, height: int) -> Any:

@@ -7,16 +7,19 @@ of the run and the version of this package.
 import dataclasses
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from tqdm import tqdm
 
 from datasets import __version__
 from datasets.errors import InputError, WorkFailed
 from datasets.flow.trajectory import Trajectory
+from datasets.lock import locked
 from datasets.processes import processors
 from datasets.scene import Scene
 from datasets.scene.particles import particle_count
@@ -58,6 +61,13 @@ class Run:
         """What is recorded and the kernel that it needs; a large run, which takes all threads, last."""
         features = features_of([self.scene], self.precision, record=self.record)
         return particle_count(self.scene) >= LARGE, repr(self.record), repr(features)
+
+
+@contextmanager
+def kept(folder: Path | str | None) -> Iterator[Path]:
+    """The folder of finished work, held for this process, or a temporary one."""
+    with TemporaryDirectory() if folder is None else locked(Path(folder)) as found:
+        yield Path(found)
 
 
 def caveats(flows: Sequence[Trajectory]) -> list[str]:
@@ -105,20 +115,16 @@ class RunStore:
                     bar.update(sum(particle_steps(run.scene) for run in batch))
         return [trajectory for run in runs if (trajectory := found[run]) is not None]
 
-    def file(self, trajectory: Trajectory, record: Recording) -> Path:
-        """Where a run of `__call__` lies."""
-        path = self._path(Run(scene=trajectory.scene, record=record))
-        assert path is not None, "it was returned by this store"
-        return path
-
-    def _path(self, run: Run) -> Path | None:
-        return min(self.folder.glob(f"*-{run.digest}.npz"), default=None)
+    def path(self, run: Run) -> Path:
+        """Where a run lies, or will."""
+        number = 1 + len(list(self.folder.glob(f"{self.label}[0-9]*.npz")))
+        new = self.folder / f"{self.label}{number:02d}-{run.digest}.npz"
+        return min(self.folder.glob(f"*-{run.digest}.npz"), default=new)
 
     def _load(self, run: Run) -> Trajectory | None:
         """The stored run; None where there is none, or a broken file."""
-        path = self._path(run)
         try:
-            return None if path is None else Trajectory.load(path)
+            return Trajectory.load(self.path(run))
         except InputError:
             return None
 
@@ -139,8 +145,7 @@ class RunStore:
         for run, outcome in zip(batch, outcomes, strict=True):
             if isinstance(outcome, Trajectory):
                 stored.append(self.reduce(dataclasses.replace(outcome, summary=outcome.summary | {SHARE: share})))
-                number = 1 + len(list(self.folder.glob(f"{self.label}[0-9]*.npz")))
-                stored[-1].save(self._path(run) or self.folder / f"{self.label}{number:02d}-{run.digest}.npz")
+                stored[-1].save(self.path(run))
         if failed is not None:
             raise failed
         return stored

@@ -1,10 +1,8 @@
 """python -m validation.view FLOW [OTHER]: a flow as one HTML page with a time slider, which opens from disk."""
 
 import sys
-from collections.abc import Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming
@@ -16,31 +14,18 @@ TARGETS = "mpm/target-*.npz"
 """Where `validation.loop` leaves the flow of a twin experiment."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Source:
-    """Where a flow is, and what is known of it besides."""
+def source_of(path: Path) -> tuple[Path, str, dict[str, Any]]:
+    """File and name of the flow at a path, and what was observed of it (`datasets.exchange.page.Observed`).
 
-    file: Path
-    name: str
-    front: float | None = None
-    """Of an inversion: x of the front that was observed [m]."""
-    profile: Sequence[Sequence[float]] = ((), ())
-    """x and height [m] of the profile that was measured."""
-    target: Path | None = None
-    """The flow that was observed."""
-
-
-def source_of(path: Path) -> Source:
-    """The flow at a path: a trajectory, the folder of a run, or of an inversion the MPM's run at its first answer.
-
-    Raises InputError.
+    At a path: a trajectory, the folder of a run, or of an inversion the MPM's run at its first answer. Raises
+    InputError.
     """
     from datasets.flow.trajectory import trajectory_file
 
     result = path / "result.json"
     found = read_json(result) if path.is_dir() else None
     if found is None:
-        return Source(file=trajectory_file(path), name=path.resolve().name if path.is_dir() else path.stem)
+        return trajectory_file(path), path.resolve().name if path.is_dir() else path.stem, {}
     with reading(result, "the result of an inversion"):
         runs = [each for each in found["mpm_runs"] if each["file"]]
         checks = [each for each in runs if each["purpose"] == "check"] or runs
@@ -49,11 +34,9 @@ def source_of(path: Path) -> Source:
         # One of the first answer.
         best = min(checks, key=lambda each: (each["unknowns"] != found["unknowns"], each["loss"] or 0.0))
         seen = found["observation"]
-        profile = [[float(value) for value in seen.get("profile", {}).get(key, ())] for key in ("x", "height")]
+        profile = {key: [float(each) for each in seen.get("profile", {}).get(key, ())] for key in ("x", "height")}
         front = None if seen.get("front") is None else float(seen["front"])
-        file = path / str(best["file"])
-    target = min(path.glob(TARGETS), default=None)
-    return Source(file=file, name="MPM at the answer", front=front, profile=profile, target=target)
+        return path / str(best["file"]), "MPM at the answer", {"front": front, **profile}
 
 
 def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None) -> None:
@@ -74,18 +57,14 @@ def command(flow: Path, other: Path | None = None, /, *, out: Path | None = None
     from datasets.exchange.page import Observed, write_view
     from datasets.flow.trajectory import open_trajectory
 
-    first = source_of(flow)
-    second = None if other is None else source_of(other)
-    labels = [first.name, "observed"]
-    if second is not None and other is not None:
-        labels = [*labels_of(flow, other)]
-    elif first.target is not None:
-        second = Source(file=first.target, name="observed")
+    file, name, observed = source_of(flow)
+    files, labels = [file, *sorted(flow.glob(TARGETS))[:1]], [name, "observed"]
+    if other is not None:
+        files, labels = [file, source_of(other)[0]], [*labels_of(flow, other)]
     page = out or (flow if flow.is_dir() else flow.parent) / "view.html"
-    flows = [open_trajectory(each.file, *FIELDS) for each in (first, second) if each is not None]
-    observed = Observed(front=first.front, x=first.profile[0], height=first.profile[1])
-    with nullcontext() if second is None else naming(second.file):
-        write_view(page, *flows, title=flow.resolve().name, labels=labels, observed=observed)
+    flows = [open_trajectory(each, *FIELDS) for each in files]
+    with naming(files[-1]):
+        write_view(page, *flows, title=flow.resolve().name, labels=labels, observed=Observed(**observed))
     print(f"written to {page}, {page.stat().st_size / 1e6:.1f} MB")
 
 

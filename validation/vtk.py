@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from datasets.command_line import run
-from datasets.errors import InputError, naming
+from datasets.errors import naming, require
 from datasets.files import make_folder
 from datasets.flow.trajectory import read_trajectory, trajectory_file
 
@@ -45,18 +45,16 @@ def command(
     """
     from datasets.exchange.vtk import SERIES, frames_of, write_vtk
     from datasets.flow.fields import Colour
-    from validation.rendering import require, write_movie, write_picture
+    from validation.rendering import require_recorded, write_movie, write_picture
 
     for key, number in (("--frames", frames), ("--rate", rate)):
-        if number < 1:
-            raise InputError(f"expected an integer of at least 1, got {number}", key=key)
+        require(number >= 1, key, "an integer of at least 1", number)
     flow = read_trajectory(trajectory)
     end = float(flow.time[-1])
-    if time is not None and not 0.0 <= time <= end:
-        raise InputError(f"expected a time from 0 to {end:g} s, got {time:g}", key="--time")
+    require(time is None or 0.0 <= time <= end, "--time", f"a time from 0 to {end:g} s", time)
     if colour is not None:
         with naming(trajectory_file(trajectory)):
-            require(flow, Colour(colour))
+            require_recorded(flow, Colour(colour))
     make_folder(out)
     shown = frames_of(flow, frames)
     print(f"{len(shown)} frames of {flow.positions.shape[1]} particles")

@@ -39,7 +39,7 @@ def test_survivors_of_a_failure_are_stored(tmp_path: Path) -> None:
     assert [flow.scene.seed for flow in flows] == [1, 3, 1]
     assert [scene.seed for scene in mpm.scenes] == [1, 2, 3]
     np.testing.assert_array_equal([flow.time for flow in flows], [[1.0]] * 3)
-    assert again.file(flows[1], LAST).name.startswith("ensemble-02-")
+    assert again.path(Run(scene=flows[1].scene)).name.startswith("ensemble-02-")
 
 
 def test_what_is_returned_is_what_is_stored(tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_other_options_another_version_and_a_broken_file_are_run_again(
         Run(scene=replace(SCENE, duration=0.5)),
     ]
     assert len({run.digest for run in (base, *others)}) == 5
-    store.file(last, LAST).write_bytes(b"no archive")
+    store.path(base).write_bytes(b"no archive")
     store([SCENE], record=LAST)
     assert len(mpm.scenes) == 3
     assert len(list(tmp_path.iterdir())) == 2

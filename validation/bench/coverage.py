@@ -8,11 +8,11 @@ highest density regions, Am. Stat. 50 (1996) 120-126).
 """
 
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import chisquare, kstest
@@ -25,15 +25,15 @@ from datasets.schema import Record, from_mapping
 from inverse.observations.target import Target
 from inverse.parameters.prior import Correlation, Prior
 from inverse.problem import Problem, read_problem
-from inverse.result import Result
 from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
 from mpm import simulate_many
 from mpm.cluster import connected, pool
-from validation.bench.page import Keep, Out, Row, emphasised, kept, write_page
+from validation.bench.page import Keep, Many, Out, Row, emphasised, write_page
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
 from validation.plots import GREY, figure
+from validation.runs import kept
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}
@@ -101,10 +101,10 @@ def bench(
     *,
     out: Out,
     keep: Keep = None,
-    twins: int | None = None,
+    twins: Annotated[int | None, Many] = None,
     only: tuple[str, ...] = DEFAULT,
     model: Path | None = None,
-    jobs: int | None = None,
+    jobs: Annotated[int | None, Many] = None,
     scheduler: str = "",
 ) -> str:
     """Solve twin experiments with truths from the prior, side by side, each on one thread.
@@ -124,9 +124,6 @@ def bench(
     """
     if unknown := [name for name in only if name not in FAMILIES]:
         raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
-    for key, number in (("--twins", twins), ("--jobs", jobs)):
-        if number is not None and number < 1:
-            raise InputError(f"expected an integer of at least 1, got {number}", where=key)
     if scheduler and jobs is not None:
         raise InputError("expected none with --scheduler, whose workers are the jobs", where="--jobs")
     if model is None and any(FAMILIES[name].adapted for name in only):
@@ -168,10 +165,26 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
     if family.outlier == 0.0:
         found = solve(problem, simulate=simulate, model=model if family.adapted else None)
     else:
-        with tempfile.TemporaryDirectory() as folder:
+        with kept(None) as folder:
             target = misread(read_target(problem, lambda scene: simulate([scene])[0]), family.outlier, number)
-            found = run(Task(problem=problem, target=target, folder=Path(folder), simulate=simulate))
-    return located(found, problem.target.truth, FIRST_SEED + number)
+            found = run(Task(problem=problem, target=target, folder=folder, simulate=simulate))
+    posterior, box = found.posterior, problem.box
+    assert posterior is not None, "of numbers"
+    where, samples = posterior.region.sampled, posterior.samples
+    values = np.array([problem.target.truth[name] for name in problem.names])
+    point = box.shares(values)
+    excluded = np.any((point < where.low) | (point > where.high))
+    density = -np.inf if excluded else float(posterior.likelihood(point[None])[0])
+    return Twin(
+        seed=FIRST_SEED + number,
+        denser=float(samples.weights[samples.log_likelihood > density].sum()),
+        below=problem.named(samples.weights @ (samples.points < point)),
+        inside=max(int(each.holds(values).sum()) for each in found.answers),
+        answers=len(found.answers),
+        verdict=found.verdict.value,
+        runs=len(found.mpm_runs),
+        seconds=found.seconds["total"],
+    )
 
 
 def misread(target: Target, outlier: float, number: int) -> Target:
@@ -183,62 +196,27 @@ def misread(target: Target, outlier: float, number: int) -> Target:
 
 
 def drawn(family: Family, number: int) -> Problem:
-    """The twin experiment of this number, with its truth and its jitter seeds."""
-    asked, rng = stated(family), np.random.default_rng([FIRST_SEED, number])
+    """The twin experiment of this number: the problem of its family with priors, a truth of these and jitter seeds."""
+    beside = Path(__file__).parent / family.problem
+    asked = read_problem(str(beside) if beside.exists() else family.problem)
+    rng = np.random.default_rng([FIRST_SEED, number])
+    if family.priors:
+        both = zip(asked.parameters, family.priors, strict=True)
+        asked = replace(asked, parameters=tuple(replace(each, prior=prior) for each, prior in both))
+    if family.correlation is not None:
+        pair = Correlation(between=(asked.names[0], asked.names[-1]), coefficient=family.correlation)
+        asked = replace(asked, correlations=(pair,))
     shares = rng.random(len(asked.names))
     truth = asked.named(asked.box.at(shares if asked.prior is None else asked.prior.at(shares)))
     scene = replace(asked.scene, seed=int(rng.integers(2**31)))
     if family.cell is not None:
         scene = scene.with_cell(family.cell)
-    return replace(
-        asked,
-        scene=scene,
-        observations=tuple(
-            replace(each, noise=each.noise if family.noise is None else family.noise) for each in asked.observations
-        ),
-        target=TargetSettings(
-            twin=True,
-            seed=FIRST_SEED + number,
-            truth=truth,
-            cell=None if family.finer is None else family.finer * scene.domain.cell,
-        ),
-        surrogate=family.surrogate,
-    )
-
-
-def stated(family: Family) -> Problem:
-    """The problem of a family, with its priors."""
-    beside = Path(__file__).parent / family.problem
-    problem = read_problem(str(beside) if beside.exists() else family.problem)
-    if not family.priors:
-        return problem
-    both = zip(problem.parameters, family.priors, strict=True)
-    pair = (problem.names[0], problem.names[-1])
-    return replace(
-        problem,
-        parameters=tuple(replace(each, prior=prior) for each, prior in both),
-        correlations=() if family.correlation is None else (Correlation(between=pair, coefficient=family.correlation),),
-    )
-
-
-def located(result: Result, truth: Mapping[str, float], seed: int) -> Twin:
-    found, box = result.posterior, result.problem.box
-    assert found is not None, "of numbers"
-    where = found.region.sampled
-    values = np.array([truth[name] for name in result.problem.names])
-    point, samples = box.shares(values), found.samples
-    excluded = np.any((point < where.low) | (point > where.high))
-    density = -np.inf if excluded else float(found.likelihood(point[None])[0])
-    return Twin(
-        seed=seed,
-        denser=float(samples.weights[samples.log_likelihood > density].sum()),
-        below=result.problem.named(samples.weights @ (samples.points < point)),
-        inside=max(int(each.holds(values).sum()) for each in result.answers),
-        answers=len(result.answers),
-        verdict=result.verdict.value,
-        runs=len(result.mpm_runs),
-        seconds=result.seconds["total"],
-    )
+    observations = asked.observations
+    if family.noise is not None:
+        observations = tuple(replace(each, noise=family.noise) for each in observations)
+    cell = None if family.finer is None else family.finer * scene.domain.cell
+    target = TargetSettings(twin=True, seed=FIRST_SEED + number, truth=truth, cell=cell)
+    return replace(asked, scene=scene, observations=observations, target=target, surrogate=family.surrogate)
 
 
 def written(out: Path, found: Mapping[Family, Sequence[Twin]]) -> str:
@@ -280,9 +258,10 @@ def ranks(found: Sequence[Twin]) -> float:
 
 
 def row(family: Family, found: Sequence[Twin]) -> Row:
-    shares = {level: held(found, level) for level in REGIONS}
-    ranges = {level: WITHIN.get(level, (0.0, 1.0)) for level in REGIONS}
-    within = [emphasised(f"{shares[level]:.0%}", low <= shares[level] <= high) for level, (low, high) in ranges.items()]
+    within = []
+    for level in REGIONS:
+        share, (low, high) = held(found, level), WITHIN.get(level, (0.0, 1.0))
+        within.append(emphasised(f"{share:.0%}", low <= share <= high))
     inside = sum(each.inside for each in found) / (len(found[0].below) * len(found))
     return {
         "inversions": f"{family.title}: {len(found)}",

@@ -7,8 +7,8 @@ over runs has not. So has that of two baffles in 3D.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import replace
+from itertools import pairwise, product
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from datasets.processes import processors
 from datasets.scene import Mass
 from datasets.scene.library import read_scene
 from gns.simulator import Simulator
-from inverse.forward import Differentiable, Forward
+from inverse.forward import Forward
 from inverse.forward.adjoint import AdjointForward
 from inverse.forward.gns import GnsForward
 from inverse.forward.mpm import MpmForward
@@ -30,7 +30,8 @@ from inverse.problem import Problem, read_problem
 from inverse.settings import TargetSettings
 from inverse.target import read_target
 from mpm import simulate, simulate_many
-from validation.bench.page import Out, Row, write_page
+from validation.bench.measuring import Found
+from validation.bench.page import Out, formatted, write_page
 
 SCENE = "layers-10"
 CUTS = ((1, 1), (1, 10), (10, 10))
@@ -49,40 +50,14 @@ BAFFLE_STEP = 0.02
 """Step of the differences of two baffles [m]."""
 JITTERS, BAFFLE_JITTERS = 4, 12
 """Jitter seeds over which gradients of the MPM are averaged: by the place of a baffle one adjoint scatters by half."""
-
-
 SURROGATE, ADJOINT, DIFFERENCES = "surrogate", "adjoint of the MPM", "differences of the MPM"
 """Methods; that of the surrogate is the reverse mode through its rollout."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gradient:
-    problem: str
-    method: str
-    unknowns: int
-    seconds: float
-    columns: int
-    """Unknowns whose differences were run; the seconds of the others are taken to be the same."""
-    cosine: float
-    """Of the angle between its mean over the jitters and that of the MPM's differences, over those unknowns."""
-    length: float
-    """Over that of the differences' mean."""
-    scatter: float
-    """Of the gradient of one jitter, rms over the length of their mean; of the surrogate, which has one, 0."""
-
-
+SCATTER = "scatter of one jitter"
+GRADIENT = {"unknowns": ",", "seconds": ".2f", "cosine": ".3f", "length": ".2f", SCATTER: ".2f"}
+"""Forms of the columns. Cosine and length are those of the gradient's mean over the jitters to that of the MPM's
+differences, over the unknowns of which these were run; the scatter is rms over the length of the mean."""
 Slope = tuple[float, Vector]
 """Seconds of a gradient, and the gradient of the loss, the mean of the squared distances of what is compared."""
-
-
-def by_reverse(forward: Differentiable, target: Values, components: int, at: Vector) -> Slope:
-    """By one backward pass of the loss against `target` [m], shape [U]."""
-    began = time.perf_counter()
-    point = torch.tensor(at, dtype=torch.float64, requires_grad=True)
-    loss = components * (forward.predict(point) - torch.from_numpy(target)).square().mean()
-    loss.backward()  # type: ignore[no-untyped-call]
-    assert point.grad is not None, "a leaf"
-    return time.perf_counter() - began, point.grad.numpy()
 
 
 def by_runs(forward: Forward, target: Values, components: int, at: Vector, moves: NDArray[np.float64]) -> Slope:
@@ -105,15 +80,15 @@ def blocks(columns: int, layers: int) -> Problem:
     across = round(whole.masses[0].size[0] / spacing)
     up = round(max(mass.lower[1] + mass.size[1] for mass in whole.masses) / spacing)
     x, y = (np.round(np.linspace(0, count, parts + 1)) for count, parts in ((across, columns), (up, layers)))
-    places = [*product(range(layers), range(columns))]
-    speeds = [AT_FLOOR + (AT_TOP - AT_FLOOR) * float((y[j] + y[j + 1]) / 2.0 / up) for j, _ in places]
+    boxes = [*product(pairwise(y), pairwise(x))]
+    speeds = [AT_FLOOR + (AT_TOP - AT_FLOOR) * float((low + high) / 2.0 / up) for (low, high), _ in boxes]
     masses = tuple(
         Mass(
-            lower=(float(x[i] * spacing), float(y[j] * spacing)),
-            size=(float((x[i + 1] - x[i]) * spacing), float((y[j + 1] - y[j]) * spacing)),
+            lower=(float(left * spacing), float(low * spacing)),
+            size=(float((right - left) * spacing), float((high - low) * spacing)),
             velocity=(speed, 0.0),
         )
-        for speed, (j, i) in zip(speeds, places, strict=True)
+        for speed, ((low, high), (left, right)) in zip(speeds, boxes, strict=True)
     )
     return Problem(
         name=f"blocks-{len(masses)}",
@@ -146,11 +121,11 @@ def bench(*, out: Out) -> str:
         columns=MOST_COLUMNS,
         jitters=JITTERS,
         baffle_jitters=BAFFLE_JITTERS,
-        gradients=[gradient_row(each) for each in gradients],
+        gradients=formatted(gradients, GRADIENT),
     )
 
 
-def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator, jitters: int) -> list[Gradient]:
+def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator, jitters: int) -> list[Found]:
     """One gradient by each method at the problem's start, timed and compared with the MPM's mean differences."""
     target, start = read_target(problem, simulate), problem.initial
     observation, unknowns = target.observation, len(problem.numbers)
@@ -161,12 +136,15 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     seeded = [replace(problem, scene=replace(problem.scene, seed=seed)) for seed in seeds]
 
     def reverse(*forwards: GnsForward | AdjointForward) -> list[Slope]:
-        # The first of all compiles kernels.
-        found = [
-            by_reverse(each, each.select(target.values), observation.components, start)
-            for each in (forwards[0], *forwards)
-        ]
-        return [(seconds, slope[chosen]) for seconds, slope in found[1:]]
+        """By one backward pass each; one before compiles kernels."""
+        found = []
+        for each in (forwards[0], *forwards):
+            began, point = time.perf_counter(), torch.tensor(start, dtype=torch.float64, requires_grad=True)
+            residual = each.predict(point) - torch.from_numpy(each.select(target.values))
+            loss = observation.components * residual.square().mean()
+            (slope,) = torch.autograd.grad(loss, point)
+            found.append((time.perf_counter() - began, slope.numpy()[chosen]))
+        return found[1:]
 
     runs = [MpmForward(each, observation, simulate_many) for each in seeded]
     own = runs[0].select(target.values)
@@ -181,48 +159,31 @@ def gradients_of(name: str, problem: Problem, step: float, simulator: Simulator,
     for method, slopes in found.items():
         mean = np.mean([slope for _, slope in slopes], axis=0)
         length, off = float(np.linalg.norm(mean)), [np.linalg.norm(slope - mean) for _, slope in slopes]
-        run = len(chosen) if method == DIFFERENCES else unknowns
+        # The differences of the unknowns that were not chosen would take as long as the others.
+        more = (1 + 2 * unknowns) / (1 + 2 * len(chosen)) if method == DIFFERENCES else 1.0
         gradients.append(
-            Gradient(
-                problem=name,
-                method=method,
-                unknowns=unknowns,
-                seconds=slopes[0][0] * (1 + 2 * unknowns) / (1 + 2 * run),
-                columns=run,
-                cosine=float(mean @ expected / (length * np.linalg.norm(expected))),
-                length=length / float(np.linalg.norm(expected)),
-                scatter=float(np.sqrt(np.sum(np.square(off)) / max(1, len(off) - 1))) / length,
-            )
+            {
+                "problem": name,
+                "unknowns": unknowns,
+                "by": method,
+                "seconds": slopes[0][0] * more,
+                "cosine": float(mean @ expected / (length * np.linalg.norm(expected))),
+                "length": length / float(np.linalg.norm(expected)),
+                SCATTER: float(np.sqrt(np.sum(np.square(off)) / max(1, len(off) - 1))) / length,
+            }
         )
     return gradients
 
 
-def conclusion(gradients: Sequence[Gradient]) -> list[str]:
-    """The price of a gradient and its direction."""
-    largest = max(each.unknowns for each in gradients)
-    shown = [each for each in gradients if each.unknowns == largest]
-    prices = ", ".join(f"{each.seconds:.2g} s by {each.method}" for each in shown)
-    cosines = [f"{each.cosine:.2f} by {each.method}" for each in shown if each.method != DIFFERENCES]
-    scatter = {each.method: each.scatter for each in gradients if each.problem == BAFFLES}
-    said = [
+def conclusion(gradients: Sequence[Found]) -> list[str]:
+    largest = max(each["unknowns"] for each in gradients)
+    shown = [each for each in gradients if each["unknowns"] == largest]
+    prices = ", ".join(f"{each['seconds']:.2g} s by {each['by']}" for each in shown)
+    cosines = [f"{each['cosine']:.2f} by {each['by']}" for each in shown if each["by"] != DIFFERENCES]
+    scatter = {each["by"]: each[SCATTER] for each in gradients if each["problem"] == BAFFLES}
+    return [
         f"A gradient with respect to {largest} unknown velocities takes {prices}.",
         f"Its cosine with the differences of the MPM, means over {JITTERS} jitters, is {' and '.join(cosines)}.",
+        f"For the places of two baffles, the adjoint of one jitter scatters by {scatter[ADJOINT]:.0%} of the"
+        f" mean gradient, differences over {1000.0 * BAFFLE_STEP:g} mm by {scatter[DIFFERENCES]:.0%}.",
     ]
-    if scatter:
-        said.append(
-            f"For the places of two baffles, the adjoint of one jitter scatters by {scatter[ADJOINT]:.0%} of the"
-            f" mean gradient, differences over {1000.0 * BAFFLE_STEP:g} mm by {scatter[DIFFERENCES]:.0%}."
-        )
-    return said
-
-
-def gradient_row(each: Gradient) -> Row:
-    return {
-        "problem": each.problem,
-        "unknowns": f"{each.unknowns:,}",
-        "by": each.method,
-        "seconds": f"{'≈ ' if each.columns < each.unknowns else ''}{each.seconds:.2f}",
-        "cosine": f"{each.cosine:.3f}",
-        "length": f"{each.length:.2f}",
-        "scatter of one jitter": "-" if each.method == SURROGATE else f"{each.scatter:.2f}",
-    }

@@ -11,20 +11,20 @@ import numpy as np
 
 from datasets.flow.trajectory import Trajectory
 from mpm import AT_REST
-from validation.bench.page import Keep, Out, emphasised, kept, percent, signed, write_page
+from validation.bench.page import Keep, Out, Row, emphasised, percent, signed, write_page
 from validation.experiments.experiment import (
     FOLDER,
     Angle,
+    Case,
+    Experiment,
     Measured,
-    MeasuredScene,
     Quantity,
     Reading,
-    Shipped,
     quantity,
     read_experiments,
 )
 from validation.plots import BLUE, INK, LIGHT_BLUE, figure
-from validation.runs import Run, RunStore
+from validation.runs import Run, RunStore, kept
 
 CLOSE = 2.0
 """Spreads within which a number agrees."""
@@ -37,7 +37,7 @@ RECORDED = 5
 
 Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
 """Runs to their flows, as `validation.runs.RunStore.run`."""
-Asked = tuple[Shipped, MeasuredScene, Reading]
+Asked = tuple[Experiment, Case, Reading]
 Flows = dict[Asked, Callable[[Measured], float]]
 """What is measured of a flow [m], by experiment, case and reading."""
 
@@ -65,7 +65,6 @@ class Score:
 
     @property
     def agrees(self) -> bool:
-        """Whether it is within CLOSE times the spread."""
         return abs(self.error) <= CLOSE
 
 
@@ -78,29 +77,19 @@ class Inferred:
     own: Angle | None
     """The material's; None where none was measured."""
     deg: float
-    """On the fine cells [deg]; nan where no angle gives what was measured."""
+    """On the fine cells [deg]."""
     half_width_deg: float
     """By CLOSE times the measurement's spread [deg]."""
 
     @property
     def difference_deg(self) -> float:
-        """Inferred less measured [deg]; nan where either is missing."""
+        """Inferred less measured [deg]; nan where none was measured."""
         return math.nan if self.own is None else self.deg - self.own.deg
 
     @property
     def agrees(self) -> bool:
-        """Whether the two ranges overlap; False where either is missing."""
+        """Whether the two ranges overlap; False where none was measured."""
         return self.own is not None and abs(self.difference_deg) <= self.half_width_deg + self.own.half_width_deg
-
-
-@dataclass(frozen=True, kw_only=True)
-class Findings:
-    shipped: tuple[Shipped, ...]
-    scores: list[Score]
-    """At the first angle of each experiment, or at the inferred one where it has none."""
-    others: list[Score]
-    """At its other angles, on the coarse cells."""
-    inferred: list[Inferred]
 
 
 def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
@@ -113,16 +102,34 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     experiments
         Folder that holds a folder for each experiment; those that ship unless given.
     """
+    read = read_experiments(experiments)
     with kept(keep) as folder:
-        findings = compute(read_experiments(experiments), RunStore(folder).run)
-    draw(out / "experiments.png", findings)
-    return written(out, findings)
+        scores, inferred = compute(read, RunStore(folder).run)
+    firsts = [first for first, *_ in scores]
+    draw(out / "experiments.png", [each for each in firsts if each.measured.single])
+    beyond = [each for each in firsts if not each.agrees]
+    reasons = [f"- {each.label}: {each.measured.explanation or 'No reason is known.'}" for each in beyond]
+    sources = [f"- `{each.name}`: {each.source} ({each.licence})." for each in read]
+    return write_page(
+        out,
+        "experiments",
+        conclusion(firsts, inferred),
+        close=CLOSE,
+        scores=[score_row(*each) for each in scores],
+        reasons="\n".join(reasons),
+        inferred=[inferred_row(each) for each in inferred],
+        sources="\n".join(sources),
+    )
 
 
-def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
-    """Run everything: every case over the ladder on its coarse cells, and once on its fine ones."""
-    pairs = [(each, case) for each in shipped for case in each.experiment.cases]
-    asked = [(e, case, r) for e, case in pairs for r in dict.fromkeys((*ladder(e), *e.experiment.readings))]
+def compute(experiments: Sequence[Experiment], simulate: Simulate) -> tuple[list[list[Score]], list[Inferred]]:
+    """Run everything: every case over the ladder on its coarse cells, and once on its fine ones.
+
+    The scores of each measured number: at the first angle of its experiment, or at the inferred one where it has none,
+    then at its other angles, on the coarse cells.
+    """
+    pairs = [(each, case) for each in experiments for case in each.cases]
+    asked = [(e, case, r) for e, case in pairs for r in dict.fromkeys((*ladder(e), *e.readings))]
     coarse = run(asked, 0, simulate)
     crossings = {
         (each, case): crossing({r.deg: coarse[each, case, r](case.extent) for r in ladder(each)}, case.extent.value)
@@ -132,15 +139,15 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
     firsts = [
         (each, case, reading)
         for each, case in pairs
-        for reading in each.experiment.readings[:1] or [replace(ladder(each)[0], deg=crossings[each, case][0])]
+        for reading in each.readings[:1] or [replace(ladder(each)[0], deg=crossings[each, case][0])]
         if not math.isnan(reading.deg)
     ]
     fine = run(firsts, 1, simulate)
-    found = Findings(shipped=tuple(shipped), scores=[], others=[], inferred=[])
+    scores, inferred = list[list[Score]](), list[Inferred]()
     for each, case, first in firsts:
-        slope, angles, extent = crossings[each, case][1], each.experiment.angles, case.extent
+        slope, angles, extent = crossings[each, case][1], each.angles, case.extent
         deg = first.deg + (extent.value - fine[each, case, first](extent)) / slope
-        found.inferred.append(
+        inferred.append(
             Inferred(
                 label=f"{each.name}, {case.name}",
                 own=angles[0] if angles else None,
@@ -152,11 +159,11 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
         again = replace(first, deg=deg)
         if not angles and case.measured[1:]:
             fine |= run([(each, case, again)], 1, simulate)
-        for reading, name in zip(
-            each.experiment.readings or [again], [a.name for a in angles] or [INFERRED], strict=True
-        ):
-            known: Callable[[Measured], float] = coarse.get((each, case, reading), lambda _: math.nan)
-            for measured in case.measured if angles else case.measured[1:]:
+        names = [angle.name for angle in angles] or [INFERRED]
+        for measured in case.measured if angles else case.measured[1:]:
+            scores.append([])
+            for reading, name in zip(each.readings or [again], names, strict=True):
+                known: Callable[[Measured], float] = coarse.get((each, case, reading), lambda _: math.nan)
                 score = Score(
                     label=f"{each.name}, {case.name}, {measured.quantity}",
                     measured=measured,
@@ -165,8 +172,8 @@ def compute(shipped: Sequence[Shipped], simulate: Simulate) -> Findings:
                     coarse=known(measured),
                     fine=fine.get((each, case, reading), known)(measured),
                 )
-                (found.others if reading in each.experiment.readings[1:] else found.scores).append(score)
-    return found
+                scores[-1].append(score)
+    return scores, inferred
 
 
 def said(reading: Reading, name: str) -> str:
@@ -175,9 +182,9 @@ def said(reading: Reading, name: str) -> str:
     return f"{reading.deg:.1f}° ({', '.join(read)})"
 
 
-def ladder(shipped: Shipped) -> list[Reading]:
+def ladder(experiment: Experiment) -> list[Reading]:
     """The readings over which the slope of a front is found: as the first of an experiment, at other angles."""
-    known = [*shipped.experiment.readings, Reading(math.nan, rate=shipped.experiment.grains is not None)]
+    known = [*experiment.readings, Reading(math.nan, rate=experiment.grains is not None)]
     return [replace(known[0], deg=deg) for deg in LADDER_DEG]
 
 
@@ -187,7 +194,7 @@ def run(asked: Sequence[Asked], number: int, simulate: Simulate) -> Flows:
     for each, case, reading in asked:
         timed = any(measured.times for measured in case.measured)
         record = replace(AT_REST, frames=RECORDED) if timed else AT_REST
-        runs.append(Run(scene=each.scene(case.scene, each.cells(case)[number], reading), record=record))
+        runs.append(Run(scene=each.scene(case, number, reading), record=record))
     return dict(zip(asked, (partial(quantity, flow=flow) for flow in simulate(runs)), strict=True))
 
 
@@ -204,78 +211,51 @@ def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float
     return (a + (target - fronts[a]) / (fronts[b] - fronts[a]) * (b - a) if inside else math.nan), slope
 
 
-def written(out: Path, findings: Findings) -> str:
-    """Write the page, and return its conclusion."""
-    scores = [
-        {
-            "experiment": each.label,
-            "angle": each.angle,
-            "measured [m]": f"{each.measured.value:.4f} ± {each.measured.spread:.4f}",
-            "coarse cells [m]": "-" if math.isnan(each.coarse) else f"{each.coarse:.4f}",
-            "fine cells [m]": f"{each.fine:.4f}",
-            "error [spreads]": emphasised(f"{each.error:+.1f}", each.agrees),
-            "at the other angle": ", ".join(
-                f"{other.error:+.1f} at {other.angle}"
-                for other in findings.others
-                if (other.label, other.measured) == (each.label, each.measured)
-            ),
-        }
-        for each in findings.scores
-    ]
-    inferred = [
-        {
-            "experiment": each.label,
-            "measured": f"{a.deg:.1f} ± {a.half_width_deg:.1f}° ({a.name})" if (a := each.own) else "",
-            "inferred": "none" if math.isnan(each.deg) else f"{each.deg:.1f} ± {each.half_width_deg:.1f}°",
-            "difference [°]": "-" if math.isnan(each.difference_deg) else f"{each.difference_deg:+.1f}",
-        }
-        for each in findings.inferred
-    ]
-    beyond = [each for each in findings.scores if not each.agrees]
-    reasons = [f"- {each.label}: {each.measured.explanation or 'No reason is known.'}" for each in beyond]
-    sources = [f"- `{e.name}`: {e.experiment.source} ({e.experiment.licence})." for e in findings.shipped]
-    return write_page(
-        out,
-        "experiments",
-        conclusion(findings),
-        close=CLOSE,
-        scores=scores,
-        reasons="\n".join(reasons),
-        inferred=inferred,
-        sources="\n".join(sources),
-    )
+def score_row(score: Score, *others: Score) -> Row:
+    return {
+        "experiment": score.label,
+        "angle": score.angle,
+        "measured [m]": f"{score.measured.value:.4f} ± {score.measured.spread:.4f}",
+        "coarse cells [m]": "-" if math.isnan(score.coarse) else f"{score.coarse:.4f}",
+        "fine cells [m]": f"{score.fine:.4f}",
+        "error [spreads]": emphasised(f"{score.error:+.1f}", score.agrees),
+        "at the other angle": ", ".join(f"{each.error:+.1f} at {each.angle}" for each in others),
+    }
 
 
-def conclusion(findings: Findings) -> list[str]:
-    """Lengths and fronts forward, angles backward."""
-    scores = [each for each in findings.scores if each.independent]
-    inferred = [each for each in findings.inferred if not math.isnan(each.difference_deg)]
+def inferred_row(each: Inferred) -> Row:
+    return {
+        "experiment": each.label,
+        "measured": f"{own.deg:.1f} ± {own.half_width_deg:.1f}° ({own.name})" if (own := each.own) else "",
+        "inferred": f"{each.deg:.1f} ± {each.half_width_deg:.1f}°",
+        "difference [°]": "-" if each.own is None else f"{each.difference_deg:+.1f}",
+    }
+
+
+def conclusion(firsts: Sequence[Score], found: Sequence[Inferred]) -> list[str]:
+    """Lengths and fronts forward, angles backward; firsts: the scores at the first angles."""
+    scores = [each for each in firsts if each.independent]
+    inferred = [each for each in found if each.own is not None]
     if not scores:
         return ["No experiment has an angle of friction of its own."]
     largest = max(scores, key=lambda each: abs(each.error))
     fronts = [each for each in scores if each.measured.quantity in (Quantity.FRONT, Quantity.RADIUS)]
     far = [each.fine / each.measured.value - 1.0 for each in fronts]
     mean, moved = float(np.mean(far)), max(abs(each.fine / each.coarse - 1.0) for each in fronts)
-    lines = [
+    off = [each.difference_deg for each in inferred]
+    return [
         f"With independently measured angles of friction and nothing fitted, {sum(each.agrees for each in scores)} of"
         f" {len(scores)} computed lengths lie within {CLOSE:g} spreads of the measured ones; the largest error is"
         f" {largest.error:+.1f} spreads ({largest.label}).",
         f"Fronts are {percent(abs(mean))} too {'far' if mean > 0.0 else 'short'} on average, {signed(min(far))} to"
         f" {signed(max(far))}; finer cells move them by at most {percent(moved)}.",
+        f"The angle inferred from a front is {abs(np.mean(off)):.1f}° {'above' if sum(off) > 0.0 else 'below'} the"
+        f" measured one on average, {min(off):+.1f}° to {max(off):+.1f}°; the ranges of"
+        f" {sum(each.agrees for each in inferred)} of {len(inferred)} cases overlap.",
     ]
-    if inferred:
-        off = [each.difference_deg for each in inferred]
-        lines.append(
-            f"The angle inferred from a front is {abs(np.mean(off)):.1f}° {'above' if sum(off) > 0.0 else 'below'} the"
-            f" measured one on average, {min(off):+.1f}° to {max(off):+.1f}°; the ranges of"
-            f" {sum(each.agrees for each in inferred)} of {len(inferred)} cases overlap."
-        )
-    return lines
 
 
-def draw(path: Path, findings: Findings) -> None:
-    """Lengths over the measured ones, a row each."""
-    scores = [each for each in findings.scores if each.measured.single]
+def draw(path: Path, scores: Sequence[Score]) -> None:
     rows, value = range(len(scores)), np.array([each.measured.value for each in scores])
     spread = np.array([each.measured.spread for each in scores]) / value
     with figure(path, size=(8.0, 1.6 + 0.36 * max(len(scores), 1))) as axes:

@@ -1,9 +1,13 @@
-"""`python -m validation.bench gns`: the shipped surrogates against the MPM on fine cells, on held-out scenes."""
+"""`python -m validation.bench gns`: the shipped surrogates against the MPM on fine cells, on held-out scenes.
+
+The scenes are drawn by the definitions that draw the training data, with another seed: no stream of random numbers is
+shared. Variants of other scenes are left out.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +15,37 @@ import torch
 from tqdm import tqdm
 
 import gns
+from datasets.definitions import flow2d, obstacle3d, paper_families
 from datasets.errors import InputError
 from datasets.flow import measures
-from datasets.scene import Scene
+from datasets.flow.measures import Errors
+from datasets.flow.trajectory import Trajectory
+from datasets.scene import Domain, Mass, Scene
+from datasets.scene.material import Material
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
-from validation.bench.held_out import MOUNDS, SEED, Measured, coarse, creep, deposit_of, held_out, mean, mound, worst
-from validation.bench.page import Keep, Out, Row, kept, signed, tables, write_page
+from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
+from validation.bench.accuracy.bench import deposit_of
+from validation.bench.page import Keep, Out, Row, signed, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
-from validation.runs import Run, RunStore
+from validation.runs import Run, RunStore, kept
 
+SEED = 1
+"""Of the held-out scenes; the training data have 0."""
+FAMILIES = {
+    "columns2d": (paper_families.COLUMNS, paper_families.COLUMNS2D),
+    "flow2d": (flow2d.KINDS, flow2d.FLOW2D),
+    "baffles3d": (paper_families.BAFFLES, paper_families.BAFFLES3D),
+    "obstacle3d": (obstacle3d.KINDS, obstacle3d.OBSTACLE3D),
+}
+"""Kinds of flows and definition of the training data, by its name."""
+CREST = ((0.3, 0.0), (1.1, 0.0), (0.7, 0.2))
+MOUNDS: dict[str, tuple[float, float]] = {
+    "45° on 12°": (45.0, 12.0),
+    "42° on 8°": (42.0, 8.0),
+    "35° on the level": (35.0, 0.0),
+}
+"""Angles of friction and of the floor [deg] under which a mound of the corners `CREST` [m] stays where it is."""
 SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d": 4}}
 """Held-out scenes of each family, one of every kind after the other, by dimension; references in 3D are dear."""
 CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
@@ -29,8 +54,6 @@ LEVEL = 0.95
 """Of the bands."""
 JITTERS = 3
 """Of a mound."""
-
-
 AGAIN = "the MPM, jittered anew"
 
 
@@ -44,8 +67,10 @@ class Compared:
     """Of the reference's deposit [m]."""
     free: bool
     """Whether no wall holds the reference's front."""
-    by: Mapping[str, Measured]
+    by: Mapping[str, Errors]
     """By method: the model's name, the MPM on coarse cells, a run like the reference jittered anew."""
+    seconds: Mapping[str, float]
+    """By method: on one thread, without compilation and without loading a model."""
     band: tuple[float, float] | None
     """Error of the predicted front and half-width of its band [m]; of free fronts at larger x, of models with bands."""
 
@@ -61,16 +86,12 @@ class Model:
     @property
     def points(self) -> dict[str, tuple[float, float]]:
         """Mean seconds of each method, and the rms over the scenes of the larger error of front and profile."""
-        runs = {
-            method: [each.by[method] for each in self.compared] for method in self.compared[0].by if method != AGAIN
-        }
-        return {
-            method: (
-                float(np.mean([each.seconds for each in some])),
-                measures.rms(np.array([max(abs(each.front), each.profile) for each in some])),
-            )
-            for method, some in runs.items()
-        }
+        found = {}
+        for method in [each for each in self.compared[0].by if each != AGAIN]:
+            seconds, errors = zip(*((each.seconds[method], each.by[method]) for each in self.compared), strict=True)
+            larger = np.array([max(abs(each.front), each.profile) for each in errors])
+            found[method] = float(np.mean(seconds)), measures.rms(larger)
+        return found
 
     @property
     def held(self) -> list[bool]:
@@ -93,20 +114,40 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     paths = {path: gns.load(path).settings.dimension for path in [model_path(each) for each in model] or models()}
     with kept(keep) as folder:
         found = [
-            measure(path, family, held_out(family, number), RunStore(folder / family), CELLS[dimension])
+            measure(path, family, number, RunStore(folder / family), CELLS[dimension])
             for path, dimension in paths.items()
             for family, number in SCENES[dimension].items()
         ]
     mounds = at_rest([path for path, dimension in paths.items() if dimension == 2])
     draw(out / "gns.png", found)
-    flags = "".join(f" --model {path}" for path in model)
-    return written(out, found, mounds, flags)
+    bands = [
+        {
+            "model": f"`{each.name}` on {each.family}",
+            "fronts in their bands": f"{sum(each.held)} of {len(each.held)}",
+            "half-width over the extent": f"{mean([b.band[1] / b.extent for b in each.compared if b.band]):.1%}",
+        }
+        for each in found
+        if each.held
+    ]
+    creeps = [{"mound": title} | {by: f"{worst(v):+.2g}" for by, v in own.items()} for title, own in mounds.items()]
+    return write_page(
+        out,
+        "gns",
+        conclusion(found, mounds),
+        flags="".join(f" --model {path}" for path in model),
+        seed=SEED,
+        level=LEVEL,
+        kinds=tables(kind_rows(each) for each in found),
+        prices=tables(price_rows(each) for each in found),
+        bands=bands,
+        mounds=creeps,
+    )
 
 
-def measure(
-    path: Path, family: str, scenes: Sequence[tuple[str, Scene]], store: RunStore, cells: Sequence[int]
-) -> Model:
-    simulator, fine = gns.load(path), [scene for _, scene in scenes]
+def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequence[int]) -> Model:
+    """Errors of a model on so many scenes of a family."""
+    simulator, scenes = gns.load(path), held_out(family, number)
+    fine = [scene for _, scene in scenes]
     references, again = (
         store.run([Run(scene=replace(each, seed=each.seed + more), record=AT_REST) for each in fine]) for more in (0, 1)
     )
@@ -119,8 +160,8 @@ def measure(
     for (kind, scene), reference, other in tqdm(pairs, desc=f"{family}, deposits", unit="scene"):
         truth = deposit_of(reference)
         flows = {
-            f"MPM, {number} cells across": simulate(coarse(scene, number), threads=1, record=AT_REST)
-            for number in cells
+            f"MPM, {across} cells across": simulate(coarse(scene, across), threads=1, record=AT_REST)
+            for across in cells
         }
         flows |= {path.stem: gns.simulate(scene, model=simulator), AGAIN: other}
         compared.append(
@@ -128,7 +169,8 @@ def measure(
                 kind=kind,
                 extent=truth.extent,
                 free=not truth.at_wall,
-                by={method: Measured.of_flow(flow, truth) for method, flow in flows.items()},
+                by={method: truth.errors(flow.positions[-1], flow.volumes) for method, flow in flows.items()},
+                seconds={method: flow.summary["wall_s"] for method, flow in flows.items()},
                 band=None if truth.at_wall or truth.side != 1 else band(path, scene, truth.front),
             )
         )
@@ -141,8 +183,8 @@ def at_rest(models: Sequence[Path]) -> Mounds:
     found = {}
     for title in tqdm(MOUNDS if models else (), desc="mounds at rest", unit="mound"):
         scenes = [mound(title, seed) for seed in range(JITTERS)]
-        found[title] = {"MPM": [creep(simulate(each), 1.0) for each in scenes]} | {
-            path.stem: [creep(gns.simulate(each, model=path), 1.0) for each in scenes] for path in models
+        found[title] = {"MPM": [creep(simulate(each)) for each in scenes]} | {
+            path.stem: [creep(gns.simulate(each, model=path)) for each in scenes] for path in models
         }
     return found
 
@@ -172,7 +214,6 @@ def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | 
 
 
 def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
-    """Errors, their price, bands, rest."""
     fronts, prices = [], []
     for each in found:
         off, again = ([one.by[method].front for one in each.compared if one.free] for method in (each.name, AGAIN))
@@ -199,62 +240,27 @@ def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
     return sentences
 
 
-def written(out: Path, found: Sequence[Model], mounds: Mounds, flags: str) -> str:
-    """Write the page, and return its conclusion."""
-    kinds = []
-    for each in found:
-        names = dict.fromkeys(one.kind for one in each.compared)
-        groups = {kind: [one for one in each.compared if one.kind == kind] for kind in names} | {"all": each.compared}
-        table = [kind_row(each, kind, group, each.name) for kind, group in groups.items()]
-        kinds.append([*table, kind_row(each, AGAIN, each.compared, AGAIN)])
-    prices = [
-        [
-            {each.family: name, "seconds": f"{s:.3g}", "error": f"{error:.1%}"}
-            for name, (s, error) in each.points.items()
-        ]
-        for each in found
-    ]
-    bands = [
-        {
-            "model": f"`{each.name}` on {each.family}",
-            "fronts in their bands": f"{sum(each.held)} of {len(each.held)}",
-            "half-width over the extent": f"{mean([b.band[1] / b.extent for b in each.compared if b.band]):.1%}",
-        }
-        for each in found
-        if each.held
-    ]
-    creep = [{"mound": title} | {by: f"{worst(v):+.2g}" for by, v in own.items()} for title, own in mounds.items()]
-    return write_page(
-        out,
-        "gns",
-        conclusion(found, mounds),
-        flags=flags,
-        seed=SEED,
-        level=LEVEL,
-        kinds=tables(kinds),
-        prices=tables(prices),
-        bands=bands,
-        mounds=creep,
-    )
+def kind_rows(model: Model) -> list[Row]:
+    """Errors by kinds of scenes, of all of them, and of the MPM jittered anew."""
+    names, every = dict.fromkeys(each.kind for each in model.compared), model.compared
+    groups = [(kind, model.name, [each for each in every if each.kind == kind]) for kind in names]
+    rows: list[Row] = []
+    for title, method, group in (*groups, ("all", model.name, every), (AGAIN, AGAIN, every)):
+        free = [each.by[method].front for each in group if each.free]
+        row = {f"`{model.name}` on {model.family}": title, "scenes, free": f"{len(group)}, {len(free)}"}
+        values = {"front": free}
+        for what in ("profile", "height", "thickness"):
+            values[what] = [getattr(each.by[method], what) for each in group]
+        rows.append(row | {what: f"{mean(v):.1%} ({signed(worst(v))})" if v else "-" for what, v in values.items()})
+    return rows
 
 
-def kind_row(model: Model, title: str, group: Sequence[Compared], method: str) -> Row:
-    def both(values: Sequence[float]) -> str:
-        return f"{mean(values):.1%} ({signed(worst(values))})" if values else "-"
-
-    runs, free = [each.by[method] for each in group], [each.by[method].front for each in group if each.free]
-    return {
-        f"`{model.name}` on {model.family}": title,
-        "scenes, free": f"{len(runs)}, {len(free)}",
-        "front": both(free),
-        "profile": both([run.profile for run in runs]),
-        "height": both([run.height for run in runs]),
-        "thickness": both([run.thickness for run in runs]),
-    }
+def price_rows(model: Model) -> list[Row]:
+    points = model.points.items()
+    return [{model.family: name, "seconds": f"{s:.3g}", "error": f"{error:.1%}"} for name, (s, error) in points]
 
 
 def draw(path: Path, found: Sequence[Model]) -> None:
-    """Errors of fronts by kind, and errors over seconds; a row of panes for each model."""
     with figure(path, rows=len(found), columns=2, size=(5.6, 3.4)) as axes:
         for (left, right), model in zip(axes, found, strict=True):
             free = [(each.kind, 100.0 * each.by[model.name].front) for each in model.compared if each.free]
@@ -268,3 +274,63 @@ def draw(path: Path, found: Sequence[Model]) -> None:
             right.loglog(seconds, 100.0 * error, "*", ms=11, color=ORANGE, label=model.name)
             right.set(xlabel="seconds on one thread; blue: the MPM", ylabel="error of the deposit [% of its extent]")
             right.legend()
+
+
+def held_out(family: str, number: int) -> list[tuple[str, Scene]]:
+    """So many scenes that no training data have, with their kinds: the first of every kind, then the second, ..."""
+    drawn, definition = FAMILIES[family]
+    kinds = [each.__name__.replace("_", " ") for each in drawn]
+    found: dict[str, list[tuple[str, Scene]]] = {kind: [] for kind in kinds}
+    rounds, streams = math.ceil(number / len(found)), set[int]()
+    for index in count():
+        if all(len(each) == rounds for each in found.values()):
+            break
+        kind, stream = kinds[index % len(kinds)], definition.stream(index)
+        if stream not in streams and len(found[kind]) < rounds:
+            streams.add(stream)
+            found[kind].append((kind, definition.draw(np.random.default_rng([SEED, stream]), index)))
+    return [each for group in zip(*found.values(), strict=True) for each in group][:number]
+
+
+def coarse(scene: Scene, cells: int) -> Scene:
+    """A scene on so many cells across the smallest side of its body, or a few more.
+
+    Its box is made higher by part of a cell where it has to be: else its height, a whole number of fine cells, would
+    decide which coarser ones fit.
+    """
+    length, height, *width = scene.domain.size
+    plan = replace(scene.domain, size=(length, length, *width))
+    cell = fitted_cell(plan, characteristic_length(scene) / cells)
+    domain = Domain(size=(length, math.ceil(height / cell - ROUNDING) * cell, *width), cell=cell)
+    return replace(scene, domain=domain, particles_per_axis=2, step_fraction=0.9)
+
+
+def mound(title: str, seed: int) -> Scene:
+    """One of the `MOUNDS`: less steep than its angle of friction, so that it is stable."""
+    friction_deg, slope_deg = MOUNDS[title]
+    return Scene(
+        domain=Domain(size=(2.0, 0.4), cell=0.01),
+        material=Material(friction_deg=friction_deg),
+        masses=(Mass(kind="polygon", vertices=CREST),),
+        duration=1.5,
+        frame_dt=0.02,
+        floor_friction=0.9,
+        slope_deg=slope_deg,
+        seed=seed,
+    )
+
+
+def creep(flow: Trajectory) -> float:
+    """Mean speed of the faster of a deposit's ends, outwards [mm/s]."""
+    old, new = (measures.ends(flow.positions[frame], flow.volumes) for frame in (0, -1))
+    return 1000.0 * max(old[0] - new[0], new[1] - old[1], key=abs) / float(flow.time[-1] - flow.time[0])
+
+
+def mean(values: Sequence[float]) -> float:
+    """Mean of the absolute values; nan of none."""
+    return float(np.mean(np.abs(values))) if values else math.nan
+
+
+def worst(values: Sequence[float]) -> float:
+    """The value of the largest amount, with its sign; nan of none."""
+    return max(values, key=abs) if values else math.nan

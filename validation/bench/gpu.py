@@ -5,8 +5,8 @@ from functools import partial
 from datasets.errors import InputError
 from datasets.processes import processors
 from validation.bench.measuring import Spread, turns
-from validation.bench.network import PER_NODE, network_rows
-from validation.bench.page import Out, between, write_page
+from validation.bench.network import NETWORK, PER_NODE, network_rows
+from validation.bench.page import Out, Rounds, between, formatted, write_page
 from validation.bench.speed import Case, Mode, rate, rate_rows
 
 CASES = (
@@ -20,15 +20,10 @@ CASES = (
 )
 
 
-def bench(*, out: Out, rounds: int = 2) -> str:
+def bench(*, out: Out, rounds: Rounds = 2) -> str:
     """Measure rates over sizes and steps of the networks on a GPU, in turn with all processors of the same machine.
 
     Raises InputError where there is no GPU.
-
-    Parameters
-    ----------
-    rounds
-        How often everything is measured, in turn; the tables give the median and the range.
     """
     from torch import cuda
 
@@ -42,7 +37,7 @@ def bench(*, out: Out, rounds: int = 2) -> str:
     gains = {case: rates[case, ("f32", 0)].median / rates[case, ("f32", threads)].median for case in CASES}
     least, most = sorted(gains, key=gains.__getitem__)[:: len(CASES) - 1]
     best = {size: max(rates[case, ("f32", 0)].median for case in CASES if case.dimension == size) for size in (2, 3)}
-    on_cpu, on_gpu = ([float(row[PER_NODE]) for row in rows] for rows in beside)
+    on_cpu, on_gpu = ([row[PER_NODE] for row in rows] for rows in beside)
     said = [
         f"One {cuda.get_device_name()} computes up to {best[2]:.0f} million particle-steps per second in 2D and"
         f" {best[3]:.0f} million in 3D.",
@@ -52,5 +47,6 @@ def bench(*, out: Out, rounds: int = 2) -> str:
         f" {between(on_cpu, '.0f')} µs on one thread.",
     ]
     networks = [row | {f"GPU, {key}": other[key] for key in list(row)[3:]} for row, other in zip(*beside, strict=True)]
+    forms = NETWORK | {f"GPU, {key}": form for key, form in NETWORK.items()}
     flags, table = f" --rounds {rounds}", rate_rows(rates)
-    return write_page(out, "gpu", said, flags=flags, rates=table, networks=networks)
+    return write_page(out, "gpu", said, flags=flags, rates=table, networks=formatted(networks, forms))

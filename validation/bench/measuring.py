@@ -17,11 +17,17 @@ from tqdm import tqdm
 
 from datasets.errors import WorkFailed
 from datasets.files import read_json, write_json
+from datasets.flow.array_files import FrameWriter
 from datasets.processes import end_with_parent
+from datasets.scene import Scene
+from inverse.answer import peak_memory_mib
+from mpm import Recording, simulate
 
 P = ParamSpec("P")
 Key = TypeVar("Key")
-Found = TypeVar("Found")
+T = TypeVar("T")
+Found = dict[str, Any]
+"""What a piece of work came to and took, by key."""
 CLEAR = Path("/proc/self/clear_refs")
 RESET_PEAK = "5"
 """Written into CLEAR, it begins the record of the peak anew."""
@@ -29,7 +35,7 @@ RESET_PEAK = "5"
 
 @dataclass(frozen=True)
 class Spread:
-    """Of at least one measurement."""
+    """Of at least one measurement; in a format the median, and the range where there is one."""
 
     values: Sequence[float]
 
@@ -37,9 +43,8 @@ class Spread:
     def median(self) -> float:
         return statistics.median(self.values)
 
-    def written(self, digits: int) -> str:
-        """The median, and the range where there is one."""
-        low, middle, high = (f"{each:.{digits}f}" for each in (min(self.values), self.median, max(self.values)))
+    def __format__(self, form: str) -> str:
+        low, middle, high = (format(each, form) for each in (min(self.values), self.median, max(self.values)))
         return middle if low == high else f"{middle} ({low}-{high})"
 
 
@@ -50,9 +55,9 @@ def seconds_of(action: Callable[[], object]) -> float:
     return time.perf_counter() - began
 
 
-def turns(work: Mapping[Key, Callable[[], Found]], rounds: int, what: str) -> dict[Key, list[Found]]:
+def turns(work: Mapping[Key, Callable[[], T]], rounds: int, what: str) -> dict[Key, list[T]]:
     """All work once, then all of it once more, `rounds` times in all."""
-    found: dict[Key, list[Found]] = {key: [] for key in work}
+    found: dict[Key, list[T]] = {key: [] for key in work}
     with tqdm(total=rounds * len(work), desc=what, unit="run", dynamic_ncols=True) as progress:
         for _ in range(rounds):
             for key, each in work.items():
@@ -61,7 +66,7 @@ def turns(work: Mapping[Key, Callable[[], Found]], rounds: int, what: str) -> di
     return found
 
 
-def isolated(work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwargs) -> Found:
+def isolated(work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> T:
     """`work(...)` in a new interpreter: memory that other work left behind does not count.
 
     What it raises is raised here; WorkFailed where the system ended it.
@@ -73,22 +78,39 @@ def isolated(work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwargs) -> 
             raise WorkFailed("killed, out of memory") from None
 
 
-def once(path: Path, work: Callable[P, Mapping[str, Any]], /, *args: P.args, **kwargs: P.kwargs) -> dict[str, Any]:
+def once(path: Path, work: Callable[P, Found], /, *args: P.args, **kwargs: P.kwargs) -> Found:
     """What `isolated` work came to, as it stands in `path`, where it is kept when it was not done yet."""
     if (found := read_json(path)) is None:
-        found = dict(isolated(work, *args, **kwargs))
+        found = isolated(work, *args, **kwargs)
         write_json(path, found)
     return found
 
 
-def resident() -> int:
-    """Memory of this process now [bytes]; the most since `reset_peak` is `inverse.answer.peak_memory_mib`."""
-    return int(psutil.Process().memory_info().rss)
+def recorded(scene: Callable[[], Scene], record: Recording, path: Path) -> Found:
+    """What a run takes whose frames go to `path`: seconds, of these those before its first step, memory, disk [MiB]."""
+    began = time.perf_counter()
+    with FrameWriter(path) as file:
+        flow = simulate(scene(), record=record, file=file, progress=True)
+        file.put(**flow.arrays())
+    seconds, compiling = flow.summary["wall_s"], flow.summary["compile_s"]
+    return {
+        "particles": flow.summary["particles"],
+        "steps": flow.summary["steps"],
+        "before": time.perf_counter() - began - seconds - compiling,
+        "compile": compiling,
+        "seconds": seconds,
+        "memory": peak_memory_mib(),
+        "disk": path.stat().st_size / 2**20,
+    }
 
 
-def reset_peak() -> None:
-    """Give back what is free, which would hide the same amount in use later, and begin the record of the peak anew."""
+def reset_peak() -> int:
+    """Memory of this process [bytes], from which the record of its peak, `inverse.answer.peak_memory_mib`, begins anew.
+
+    What is free is given back before: it would hide the same amount in use later.
+    """
     gc.collect()
     if CLEAR.exists():
         ctypes.CDLL(None).malloc_trim(0)
         CLEAR.write_text(RESET_PEAK)
+    return int(psutil.Process().memory_info().rss)

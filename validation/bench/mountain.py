@@ -4,25 +4,24 @@ import csv
 import math
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from datasets.errors import require
 from datasets.exchange.rasters import Raster, read_raster
 from datasets.files import make_folder, reading
-from datasets.flow.array_files import FrameWriter
 from datasets.flow.trajectory import open_trajectory
 from datasets.maps import maps_of
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import scene_from
 from inverse.answer import peak_memory_mib
-from mpm import Recording, simulate
-from validation.bench.measuring import once
-from validation.bench.page import Keep, Out, Row, between, kept, write_page
-from validation.runs import Run
+from mpm import Recording
+from validation.bench.measuring import Found, once, recorded
+from validation.bench.page import Keep, Out, Row, between, write_page
+from validation.runs import Run, kept
 
 CASE = "CoulombOnly"
 CODES = ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D")
@@ -77,13 +76,11 @@ def scene_of(data: Path, cell: float) -> Scene:
     return scene_from(table, data)
 
 
-def slid(data: Path, cell: float, folder: Path) -> Mapping[str, Any]:
+def slid(data: Path, cell: float, folder: Path) -> Found:
     """The peaks of a run, and what it takes."""
-    began, scene, path = time.perf_counter(), scene_of(data, cell), folder / f"{cell:g}.h5"
-    with FrameWriter(path) as file:
-        flow = simulate(scene, record=Recording(frames=EVERY, until_rest=True), file=file, progress=True)
-        file.put(**flow.arrays())
-    run = time.perf_counter() - began
+    path = folder / f"{cell:g}.h5"
+    took = recorded(partial(scene_of, data, cell), Recording(frames=EVERY, until_rest=True), path)
+    began = time.perf_counter()
     ground = read_raster(data / f"DEM_{CASE}.asc")
     maps = maps_of(open_trajectory(path), ground.spacing[0], threshold=COVERED, progress=True)
     assert maps.velocity is not None, "frames beside one another tell it"
@@ -93,19 +90,11 @@ def slid(data: Path, cell: float, folder: Path) -> Mapping[str, Any]:
         for axis, last in zip(maps.grid.axes, ground.values.shape, strict=True)
     ]
     normal = maps.depth * bed_cosine(ground)[np.ix_(*posts)]
-    summary = flow.summary
-    return peaks(maps.corner[0] + maps.grid.axes[0], maps.velocity, float(normal.max())) | {
-        "particles": summary["particles"],
-        "steps": summary["steps"],
-        "before": run - summary["wall_s"] - summary["compile_s"],
-        "compile": summary["compile_s"],
-        "seconds": summary["wall_s"],
-        "maps": time.perf_counter() - began - run,
-        "memory": peak_memory_mib(),
-    }
+    found = peaks(maps.corner[0] + maps.grid.axes[0], maps.velocity, float(normal.max()))
+    return found | took | {"maps": time.perf_counter() - began, "memory": peak_memory_mib()}
 
 
-def peaks(eastings: Floats, speed: Floats, thickness: float) -> dict[str, Any]:
+def peaks(eastings: Floats, speed: Floats, thickness: float) -> Found:
     """What codes are compared by; speed: [m/s], shape [X, Z], on square cells whose middles have `eastings` [m]."""
     reached, cell = speed > MOVES, float(eastings[1] - eastings[0])
     return {
@@ -114,12 +103,6 @@ def peaks(eastings: Floats, speed: Floats, thickness: float) -> dict[str, Any]:
         "area": float(reached.sum()) * cell**2 / 1.0e4,
         "thickness": thickness,
     }
-
-
-def peaks_of(data: Path, code: str) -> dict[str, Any]:
-    """Those of another code. Raises InputError."""
-    speed, thickness = (read_raster(data / f"peak-{kind}-{code}.tif") for kind in ("speed", "thickness"))
-    return peaks(speed.x, np.nan_to_num(speed.values), float(np.nanmax(thickness.values)))
 
 
 def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] = (4.0, 2.0)) -> str:
@@ -133,21 +116,26 @@ def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] =
         Edges of the grid's cells [m], coarse ones first.
     """
     require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
-    others, found = {code: peaks_of(data, code) for code in CODES}, {}
+    others, found = dict[str, Found](), dict[float, Found]()
+    for code in CODES:
+        speed, thickness = (read_raster(data / f"peak-{kind}-{code}.tif") for kind in ("speed", "thickness"))
+        others[code] = peaks(speed.x, np.nan_to_num(speed.values), float(np.nanmax(thickness.values)))
     with kept(keep) as folder:
         for cell in cells:
             place = folder / f"mountain-{Run(scene=scene_of(data, cell)).digest}"
             make_folder(place)
             found[cell] = once(place / "peaks.json", slid, data, cell, place)
-    return written(out, found, others)
+    codes = {f"**Talus, {cell:g} m**": each for cell, each in found.items()} | others
+    flags = f" --data DIR --cells {' --cells '.join(f'{cell:g}' for cell in found)}"
+    rows, costs = [row(name, each) for name, each in codes.items()], [cost(*each) for each in found.items()]
+    return write_page(out, "mountain", conclusion(found, others), flags=flags, codes=rows, costs=costs)
 
 
-def written(out: Path, found: Mapping[float, Mapping[str, Any]], others: Mapping[str, Mapping[str, Any]]) -> str:
-    """Write the page, and return its conclusion."""
+def conclusion(found: Mapping[float, Found], others: Mapping[str, Found]) -> list[str]:
     finest = found[min(found)]
     alike = np.array([others[code]["speeds"] for code in ALIKE])
     apart = np.abs(finest["speeds"] / alike.mean(axis=0) - 1.0)
-    said = [
+    return [
         f"On cells of {min(found):g} m the flow reaches x = {finest['furthest']:.0f} m; the six other codes reach"
         f" {between([each['furthest'] for each in others.values()], '.0f')} m.",
         f"Its peak speeds over {len(SECTIONS)} cross-sections are within {apart.max():.0%} of the mean of"
@@ -157,28 +145,24 @@ def written(out: Path, found: Mapping[float, Mapping[str, Any]], others: Mapping
         f"The run takes {finest['seconds']:.0f} s and {finest['memory']:.0f} MiB for {finest['particles']:,} particles,"
         f" and {finest['before']:.1f} s before its first step.",
     ]
-    codes = {f"**Talus, {cell:g} m**": each for cell, each in found.items()} | dict(others)
-    costs = [
-        {
-            "cell [m]": f"{cell:g}",
-            "particles": f"{each['particles']:,}",
-            "steps": f"{each['steps']:,}",
-            "before the first step [s]": f"{each['before']:.1f}",
-            "compilation [s]": f"{each['compile']:.1f}",
-            "run [s]": f"{each['seconds']:.0f}",
-            "million particle-steps/s": f"{each['particles'] * each['steps'] / each['seconds'] / 1e6:.1f}",
-            "maps [s]": f"{each['maps']:.0f}",
-            "memory [MiB]": f"{each['memory']:.0f}",
-        }
-        for cell, each in found.items()
-    ]
-    flags = f" --data DIR --cells {' --cells '.join(f'{cell:g}' for cell in found)}"
-    rows = [row(name, each) for name, each in codes.items()]
-    return write_page(out, "mountain", said, flags=flags, codes=rows, costs=costs)
 
 
-def row(name: str, each: Mapping[str, Any]) -> Row:
-    """Of a code."""
+def cost(cell: float, took: Found) -> Row:
+    """What a run takes on cells of this edge [m]."""
+    return {
+        "cell [m]": f"{cell:g}",
+        "particles": f"{took['particles']:,}",
+        "steps": f"{took['steps']:,}",
+        "before the first step [s]": f"{took['before']:.1f}",
+        "compilation [s]": f"{took['compile']:.1f}",
+        "run [s]": f"{took['seconds']:.0f}",
+        "million particle-steps/s": f"{took['particles'] * took['steps'] / took['seconds'] / 1e6:.1f}",
+        "maps [s]": f"{took['maps']:.0f}",
+        "memory [MiB]": f"{took['memory']:.0f}",
+    }
+
+
+def row(name: str, each: Found) -> Row:
     speeds = {f"at {x:.0f} m": f"{speed:.1f}" for x, speed in zip(SECTIONS, each["speeds"], strict=True)}
     first = {"code": name, "furthest x [m]": f"{each['furthest']:.0f}"}
     return first | speeds | {"thickness [m]": f"{each['thickness']:.1f}", "area [ha]": f"{each['area']:.1f}"}

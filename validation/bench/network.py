@@ -4,13 +4,15 @@ from dataclasses import replace
 
 from datasets.scene import Domain, Mass, Scene
 from datasets.scene.material import Material
-from validation.bench.measuring import Spread, seconds_of
+from validation.bench.measuring import Found, Spread, seconds_of
 
 LENGTHS = {2: (0.2, 1.5, 15.0), 3: (0.3, 1.2, 4.8)}
 """Of the body of a network's step [m], by dimension: it costs per node, and a longer one has as many neighbours."""
 ACROSS, CELLS = {2: 0.4, 3: 0.3}, {2: 0.01, 3: 0.03}
 """Its height, in 3D its width too [m], and its cells [m]."""
 PER_NODE = "µs per node"
+NETWORK = {"nodes": ",", "forward [s]": ".4f", "with gradient [s]": ".4f", PER_NODE: ".0f"}
+"""Forms of the columns."""
 
 
 def body(dimension: int, length: float) -> Scene:
@@ -24,7 +26,7 @@ def body(dimension: int, length: float) -> Scene:
     )
 
 
-def network_rows(*, rounds: int, device: str = "cpu") -> list[dict[str, str]]:
+def network_rows(*, rounds: int, device: str = "cpu") -> list[Found]:
     """A row for each model that ships and each length: seconds of a step; one thread, medians of rounds."""
     # Here, because processes that only price a gradient do without PyTorch.
     import torch
@@ -35,7 +37,7 @@ def network_rows(*, rounds: int, device: str = "cpu") -> list[dict[str, str]]:
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    rows = []
+    rows: list[Found] = []
     for path in models():
         simulator = gns.load(path)
         # A model scales every scene to the body of its training data; as it is, a longer one has more nodes.
@@ -60,14 +62,7 @@ def network_rows(*, rounds: int, device: str = "cpu") -> list[dict[str, str]]:
 
             forward, both = timed(gradient=False), timed(gradient=True)
             nodes = len(initial.indices)
-            rows.append(
-                {
-                    "model": f"`{path.stem}`",
-                    "nodes": f"{nodes:,}",
-                    "forward [s]": forward.written(4),
-                    "with gradient [s]": both.written(4),
-                    PER_NODE: f"{1.0e6 * both.median / nodes:.0f}",
-                }
-            )
+            row = {"model": f"`{path.stem}`", "nodes": nodes, "forward [s]": forward, "with gradient [s]": both}
+            rows.append(row | {PER_NODE: 1.0e6 * both.median / nodes})
     torch.set_num_threads(threads)
     return rows

@@ -1,30 +1,31 @@
 """Pages of figures in Markdown: templates with a conclusion, the command, the machine and tables filled in.
 
-Also the flags that all pages share, and where finished work of a page stays.
+Also the flags that all pages share.
 """
 
 import math
 import os
 import platform
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 from tabulate import tabulate
 
 from datasets.files import write_text
-from datasets.lock import locked
 
 Out = Annotated[Path, Parameter(help="Folder of the page and its pictures.")]
 Keep = Annotated[
     Path | None, Parameter(help="Folder of finished work, which is not done again; temporary if not given.")
 ]
+Many = Parameter(validator=Number(gte=1))
+"""Of things of which there is at least one."""
+Rounds = Annotated[int, Many, Parameter(help="How often everything is measured: tables give median and range.")]
 TEMPLATES = Path(__file__).parent / "pages"
 CONCLUSION = 5
 """Most sentences of a conclusion."""
@@ -34,13 +35,6 @@ CPUINFO = Path("/proc/cpuinfo")
 
 Row = Mapping[str, object]
 """A row of a table: its cells by column heading."""
-
-
-@contextmanager
-def kept(folder: Path | None) -> Iterator[Path]:
-    """The folder of finished work, held for this process, or a temporary one."""
-    with TemporaryDirectory() if folder is None else locked(folder) as found:
-        yield Path(found)
 
 
 def percent(fraction: float) -> str:
@@ -67,6 +61,11 @@ def emphasised(text: str, ok: bool) -> str:
 def tables(many: Iterable[Sequence[Row]]) -> str:
     """Tables one after the other, each with the headings of its first row; none without rows."""
     return "\n\n".join(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True) for rows in many if rows)
+
+
+def formatted(rows: Iterable[Mapping[str, Any]], forms: Mapping[str, str]) -> list[Row]:
+    """Rows with each number in the form of its column."""
+    return [{key: format(cell, forms[key]) if key in forms else cell for key, cell in row.items()} for row in rows]
 
 
 def write_page(
@@ -99,7 +98,6 @@ def machine() -> str:
 
 def cpuinfo(key: str) -> str:
     """The first value of `key` in Linux's description of its processors, empty elsewhere."""
-    if not CPUINFO.exists():
-        return ""
-    lines = (line.partition(":") for line in CPUINFO.read_text(encoding="utf-8").splitlines())
-    return next((value.strip() for name, _, value in lines if name.strip() == key), "")
+    text = CPUINFO.read_text(encoding="utf-8") if CPUINFO.exists() else ""
+    found = re.search(rf"^{key}\s*: (.*)$", text, re.MULTILINE)
+    return "" if found is None else found[1].strip()

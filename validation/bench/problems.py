@@ -22,8 +22,9 @@ from gns import library
 from inverse.answer import Verdict
 from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate
-from validation.bench.page import Keep, Out, Row, between, emphasised, kept, tables, write_page
+from validation.bench.page import Keep, Out, Row, between, emphasised, tables, write_page
 from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
+from validation.runs import kept
 
 RESULT, KEY = "result.json", "made-of.txt"
 """Of a problem: what the loop wrote, and a digest of what it was made of."""
@@ -76,17 +77,11 @@ class Family(Record):
         return first + [(replace(problem, surrogate=self.second), f"{name}-{self.second}") for problem, name in first]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shipped(Record):
-    """`problems.toml`."""
-
-    paper: dict[str, Paper]
-    families: tuple[Family, ...]
-
-
-def read_shipped() -> Shipped:
-    """The families in the order of the page, and the paper's figures."""
-    return from_mapping(Shipped, read_toml(Path(__file__).with_suffix(".toml")))
+SHIPPED = read_toml(Path(__file__).with_suffix(".toml"))
+FAMILIES = [from_mapping(Family, each) for each in SHIPPED["families"]]
+"""In the order of the page."""
+PAPER = {name: from_mapping(Paper, each) for name, each in SHIPPED["paper"].items()}
+"""Its figures, by problem."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,11 +118,10 @@ class Outcome:
     criteria: Criteria
     paper: Paper = Paper()
     result: dict[str, Any]
-    """The contents of `result.json`."""
+    """`result.json`."""
 
     @property
     def surrogate(self) -> dict[str, Any]:
-        """What `result.json` says of the surrogate."""
         return self.result.get("surrogate") or {}
 
     @property
@@ -137,7 +131,6 @@ class Outcome:
 
     @cached_property
     def numbers(self) -> list[Number]:
-        """What was found of each number."""
         result, own, truth = self.result, self.surrogate.get("unknowns", {}), self.result.get("truth") or {}
         known = dict(zip(self.problem.names, self.paper.values, strict=False))
         return [
@@ -156,7 +149,6 @@ class Outcome:
 
     @property
     def fields(self) -> list[dict[str, Any]]:
-        """Of each unknown field, as `result.json` has it."""
         return list(self.result.get("fields", ()))
 
     @property
@@ -194,23 +186,23 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
     as_kept
         Solve nothing: write the page from the results in KEEP, whatever they were made of.
     """
-    shipped, failed, pictures = read_shipped(), list[str](), list[str]()
-    names = [name for family in shipped.families for name in family.problems]
+    failed, pictures = list[str](), list[str]()
+    names = [name for family in FAMILIES for name in family.problems]
     if unknown := [name for name in only if name not in names]:
         raise InputError("expected the name of a shipped problem", where=unknown[0], key="--only")
     found: dict[str, dict[str, dict[str, Outcome]]] = {}
     with kept(keep) as folder:
-        for family in shipped.families:
+        for family in FAMILIES:
             for problem, name in family.inversions():
                 asked = problem.name in (only or names) and not as_kept
                 if asked and not is_current(problem, folder / name) and not ran(problem, folder / name):
                     failed.append(name)
                 result = read_json(folder / name / RESULT) if as_kept or is_current(problem, folder / name) else None
                 if result is not None:
-                    known = shipped.paper.get(problem.name, Paper())
+                    known = PAPER.get(problem.name, Paper())
                     outcome = Outcome(problem=problem, criteria=family.criteria, paper=known, result=result)
                     found.setdefault(family.title, {}).setdefault(problem.name, {}).setdefault(outcome.way, outcome)
-        for name in (each for family in shipped.families for each in family.pictures):
+        for name in (each for family in FAMILIES for each in family.pictures):
             source, target = folder / f"{name}.png", out / "pictures" / f"{name.replace('/', '-')}.png"
             if source.exists():
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -218,7 +210,13 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
     solved = [ways for problems in found.values() for ways in problems.values()]
     write_csv(out / "problems.csv", [each for ways in solved for each in ways.values()])
     draw(out / "pictures" / "problems.png", solved)
-    said = written(out, found, pictures)
+    said = write_page(
+        out,
+        "problems",
+        conclusion(solved),
+        families="\n\n".join(section(*each) for each in found.items()),
+        pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
+    )
     if failed:
         raise WorkFailed(f"could not be run: {', '.join(failed)}")
     return said
@@ -251,28 +249,18 @@ def ran(problem: Problem, folder: Path) -> bool:
     return True
 
 
-def written(out: Path, found: Mapping[str, Mapping[str, Outcomes]], pictures: Sequence[str]) -> str:
-    """Write the page of all problems that were `found`, by their families' titles, and return its conclusion."""
-    families = []
-    for title, problems in found.items():
-        every = [each for ways in problems.values() for each in ways.values()]
-        fields = [field_row(each, field) for each in every for field in each.fields]
-        table = fields or [row for ways in problems.values() for row in rows(ways)]
-        filled = {key for row in table for key, cell in row.items() if cell != ""}
-        table = [{key: cell for key, cell in row.items() if key in filled} for row in table]
-        missed = [f"- `{each.problem.name}`, {each.way}: {'; '.join(each.missed)}" for each in every if each.missed]
-        families += [f"## {title}", tables([table]), "\n".join(missed)]
-    return write_page(
-        out,
-        "problems",
-        conclusion([ways for problems in found.values() for ways in problems.values()]),
-        families="\n\n".join(part for part in families if part),
-        pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
-    )
+def section(title: str, problems: Mapping[str, Outcomes]) -> str:
+    """Of a family: its table, without columns that nothing fills, and the criteria that are missed."""
+    every = [each for ways in problems.values() for each in ways.values()]
+    fields = [field_row(each, field) for each in every for field in each.fields]
+    table = fields or [row for ways in problems.values() for row in rows(ways)]
+    filled = {key for row in table for key, cell in row.items() if cell != ""}
+    table = [{key: cell for key, cell in row.items() if key in filled} for row in table]
+    missed = [f"- `{each.problem.name}`, {each.way}: {'; '.join(each.missed)}" for each in every if each.missed]
+    return "\n\n".join([f"## {title}", tables([table]), "\n".join(missed)]).rstrip()
 
 
 def conclusion(solved: Sequence[Outcomes]) -> list[str]:
-    """Which answers are as expected, the intervals, the errors beside the paper's, fields, the cost."""
     outcomes = [each for ways in solved for each in ways.values()]
     if not outcomes:
         return ["No problem has been solved yet."]
@@ -306,10 +294,7 @@ def rows(ways: Outcomes) -> list[Row]:
     """The rows of a problem: one for each number, or one for many."""
     problem, numbers = next((each.problem, each.numbers) for each in ways.values())
     many, found = len(numbers) > LISTED, list[Row]()
-    for index, (number, kind) in enumerate(zip(numbers, problem.kinds, strict=True)):
-        if many and index > 0:
-            break
-        cells = {way: cell(each, index, f".{kind.digits}f", many=many) for way, each in ways.items()}
+    for index, (number, kind) in enumerate(zip(numbers[:1] if many else numbers, problem.kinds, strict=False)):
         said = [ways[way].result for way in COLOURS if way in ways and index == 0]
         name = f"`{problem.name}`" if index == 0 else ""
         found.append(
@@ -317,7 +302,7 @@ def rows(ways: Outcomes) -> list[Row]:
                 "problem": name if many or len(numbers) == 1 else f"{name} {number.unknown}",
                 "true value": "-" if number.truth is None else kind.text(number.truth) if not many else "",
                 "paper": "" if number.paper is None else f"{number.paper:g}",
-                **{way: cells.get(way, "") for way in COLOURS},
+                **{way: cell(ways[way], index, kind.digits, many=many) if way in ways else "" for way in COLOURS},
                 "MPM runs": " / ".join(str(len(each["mpm_runs"])) for each in said),
                 "CPU s": " / ".join(f"{each['seconds']['processors']:.0f}" for each in said),
             }
@@ -325,10 +310,10 @@ def rows(ways: Outcomes) -> list[Row]:
     return found
 
 
-def cell(outcome: Outcome, index: int, form: str, *, many: bool) -> str:
+def cell(outcome: Outcome, index: int, digits: int, *, many: bool) -> str:
     """A number that was found with its interval; of many how many true values are within theirs."""
     number, verdict = outcome.numbers[index], outcome.result["verdict"]
-    text = f"{number.found:{form}} [{number.low:{form}}, {number.high:{form}}]"
+    text = f"{number.found:.{digits}f} [{number.low:.{digits}f}, {number.high:.{digits}f}]"
     if many:
         text = f"{sum(each.inside for each in outcome.numbers)} of {len(outcome.numbers)} in their intervals"
     if index == 0 and verdict != Verdict.CONFIRMED.value:

@@ -12,22 +12,24 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets import maps
+from datasets.files import make_folder
+from datasets.flow.trajectory import open_trajectory
 from datasets.processes import processors
 from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.scene.library import read_scene
 from datasets.scene.material import Material
 from datasets.scene.particles import particle_count
 from inverse.answer import peak_memory_mib
-from mpm import LAST, simulate, simulate_many
+from mpm import LAST, Recording, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
-from mpm.arrays.layout import Precision
+from mpm.arrays.layout import Precision, node_shape
 from mpm.simulation import LARGE, Options
-from validation.bench import large
-from validation.bench.measuring import Spread, isolated, reset_peak, resident, seconds_of, turns
-from validation.bench.network import PER_NODE, network_rows
-from validation.bench.page import Keep, Out, Row, between, kept, write_page
+from validation.bench.measuring import Found, Spread, isolated, once, recorded, reset_peak, seconds_of, turns
+from validation.bench.network import NETWORK, PER_NODE, network_rows
+from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, write_page
 from validation.plots import BLUE, ORANGE, figure
+from validation.runs import Run, kept
 
 CUBE = 0.375
 """Edge of the column in 3D [m]."""
@@ -38,6 +40,8 @@ CACHE = "TI_OFFLINE_CACHE_FILE_PATH"
 PRICED = "column-tall-42"
 FINER = ((1, 0.5), (2, 0.25), (2, 0.5), (4, 0.0625))
 """How many times finer than the shipped column's the cells are, and duration [s], of runs whose gradient is priced."""
+CELL, EVERY, FLOW = 0.375, 5, "flow.h5"
+"""Of the large terrain: cells [m], frames from one that is kept for the maps to the next, file of the flow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +64,6 @@ class Case:
 
     @property
     def text(self) -> str:
-        """Its size."""
         return f"{self.scenes} x {self.particles:,} particles in {self.dimension}D"
 
 
@@ -79,23 +82,9 @@ CASES = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Price:
-    """What a gradient by the adjoint takes, beside the run that it is of, on one thread."""
-
-    particles: int
-    steps: int
-    run: float
-    """[s], without compilation, as all."""
-    gradient: float
-    memory: int
-    """Greatest resident size of the process above what it held before the gradient [bytes]."""
-
-    @property
-    def ratio(self) -> float:
-        return self.gradient / self.run
-
-
+PRICE = {"particles": ",", "steps": ",", "run [s]": ".2f", "gradient [s]": ".2f", "runs per gradient": ".1f"}
+"""What a gradient by the adjoint takes, beside the run that it is of, on one thread and without compilation: forms of
+the columns. The memory is the greatest resident size of the process above what it held before the gradient."""
 Mode = tuple[Precision, int]
 """Precision and threads; no threads: a GPU."""
 Rates = Mapping[tuple[Case, Mode], Spread]
@@ -132,10 +121,9 @@ def rate(case: Case, mode: Mode) -> float:
     scene = column(case.dimension, case.cells, case.frames)
     scene = replace(scene, volume_correction=True) if case.corrected else scene
     scenes = [replace(scene, seed=seed) for seed in range(case.scenes)]
-    place: Options = (
-        {"precision": precision, "threads": threads} if threads else {"precision": precision, "arch": "cuda"}
-    )
+    place: Options = {"precision": precision, "threads": threads}
     if not threads:
+        place = {"precision": precision, "arch": "cuda"}
         # On a GPU the first frame compiles.
         simulate_many([replace(scene, duration=scene.frame_dt) for scene in scenes], **place)
     summaries = [flow.summary for flow in simulate_many(scenes, **place)]
@@ -160,8 +148,8 @@ def baffle_row(name: str, scene: Scene, rounds: int) -> Row:
     found = turns({key: partial(nanoseconds, each) for key, each in work.items()}, rounds, name)
     ratio = Spread([one / other for one, other in zip(*found.values(), strict=True)])
     counts = {"particles": f"{particle_count(scene):,}", "baffles": str(len(scene.baffles))}
-    times = {key: Spread(each).written(1) for key, each in found.items()}
-    return {"scene": f"`{name}`"} | counts | times | {"ratio": ratio.written(3)}
+    times = {key: f"{Spread(each):.1f}" for key, each in found.items()}
+    return {"scene": f"`{name}`"} | counts | times | {"ratio": f"{ratio:.3f}"}
 
 
 def started(scene: Scene, folder: str) -> float:
@@ -178,12 +166,9 @@ def started(scene: Scene, folder: str) -> float:
 
 def first_runs() -> list[Row]:
     """Scenes of each kind of kernel: a first run, which compiles, and a second one, which finds the kernels on disk."""
-    scenes = {"column-short-21": read_scene("column-short-21"), "flume-35": read_scene("flume-35")}
+    scenes = {name: read_scene(name) for name in ("column-short-21", "flume-35", "valley-3d")}
     scenes |= {f"{name}, baffles": scene for name, scene in behind_baffles().items() if name != "baffles-5"}
-    scenes |= {
-        "baffles-2, no baffles": replace(read_scene("baffles-2"), baffles=()),
-        "valley-3d": read_scene("valley-3d"),
-    }
+    scenes["baffles-2, no baffles"] = replace(read_scene("baffles-2"), baffles=())
     rows: list[Row] = []
     for name, scene in scenes.items():
         with TemporaryDirectory() as folder:
@@ -199,39 +184,62 @@ def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[floa
     return float(positions[..., 0].mean()), slope, None
 
 
-def price(scene: Scene, repeats: int) -> Price:
+def price(scene: Scene, repeats: int) -> Found:
     """Of one scene in this process, the median of `repeats` turns; kernels are compiled on a short flow before."""
     short = replace(scene, duration=0.02)
     simulate(short, record=LAST, threads=1)
     gradient(short, mean_x, threads=1)
-    reset_peak()
-    before = resident()
+    before = reset_peak()
     work = {
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
         "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1, memory_mib=GRADIENT_MIB)),
     }
-    found = turns(work, repeats, "gradient")
-    return Price(
-        particles=particle_count(scene),
-        steps=int(simulate(scene, record=LAST, threads=1).summary["steps"]),
-        run=statistics.median(found["run"]),
-        gradient=statistics.median(found["gradient"]),
-        memory=max(0, int(peak_memory_mib() * 2**20) - before),
-    )
+    run, own = (statistics.median(seconds) for seconds in turns(work, repeats, "gradient").values())
+    return {
+        "particles": particle_count(scene),
+        "steps": simulate(scene, record=LAST, threads=1).summary["steps"],
+        "run [s]": run,
+        "gradient [s]": own,
+        "runs per gradient": own / run,
+        "memory [MiB]": max(0.0, peak_memory_mib() - before / 2**20),
+    }
 
 
-def bench(*, out: Out, keep: Keep = None, rounds: int = 2) -> str:
+def slide() -> Scene:
+    """`hillside` on other cells, its layer a little thicker, its soil as soft as its speed allows."""
+    scene = read_scene("hillside").with_cell(CELL)
+    soil, layer = replace(scene.material, young=6.0e6), replace(scene.masses[0], thickness=6.25)
+    return replace(scene, material=soil, masses=(layer,), duration=8.0, step_fraction=0.9)
+
+
+def slid(folder: Path) -> Found:
+    """The run whose frames go to a file."""
+    found = recorded(slide, Recording(frames=EVERY), folder / FLOW)
+    return found | {"nodes": " x ".join(map(str, node_shape(slide().domain)))}
+
+
+def mapped(folder: Path) -> Found:
+    """The maps of that run."""
+    began, trajectory = time.perf_counter(), open_trajectory(folder / FLOW)
+    make_folder(folder / "maps")
+    maps.write(trajectory, maps.maps_of(trajectory, CELL, progress=True), folder / "maps")
+    disk = sum(path.stat().st_size for path in (folder / "maps").iterdir()) / 2**20
+    seconds = time.perf_counter() - began
+    return {"seconds": seconds, "memory": peak_memory_mib(), "disk": disk, "frames": len(trajectory.time)}
+
+
+def large_terrain(keep: Path) -> list[Found]:
+    """Run and maps, each in a process of its own; what is in `keep` is not done again."""
+    folder = keep / f"terrain-{Run(scene=slide()).digest}"
+    make_folder(folder)
+    return [once(folder / f"{work.__name__}.json", work, folder) for work in (slid, mapped)]
+
+
+def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     """Measure rates over sizes and at baffles, gradients, steps of networks, a large terrain; needs a quiet machine.
 
     KEEP has the stages of the large terrain; other times are of one command.
-
-    Parameters
-    ----------
-    rounds
-        How often everything is measured, in turn; the tables give the median and the range.
     """
-    if rounds < 1:
-        raise InputError(f"expected at least 1, got {rounds}", key="--rounds")
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
@@ -242,43 +250,35 @@ def bench(*, out: Out, keep: Keep = None, rounds: int = 2) -> str:
     prices = [isolated(price, scene, rounds) for scene in finer]
     networks = network_rows(rounds=rounds)
     with kept(keep) as folder:
-        terrain = large.measured(folder)
+        flow, drawn = large_terrain(folder)
+    seconds = flow["before"] + flow["seconds"] + drawn["seconds"]
     draw(out / "speed.png", rates)
     return write_page(
         out,
         "speed",
-        [*conclusion(rates, prices, networks), large.sentence(terrain)],
+        [
+            *conclusion(rates, prices, networks),
+            f"A terrain of {flow['particles']:,} particles takes {seconds:.0f} s from the raster to the maps.",
+        ],
         flags=f" --rounds {rounds}",
         large=LARGE,
         rates=rate_rows(rates),
         baffles=solids,
         starts=first_runs(),
         priced=PRICED,
-        prices=[price_row(each) for each in prices],
-        networks=networks,
-        cell=large.CELL,
-        particles=terrain["flow"]["particles"],
-        nodes=terrain["flow"]["nodes"],
-        terrain=large.rows(terrain),
+        prices=formatted(prices, PRICE | {"memory [MiB]": ".0f"}),
+        networks=formatted(networks, NETWORK),
+        cell=CELL,
+        particles=flow["particles"],
+        nodes=flow["nodes"],
+        terrain=terrain_rows(flow, drawn),
     )
 
 
-def price_row(price: Price) -> Row:
-    return {
-        "particles": f"{price.particles:,}",
-        "steps": f"{price.steps:,}",
-        "run [s]": f"{price.run:.2f}",
-        "gradient [s]": f"{price.gradient:.2f}",
-        "runs per gradient": f"{price.ratio:.1f}",
-        "memory [MiB]": f"{price.memory / 2**20:.0f}",
-    }
-
-
-def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping[str, str]]) -> list[str]:
-    """Rates by dimension, the price of a gradient, the network's step."""
-    largest = max(prices, key=lambda each: each.memory)
-    ratios = between([each.ratio for each in prices], ".1f")
-    steps = between([float(each[PER_NODE]) for each in networks], ".0f")
+def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found]) -> list[str]:
+    largest = max(prices, key=lambda each: float(each["memory [MiB]"]))
+    ratios = between([each["runs per gradient"] for each in prices], ".1f")
+    steps = between([each[PER_NODE] for each in networks], ".0f")
     best = {dimension: best_rates(rates, dimension) for dimension in dict.fromkeys(case.dimension for case, _ in rates)}
     return [
         *(
@@ -287,8 +287,22 @@ def conclusion(rates: Rates, prices: Sequence[Price], networks: Sequence[Mapping
             for dimension, own in best.items()
         ),
         f"A gradient by the adjoint takes as long as {ratios} runs, for any number of unknowns, and at most"
-        f" {largest.memory / 2**20:.0f} MiB ({largest.particles:,} particles, {largest.steps:,} steps).",
+        f" {largest['memory [MiB]']:.0f} MiB ({largest['particles']:,} particles, {largest['steps']:,} steps).",
         f"A step of the shipped networks with its gradient takes {steps} µs per node, on one thread.",
+    ]
+
+
+def terrain_rows(flow: Found, drawn: Found) -> list[Row]:
+    """What each stage takes."""
+    stages = {
+        "raster to particles and contact": {"seconds": flow["before"]},
+        f"run of {flow['steps']:,} steps, every {EVERY}th frame to HDF5": flow,
+        f"maps of {drawn['frames']} frames": drawn,
+    }
+    return [
+        {"stage": stage, "seconds": f"{took['seconds']:.1f}"}
+        | {f"{key} [MiB]": f"{took[key]:.0f}" if key in took else "-" for key in ("memory", "disk")}
+        for stage, took in stages.items()
     ]
 
 
@@ -302,7 +316,6 @@ def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
 
 
 def rate_rows(rates: Rates) -> list[Row]:
-    """A line per case: its rates by precision and threads."""
     rows: list[Row] = []
     used = sorted({mode for _, mode in rates})
     for case in sorted({case for case, _ in rates}, key=astuple):
@@ -314,13 +327,12 @@ def rate_rows(rates: Rates) -> list[Row]:
         for precision, threads in used:
             place = f"{threads} thread{'s' * (threads > 1)}" if threads else "GPU"
             found = rates.get((case, (precision, threads)))
-            row[f"{precision}, {place}"] = found.written(1) if found else "-"
+            row[f"{precision}, {place}"] = f"{found:.1f}" if found else "-"
         rows.append(row)
     return rows
 
 
 def draw(path: Path, rates: Rates) -> None:
-    """Rates over particles."""
     with figure(path) as axes:
         axis = axes[0, 0]
         for dimension, colour in ((2, BLUE), (3, ORANGE)):

@@ -232,18 +232,12 @@ def read_design(name: str | Path) -> DesignProblem:
         file = from_mapping(DesignFile, read_toml(path))
         own = dict(vars(file))
         if (posterior := own.pop("posterior")) is not None:
-            own["samples"], learned = read_posterior(path.parent / posterior)
-            own["uncertain"] += learned
+            names, own["samples"] = read_samples(path.parent / posterior)
+            ranges = zip(names, own["samples"].min(axis=0), own["samples"].max(axis=0), strict=True)
+            own["uncertain"] += tuple(Parameter(name=n, lower=float(low), upper=float(high)) for n, low, high in ranges)
         if isinstance(file.scene, str):
             beside = path.parent / file.scene
             own["scene"] = read_scene(beside if file.scene.endswith(".toml") else find(file.scene, SCENES, "scene"))
         else:
             own["scene"] = scene_from(file.scene, path.parent)
         return DesignProblem(name=path.stem, **own)
-
-
-def read_posterior(path: Path) -> tuple[Matrix, tuple[Parameter, ...]]:
-    """Samples [S, Q'] of a posterior of `validation.loop` with equal weights, and their numbers."""
-    names, samples = read_samples(path)
-    ranges = zip(names, samples.min(axis=0), samples.max(axis=0), strict=True)
-    return samples, tuple(Parameter(name=name, lower=float(low), upper=float(high)) for name, low, high in ranges)

@@ -1,6 +1,5 @@
 """A robust design by the MPM, from a problem to the files of its result: `design.json`, `report.md` and a picture."""
 
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ from tabulate import tabulate
 
 from datasets.files import write_json, write_text
 from datasets.flow.trajectory import Trajectory
-from datasets.lock import locked
 from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
 from inverse.search.waves import jitter_seed
@@ -19,7 +17,7 @@ from validation.design.problem import DesignProblem, read_design
 from validation.design.reliability import Reliability
 from validation.design.search import Design, designed
 from validation.plots import BLUE, GREY, ORANGE, figure
-from validation.runs import RunStore, caveats
+from validation.runs import RunStore, caveats, kept
 
 STATIONS = 25
 """Along each variable, in the picture."""
@@ -41,7 +39,7 @@ def find_design(
     """
     asked = problem if isinstance(problem, DesignProblem) else read_design(problem)
     limit = asked.limit
-    with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
+    with kept(out) as folder:
         store = RunStore(folder / "mpm" / limit.folder, simulate, label="design-", reduce=limit.kept)
         flows = list[Trajectory]()
 
@@ -59,14 +57,10 @@ def find_design(
         if remarks and not limit.force:
             found = replace(found, remark=remarks[0])
         if out is not None:
-            save(found, folder)
+            write_json(folder / "design.json", record(found))
+            draw(found, folder / "design.png")
+            write_text(folder / "report.md", report(found))
     return found
-
-
-def save(found: Design, folder: Path) -> None:
-    write_json(folder / "design.json", record(found))
-    draw(found, folder / "design.png")
-    write_text(folder / "report.md", report(found))
 
 
 def record(found: Design) -> dict[str, Any]:

@@ -155,7 +155,7 @@ class Measured(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeasuredScene(Record):
+class Case(Record):
     """A scene and what was measured in it."""
 
     name: str
@@ -199,8 +199,15 @@ class Experiment(Record):
     """How their friction grows with the rate; nothing is known of it where absent."""
     cells: tuple[float, float]
     """Grid cells, the coarse and the fine one [m]."""
-    cases: tuple[MeasuredScene, ...]
+    cases: tuple[Case, ...]
     assumptions: tuple[Assumption, ...] = ()
+    folder: Path = FOLDER
+    """Where its file and its scenes lie."""
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return self.folder.name
 
     @property
     def readings(self) -> tuple[Reading, ...]:
@@ -213,24 +220,11 @@ class Experiment(Record):
             Reading(each.deg, each.angle, each.name == REPOSE and self.grains is not None) for each in self.angles
         )
 
-
-@dataclass(frozen=True, kw_only=True)
-class Shipped:
-    """An experiment and the folder it was read from."""
-
-    name: str
-    folder: Path
-    experiment: Experiment
-
-    def cells(self, case: MeasuredScene) -> tuple[float, float]:
-        """Grid cells of a case, the coarse and the fine one [m]."""
-        return case.cells or self.experiment.cells
-
-    def scene(self, file: str, cell: float, reading: Reading) -> Scene:
-        """The scene of `file` on another cell [m], of grains of the friction of `reading`."""
-        scene = read_scene(str(self.folder / file))
+    def scene(self, case: Case, number: int, reading: Reading) -> Scene:
+        """The scene of a case on its coarse (0) or fine (1) cells, of grains of the friction of `reading`."""
+        scene = read_scene(str(self.folder / case.scene))
         material = replace(scene.material, friction_deg=reading.deg, angle=reading.angle)
-        if reading.rate and (grains := self.experiment.grains) is not None:
+        if reading.rate and (grains := self.grains) is not None:
             limit = math.tan(math.radians(reading.deg)) + grains.friction_growth
             material = replace(
                 material,
@@ -239,17 +233,18 @@ class Shipped:
                 grain_diameter=grains.grain_diameter,
                 grain_density=grains.grain_density,
             )
+        cell = (case.cells or self.cells)[number]
         return replace(scene, domain=Domain(size=scene.domain.size, cell=cell), material=material)
 
 
-def read_experiment(folder: Path) -> Shipped:
+def read_experiment(folder: Path) -> Experiment:
     """Read `folder`/experiment.toml. Raises InputError, which names the file and the key."""
     path = folder / "experiment.toml"
     with naming(path):
-        return Shipped(name=folder.name, folder=folder, experiment=from_mapping(Experiment, read_toml(path)))
+        return replace(from_mapping(Experiment, read_toml(path)), folder=folder)
 
 
-def read_experiments(folder: Path = FOLDER) -> list[Shipped]:
+def read_experiments(folder: Path = FOLDER) -> list[Experiment]:
     """Every experiment in `folder`, by name. Raises InputError."""
     return [read_experiment(path.parent) for path in sorted(folder.glob("*/experiment.toml"))]
 
@@ -300,11 +295,8 @@ def edge(stations: Floats, heights: Floats, thickness: float) -> float:
     stations, heights: [m], shape [S] each; the last station where it never does.
     """
     top = int(np.argmax(heights))
-    below = np.flatnonzero(heights[top:] < thickness)
+    below = top + np.flatnonzero(heights[top:] < thickness)
     if len(below) == 0:
         return float(stations[-1])
-    right = top + int(below[0])
-    if right == top:
-        return float(stations[top])
-    share = (heights[right - 1] - thickness) / (heights[right - 1] - heights[right])
-    return float(stations[right - 1] + share * (stations[right] - stations[right - 1]))
+    around = [below[0], max(below[0] - 1, top)]
+    return float(np.interp(thickness, heights[around], stations[around]))

@@ -1,6 +1,5 @@
 """A forecast, from the files of a result to its own: `forecast.json`, `report.md`, a picture, in 3D maps."""
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ from tabulate import tabulate
 
 from datasets.errors import InputError, require
 from datasets.files import read_json, write_json, write_text
-from datasets.lock import locked
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
@@ -18,7 +16,7 @@ from inverse.saving import read_samples
 from mpm import simulate_many
 from validation.forecast.predict import LEVELS, Forecast, predicted, quantiles
 from validation.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
-from validation.runs import RunStore
+from validation.runs import RunStore, kept
 
 DRAWS = 40
 """Of the posterior: the least and the largest of so many flows are the ends of an interval of 95 %."""
@@ -56,7 +54,7 @@ def forecast_scene(
         key = "--threshold" if threshold is not None else "--pressure"
         raise InputError("expected a scene in 3D, a flow in 2D has no maps", key=key)
     names, samples, remarks = known_of(Path(result), asked)
-    with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
+    with kept(out) as folder:
         found = predicted(
             asked,
             names,

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from datasets.command_line import run
+from datasets.errors import WorkFailed
 from inverse.settings import Surrogate
 
 
@@ -46,10 +47,11 @@ def main(
     from contextlib import nullcontext
     from dataclasses import replace
 
+    from inverse.answer import Verdict
     from inverse.problem import read_problem
     from mpm import simulate_many
     from mpm.cluster import connected
-    from validation.loop.series import require_confirmed, solve_series, summary
+    from validation.loop.series import solve_series, summary
     from validation.loop.solve import print_outcome, solve
     from validation.loop.surrogate import estimate
 
@@ -65,7 +67,8 @@ def main(
             return
         rows = solve_series(asked, targets, out, model=model, simulate=simulate)
     print(summary(rows, len(rows)))
-    require_confirmed(rows, out)
+    if others := [each["deposit"] for each in rows if not Verdict(each["verdict"]).confirms]:
+        raise WorkFailed(f"not confirmed: {', '.join(others)}; see {out}/report.md")
 
 
 if __name__ == "__main__":

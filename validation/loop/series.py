@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from datasets.errors import InputError, WorkFailed, naming
+from datasets.errors import InputError, naming
 from datasets.files import make_folder, write_json, write_text
 from datasets.flow.trajectory import SUFFIXES, Trajectory
 from inverse.answer import Verdict
@@ -132,14 +132,9 @@ def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count:
     table.writerows(rows)
     write_text(out / "series.csv", content.getvalue())
     write_json(out / "series.json", {"problem": problem.name, "deposits": rows})
-    digits = {each.name: each.kind.digits for each in problem.numbers}
-
-    def shown(key: str, value: Any) -> str:
-        name = key.removesuffix(ENDS[0]).removesuffix(ENDS[1])
-        return f"{value:.{digits.get(name, 1)}f}" if isinstance(value, float) else str(value)
-
-    lines = [{key: shown(key, value) for key, value in each.items()} for each in rows]
-    text = tabulate(lines, "keys", "github", disable_numparse=True)
+    digits = {each.name + end: each.kind.digits for each in problem.numbers for end in ("", *ENDS)}
+    forms = [f".{digits.get(key, 1)}f" for key in rows[0]]
+    text = tabulate(rows, "keys", "github", floatfmt=forms, disable_numparse=[0])
     write_text(out / "report.md", f"# {problem.name}: a series\n\n{summary(rows, count)}\n\n{text}\n")
 
 
@@ -151,10 +146,3 @@ def summary(rows: Sequence[Mapping[str, Any]], count: int) -> str:
         f"{len(rows)} of {count} deposits inverted, {confirmed} of them confirmed by the MPM; "
         f"{runs:.1f} MPM runs and {seconds:.0f} s a deposit."
     )
-
-
-def require_confirmed(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
-    """Raise WorkFailed where the MPM has not confirmed every deposit's answer."""
-    others = [str(each["deposit"]) for each in rows if not Verdict(each["verdict"]).confirms]
-    if others:
-        raise WorkFailed(f"not confirmed: {', '.join(others)}; see {out}/report.md")

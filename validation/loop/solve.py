@@ -2,7 +2,6 @@
 
 import math
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +13,6 @@ import numpy as np
 from datasets.errors import WorkFailed
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory
-from datasets.lock import locked
 from inverse.adaptation import deposits as adapted_runs
 from inverse.answer import MpmRun, Purpose, Verdict
 from inverse.forward import Simulate
@@ -34,7 +32,7 @@ from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
 from validation.loop.task import Loop, Task
 from validation.loop.verdict import Conclusion, concluded, judged, nearer
-from validation.runs import RunStore
+from validation.runs import RunStore, kept
 
 Known = tuple[Vector, Trajectory]
 """Parameters [U], and the flow of the MPM there."""
@@ -68,7 +66,7 @@ def solve(
     solved as it stands, WorkFailed where a run of the MPM blows up or another process writes into `out`.
     """
     asked = read_problem(problem) if isinstance(problem, str) else problem
-    with tempfile.TemporaryDirectory() as temporary, locked(Path(out or temporary)) as folder:
+    with kept(out) as folder:
         if asked.fields:
             # By the MPM itself, with its word: it has an adjoint, and fields are too many for an emulator.
             from inverse.inversion import invert
@@ -93,14 +91,12 @@ def print_outcome(result: Result, out: Path) -> None:
         raise WorkFailed(f"the answer is {result.verdict}; the nearest that was found is in {out}/report.md")
 
 
-def run(
-    task: Task, *, model: Path | None = None, load: surrogate.Load = surrogate.learned, known: Sequence[Known] = ()
-) -> Result:
-    """Search, check the answers, judge; load: in place of the learned surrogate; known: runs for other targets."""
+def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -> Result:
+    """Search, check the answers, judge; known: runs for other targets."""
     began, used = time.perf_counter(), time.process_time()
     before = tuple(task.run(*each) for each in known)
     led, outcome, cells = None, None, tuple[MpmRun, ...]()
-    forward, reason = surrogate.choose(task, model=model, load=load)
+    forward, reason = surrogate.choose(task, model)
     if forward is not None:
         print(f"the surrogate is asked first: {reason}", file=sys.stderr)
         rough = 1.0 if isinstance(forward, MpmForward) else ROUGH

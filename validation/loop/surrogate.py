@@ -7,7 +7,6 @@ band allows, the region is so much wider, and twice as wide wherever the posteri
 
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -38,8 +37,6 @@ from validation.loop.task import Loop, Task
 from validation.loop.verdict import checked
 from validation.runs import RunStore
 
-Load = Callable[[Problem, Target, Path | None], tuple[Forward | None, str]]
-"""Problem, target, weights -> the surrogate, or None and why there is none."""
 PREDICTIONS = 5.0
 """Predictions that a run of the MPM costs, from which on it is asked: it predicts two to five times for each run that
 it saves."""
@@ -53,11 +50,11 @@ QUICKEST = 0.1
 """Seconds of a prediction at least: where even that costs too much, no weights are read."""
 
 
-def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | None, str]:
+def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:
     """The surrogate that is asked, or None, and the reason in words.
 
-    model: weights, which are asked at any price; those that ship where absent; load: `learned`. Raises InputError for a
-    problem that asks for one that there is none of. The MPM on larger cells is asked by `coarse` alone.
+    model: weights, which are asked at any price; those that ship where absent. Raises InputError for a problem that
+    asks for one that there is none of. The MPM on larger cells is asked by `coarse` alone.
     """
     problem, requested = task.problem, task.problem.surrogate
     if requested is Surrogate.NONE:
@@ -72,7 +69,7 @@ def choose(task: Task, *, model: Path | None, load: Load) -> tuple[Forward | Non
     by_price = requested is Surrogate.AUTO and model is None
     if by_price and quick(run):
         return None, f"a run of the MPM takes {run:.2g} s, which is less than {PREDICTIONS:g} predictions"
-    forward, reason = load(problem, task.target, model)
+    forward, reason = learned(problem, task.target, model)
     if forward is None:
         if requested is Surrogate.GNS:
             raise InputError(f"expected auto or none, {reason}", key="surrogate")

@@ -20,7 +20,7 @@ from inverse.problem import Problem
 from inverse.search.inference import Inference
 from inverse.search.waves import WaveSearch, jitter_seed
 from mpm import ALL, LAST, simulate_many
-from validation.runs import SHARE, RunStore
+from validation.runs import SHARE, Run, RunStore
 
 Loop = WaveSearch[MpmRun, Inference]
 
@@ -61,7 +61,7 @@ class Task:
         # The last frame, unless the observation is one over time.
         record = ALL if self.target.observation.over_time else LAST
         flows = store(scenes, record=record)
-        files = [f"{self.folder.name}/{store.file(each, record).name}" for each in flows]
+        files = [f"{self.folder.name}/{store.path(Run(scene=each, record=record)).name}" for each in scenes]
         return tuple(self.run(*each, purpose) for each in zip(locations, flows, files, strict=True))
 
     def run(self, location: Vector, flow: Trajectory, file: str = "", purpose: Purpose = Purpose.KNOWN) -> MpmRun:

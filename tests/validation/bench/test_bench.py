@@ -15,9 +15,10 @@ from validation.bench import gns as bench_gns
 from validation.bench import page as pages
 from validation.bench.__main__ import PAGES, main
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.large import CELL, slide
-from validation.bench.page import kept, write_page
-from validation.bench.speed import CASES, column, mean_x, modes
+from validation.bench.measuring import Spread
+from validation.bench.page import formatted, write_page
+from validation.bench.speed import CASES, column, mean_x, modes, slide
+from validation.runs import kept
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -42,7 +43,7 @@ def test_finished_work_is_held_and_goes_with_a_temporary_folder(
 def test_a_page_is_its_template_with_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pages, "TEMPLATES", tmp_path)
     (tmp_path / "it.md").write_text("# Title\n\n{conclusion}\n\n{made}\n\nOf {count:g}:\n\n{rows}\n")
-    rows = [{"x [m]": "0.12", "who": "us"}, {"x [m]": "", "who": "them"}]
+    rows = [*formatted([{"x [m]": 0.123, "who": "us"}], {"x [m]": ".2f"}), {"x [m]": "", "who": "them"}]
     said = write_page(tmp_path / "out", "it", ["a = 1", "b = 2"], flags=" --flag", count=2.0, rows=rows)
     assert said == "- a = 1\n- b = 2"
     text = (tmp_path / "out" / "it.md").read_text(encoding="utf-8")
@@ -72,6 +73,10 @@ def test_a_page_of_few_runs(name: str, flags: tuple[str, ...], tmp_path: Path, m
     assert list(tmp_path.rglob("*.png")) or name == "efficiency"
 
 
+def test_a_spread_is_a_median_with_its_range() -> None:
+    assert f"{Spread([1.0, 4.0, 2.0]):.1f}, {Spread([0.5]):.2f}" == "2.0 (1.0-4.0), 0.50"
+
+
 def test_columns_have_the_particles_that_the_cases_state() -> None:
     assert [case.particles for case in CASES if case.dimension == 2] == [3200, 3200, 25088, 100352, 1002528]
     assert modes(CASES[0]) == [("f32", 1), ("f64", 1)]
@@ -79,7 +84,7 @@ def test_columns_have_the_particles_that_the_cases_state() -> None:
 
 
 def test_the_large_terrain_has_about_a_million_particles() -> None:
-    assert particle_count(slide(CELL)) == 1_013_760
+    assert particle_count(slide()) == 1_013_760
 
 
 def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from datasets import Mass, Scene, Trajectory
+from datasets.flow.measures import Deposit, Errors
 from datasets.scene.particles import initial_particles, released_volume
 from tests.scenes import flow_of, scene_of
-from validation.bench.gns import AGAIN, Compared, Model, mpm_seconds
-from validation.bench.held_out import MOUNDS, Measured, creep, deposit_of, mound
+from validation.bench.accuracy.bench import deposit_of
+from validation.bench.gns import AGAIN, MOUNDS, Compared, Model, creep, mound, mpm_seconds
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
 
@@ -25,46 +26,50 @@ def stretched(scene: Scene, by: float) -> Trajectory:
     return flow_of(scene, positions, summary={"wall_s": 1.0})
 
 
+def errors_beside(truth: Deposit, by: float) -> Errors:
+    flow = stretched(BLOCK, by)
+    return truth.errors(flow.positions[-1], flow.volumes)
+
+
 def test_errors_of_deposits_of_known_length() -> None:
     truth = deposit_of(stretched(BLOCK, 2.0))
     assert truth.side == 1
     assert truth.extent == pytest.approx(0.4, rel=0.03)
-    errors = Measured.of_flow(stretched(BLOCK, 2.5), truth)
+    errors = errors_beside(truth, 2.5)
     assert errors.front == pytest.approx(0.25, rel=0.02)
     # Equal shares at q of the block lie 0.1 q apart: rms 0.1 / sqrt(3) of an extent of 0.4.
     assert errors.profile == pytest.approx(0.25 / math.sqrt(3.0), rel=0.03)
     assert (errors.height, errors.overlap) == pytest.approx((0.0, 0.8), abs=0.03)
-    same = {"front": 0.0, "profile": 0.0, "height": 0.0, "thickness": 0.0, "overlap": 1.0}
-    assert Measured.of_flow(stretched(BLOCK, 2.0), truth) == Measured(seconds=1.0, **same)
+    assert errors_beside(truth, 2.0) == Errors(front=0.0, profile=0.0, height=0.0, thickness=0.0, overlap=1.0)
     assert not truth.at_wall
     assert deposit_of(stretched(BLOCK, 4.5)).at_wall
 
 
 def test_a_mound_that_creeps_is_measured_from_its_start_on() -> None:
-    flow = stretched(BLOCK, 2.0)
-    assert creep(flow, 1.0) == pytest.approx(creep(flow), rel=1e-4)
-    assert creep(flow, 1.0) == pytest.approx(200.0, rel=0.03)
+    assert creep(stretched(BLOCK, 2.0)) == pytest.approx(200.0, rel=0.03)
     for title, (friction_deg, slope_deg) in MOUNDS.items():
         scene, steepest = mound(title, 0), math.degrees(math.atan(0.5)) + slope_deg
         assert steepest < friction_deg
         assert released_volume(scene) == pytest.approx(0.08)
 
 
-def model(resolutions: tuple[int, ...] = (20, 10, 5), bands: bool = True) -> Model:
+def model() -> Model:
     """Two scenes of one model, the second at the wall, beside an MPM on three grids."""
 
-    def measured(seconds: float, front: float) -> Measured:
-        return Measured(seconds=seconds, front=front, profile=0.01, height=-0.2, thickness=0.1, overlap=0.9)
+    def off(front: float) -> Errors:
+        return Errors(front=front, profile=0.01, height=-0.2, thickness=0.1, overlap=0.9)
 
-    by = {f"MPM, {cells} cells across": measured(cells**2 / 400.0, 0.4 / cells) for cells in resolutions}
+    by = {f"MPM, {cells} cells across": off(0.4 / cells) for cells in (20, 10, 5)}
+    seconds = dict(zip(by, (1.0, 0.25, 0.0625), strict=True))
     first = Compared(
         kind="column",
         extent=0.4,
         free=True,
-        by=by | {"tiny": measured(0.5, -0.04), AGAIN: measured(2.0, 0.005)},
-        band=(0.01, 0.02) if bands else None,
+        by=by | {"tiny": off(-0.04), AGAIN: off(0.005)},
+        seconds=seconds | {"tiny": 0.5, AGAIN: 2.0},
+        band=(0.01, 0.02),
     )
-    second = replace(first, free=False, by=first.by | {"tiny": measured(0.5, 0.04)}, band=None)
+    second = replace(first, free=False, by=first.by | {"tiny": off(0.04)}, band=None)
     return Model(name="tiny", family="flow2d", compared=[first, second])
 
 

@@ -12,7 +12,7 @@ from datasets.scene.particles import particle_count
 from tests.refusals import refused
 from tests.scenes import flow_of, scene_of
 from validation.bench.experiments import compute, crossing
-from validation.experiments.experiment import Quantity, Reading, Shipped, read_experiment, read_experiments
+from validation.experiments.experiment import Experiment, Quantity, Reading, read_experiment, read_experiments
 from validation.runs import Run
 
 SHIPPED = read_experiments()
@@ -89,18 +89,17 @@ def shelf(tmp_path: Path) -> Path:
     return tmp_path / "shelf"
 
 
-@pytest.mark.parametrize("shipped", SHIPPED, ids=lambda each: each.name)
-def test_scenes_are_undamped_and_hold_what_was_measured(shipped: Shipped) -> None:
-    for case in shipped.experiment.cases:
-        coarse, fine = shipped.cells(case)
-        assert fine < coarse
-        for cell in (coarse, fine):
-            scene = shipped.scene(case.scene, cell, PLAUSIBLE)
+@pytest.mark.parametrize("experiment", SHIPPED, ids=lambda each: each.name)
+def test_scenes_are_undamped_and_hold_what_was_measured(experiment: Experiment) -> None:
+    for case in experiment.cases:
+        coarse, fine = (experiment.scene(case, number, PLAUSIBLE) for number in (0, 1))
+        assert fine.domain.cell < coarse.domain.cell
+        for scene in (coarse, fine):
             assert scene.damping == 0.0
             assert (scene.material.friction_deg, scene.material.angle) == (PLAUSIBLE.deg, "slope")
             assert scene.material.cohesion == 0.0
             assert scene.floor_friction == "rough"
-            if shipped.experiment.grains is not None:
+            if experiment.grains is not None:
                 # tan(25 deg) + 0.26
                 assert scene.material.friction_limit_deg == pytest.approx(36.0, abs=0.02)
             assert 500 < particle_count(scene) < 200_000
@@ -140,16 +139,13 @@ def test_a_wrong_experiment_is_refused_by_file_and_key(shelf: Path, old: str, ne
 
 
 def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
-    findings = compute(read_experiments(shelf), deposits)
-    (score,) = findings.scores
+    ((score, other),), (found,) = compute(read_experiments(shelf), deposits)
     assert score.angle == "25.0° (avalanche)"
     assert (score.coarse, score.fine) == pytest.approx((0.98 * 0.5, 0.5), abs=1e-5)
     assert score.error == pytest.approx(-4.0, abs=1e-3)
     assert not score.agrees
-    (other,) = findings.others
     assert other.angle == "20.0° (repose, μ(I))"
     assert other.error == pytest.approx((0.98 * 0.55 - 0.52) / 0.005, abs=1e-3)
-    (found,) = findings.inferred
     # 20 mm further than at 25 degrees: 2 degrees less, by the slope of the coarse cells; twice 5 mm are a degree.
     assert found.deg == pytest.approx(25.0 - 0.02 / 0.0098, abs=1e-3)
     assert found.half_width_deg == pytest.approx(2.0 * 0.005 / 0.0098, rel=1e-3)

@@ -220,24 +220,21 @@ def task(case: Case, out: Path, surrogate: Surrogate) -> Task:
 
 def test_a_surrogate_is_asked_where_a_run_of_the_mpm_is_dear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case = wedge(tmp_path)
-
-    def load(*asked: object) -> tuple[Any, str]:
-        return Formula(case.target.observation), ""
-
-    auto = task(case, tmp_path, Surrogate.AUTO)
-    found, reason = choose(auto, model=None, load=load)
+    monkeypatch.setattr(surrogate, "learned", lambda *_: (Formula(case.target.observation), ""))
+    auto, asked = (task(case, tmp_path, each) for each in (Surrogate.AUTO, Surrogate.GNS))
+    found, reason = choose(auto)
     assert found is None
     assert "less than 5 predictions" in reason
-    assert choose(task(case, tmp_path, Surrogate.NONE), model=None, load=load)[1] == "the problem asks for none"
-    asked = task(case, tmp_path, Surrogate.GNS)
-    assert choose(asked, model=None, load=load)[0] is not None
-    with pytest.raises(InputError, match="expected auto or none, it was not trained"):
-        choose(asked, model=None, load=lambda *_: (None, "it was not trained on it"))
+    assert choose(task(case, tmp_path, Surrogate.NONE))[1] == "the problem asks for none"
+    assert choose(asked)[0] is not None
     # On a processor a million times slower.
     monkeypatch.setattr(surrogate, "SPEED", {2: 35.0})
-    found, reason = choose(auto, model=None, load=load)
+    found, reason = choose(auto)
     assert found is not None
     assert "a run of the MPM takes" in reason
+    monkeypatch.setattr(surrogate, "learned", lambda *_: (None, "it was not trained on it"))
+    with pytest.raises(InputError, match="expected auto or none, it was not trained"):
+        choose(asked)
 
 
 def test_runs_on_larger_cells_lead_to_few_on_those_of_the_scene(tmp_path: Path) -> None:
@@ -263,10 +260,12 @@ def test_larger_cells_must_fit_the_box(tmp_path: Path) -> None:
     narrow = replace(case.problem.scene, domain=Domain(size=(1.2, 0.41), cell=0.01))
     case = replace(case, problem=replace(case.problem, scene=narrow))
     with pytest.raises(InputError, match="cell"):
-        choose(task(case, tmp_path, Surrogate.COARSE), model=None, load=learned)
+        choose(task(case, tmp_path, Surrogate.COARSE))
 
 
-def test_a_model_that_is_given_and_not_asked_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    auto = task(wedge(tmp_path), tmp_path, Surrogate.AUTO)
-    run(auto, model=tmp_path / "other", load=lambda *_: (None, "it is of flows in 3D"))
+def test_a_model_that_is_given_and_not_asked_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(surrogate, "learned", lambda *_: (None, "it is of flows in 3D"))
+    run(task(wedge(tmp_path), tmp_path, Surrogate.AUTO), model=tmp_path / "other")
     assert "the surrogate is not asked: it is of flows in 3D" in capsys.readouterr().err.splitlines()

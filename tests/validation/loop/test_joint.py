@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +10,9 @@ import pytest
 from datasets import Mass
 from inverse import Parameter, Problem, Result, TargetSettings
 from inverse.answer import Verdict
-from inverse.observations import FrontSettings, ObservationSettings, PassedSettings, ProfileSettings
+from inverse.observations import FrontSettings, PassedSettings, ProfileSettings
 from inverse.settings import Surrogate
-from tests.validation.loop.flows import FRONT, Case, FakeMpm, TwinAngles, length, wedge
+from tests.validation.loop.flows import FRONT, FakeMpm, TwinAngles, length, wedge
 from validation.loop.solve import solve
 
 JOINT = (
@@ -28,13 +27,9 @@ def alone(problem: Problem, mpm: FakeMpm, out: Path) -> Result:
     return solve(replace(problem, surrogate=Surrogate.NONE), out, simulate=mpm)
 
 
-def joint(case: Case, observations: tuple[ObservationSettings, ...], **changes: Any) -> Problem:
-    return replace(case.problem, observations=observations, **changes)
-
-
 def test_joint_observations_find_it_together(tmp_path: Path) -> None:
     case = wedge(tmp_path, truth=24.0, scatter=0.002)
-    result = alone(joint(case, JOINT), case.mpm, tmp_path)
+    result = alone(replace(case.problem, observations=JOINT), case.mpm, tmp_path)
     assert result.verdict is Verdict.CONFIRMED
     assert abs(result.unknowns["friction_deg"] - 24.0) <= result.certainty["friction_deg"] < 2.0
     stored = json.loads((tmp_path / "result.json").read_text())["observation"]

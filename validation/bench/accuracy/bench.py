@@ -16,16 +16,17 @@ from scipy.special import stdtrit
 from datasets.errors import InputError
 from datasets.files import write_text
 from datasets.flow import measures
+from datasets.flow.measures import Deposit
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
+from datasets.scene.particles import initial_particles
 from mpm import simulate_many
 from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
 from mpm.runtime import Arch
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
-from validation.bench.held_out import deposit_of
-from validation.bench.page import Keep, Out, emphasised, kept, percent, tables, write_page
+from validation.bench.page import Keep, Out, emphasised, percent, tables, write_page
 from validation.plots import BLUE, GREY, ORANGE, figure
-from validation.runs import SHARE, Run, RunStore
+from validation.runs import SHARE, Run, RunStore, kept
 
 TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)
 """The resolution that each selects is shown."""
@@ -56,13 +57,19 @@ def error(flow: Trajectory, reference: Trajectory) -> float:
     return max(abs(measures.front(found, flow.volumes) - front), apart) / extent
 
 
+def deposit_of(flow: Trajectory) -> Deposit:
+    """That of a reference: the MPM on fine cells."""
+    scene, start = flow.scene, initial_particles(flow.scene).positions
+    return Deposit.of_positions(start, flow.positions[-1], flow.volumes, scene.domain.size, measures.ground_of(scene))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Error:
     """Of the runs of a scene at a resolution, one per jitter."""
 
     errors: tuple[float, ...]
     """Over the extent [-]."""
-    thickness: tuple[float, ...] = ()
+    thickness: tuple[float, ...]
     """`measures.Errors.thickness` [-]."""
     seconds: float
     """Of a run, of the time of all that ran beside it."""
@@ -71,6 +78,8 @@ class Error:
 
 Errors = Mapping[Resolution, Mapping[str, Error]]
 """By resolution and name of the scene."""
+Limits = Mapping[int, Mapping[Resolution, float]]
+"""The bound of each measured resolution, by dimension."""
 
 
 def own(cells: float, *, step_fraction: float = OWN_STEP, particles_per_axis: int = 2) -> Resolution:
@@ -197,8 +206,8 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
             chosen = [each for tolerance in TRIED if (each := selected(dimension, tolerance, known))]
             tried = list(dict.fromkeys(each.resolution for each in chosen))
             trials[dimension] = errors_of(read_flows(dimension, unseen=True), tried, reference, (SEED,), store)
-    draw(out / "accuracy.png", trials, known)
-    limits = {dimension: promises(dimension, known) for dimension in trials}
+    limits = {d: {each.resolution: each.promised for each in known if each.dimension == d} for d in trials}
+    draw(out / "accuracy.png", trials, limits)
     selections = [
         {
             "": f"{d}D",
@@ -224,13 +233,7 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
     )
 
 
-def promises(dimension: int, known: Sequence[Measured]) -> dict[Resolution, float]:
-    """The bound of each measured resolution of a dimension."""
-    return {each.resolution: each.promised for each in known if each.dimension == dimension}
-
-
 def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]) -> list[dict[str, str]]:
-    """A line per scene, and those of thickness and seconds."""
     heads = {r: f"{r.cells:g} cells (bound {percent(limits[r])})" for r in found}
     rows = {
         name: {r: emphasised(percent(of[name].errors[0]), of[name].errors[0] <= limits[r]) for r, of in found.items()}
@@ -241,8 +244,7 @@ def trial_rows(dimension: int, found: Errors, limits: Mapping[Resolution, float]
     return [{f"{dimension}D": name} | {heads[r]: cell for r, cell in cells.items()} for name, cells in rows.items()]
 
 
-def conclusion(trials: Mapping[int, Errors], limits: Mapping[int, Mapping[Resolution, float]]) -> list[str]:
-    """How many scenes are within the bound, and what the errors cost."""
+def conclusion(trials: Mapping[int, Errors], limits: Limits) -> list[str]:
     held = [
         each.errors[0] <= limits[dimension][resolution]
         for dimension, found in trials.items()
@@ -256,16 +258,15 @@ def conclusion(trials: Mapping[int, Errors], limits: Mapping[int, Mapping[Resolu
     return said
 
 
-def draw(path: Path, trials: Mapping[int, Errors], known: Sequence[Measured]) -> None:
-    """Error over seconds, a pane per dimension."""
+def draw(path: Path, trials: Mapping[int, Errors], limits: Limits) -> None:
     with figure(path, columns=len(trials), size=(4.2, 3.8)) as axes:
         for axis, (dimension, found) in zip(axes[0], trials.items(), strict=True):
             for name in next(iter(found.values())):
                 points = [(each[name].seconds, 100.0 * each[name].errors[0]) for each in found.values()]
                 axis.plot(*zip(*points, strict=True), ".-", color=GREY, linewidth=0.5, markersize=3)
-            seconds, limits = [mean_seconds(errors) for errors in found.values()], promises(dimension, known)
+            seconds = [mean_seconds(errors) for errors in found.values()]
             axis.plot(seconds, [100.0 * rms(errors) for errors in found.values()], "o-", color=BLUE, label="rms")
-            bounds = [100.0 * limits[each] for each in found]
+            bounds = [100.0 * limits[dimension][each] for each in found]
             axis.plot(seconds, bounds, "s--", color=ORANGE, label="bound for nine of ten")
             axis.set(title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
             axis.set(xscale="log", yscale="log", ylabel="error over the extent [%]")

@@ -72,15 +72,15 @@ class Flow(Record):
         length, height = (1.0, self.aspect) if self.aspect >= 1.0 else (1.0 / self.aspect, 1.0)
         weight = self.density * GRAVITY * height * unit
         time = math.sqrt(height * unit / GRAVITY)
-        size: tuple[float, ...] = (length, height)
-        box: tuple[float, ...] = (math.ceil(self.box), math.ceil(ROOM * height))
-        if self.depth:
-            size, box = (*size, self.depth), (*box, math.ceil(self.walls_apart or self.box))
+        box = [math.ceil(each) for each in (self.box, ROOM * height, self.walls_apart or self.box)]
         along = max(0.0, 0.5 * (box[2] - self.depth)) if self.walls_apart else 0.0
-        lower = (self.gap, 0.0, along)[: len(size)]
-        speed = (self.velocity * math.sqrt(GRAVITY * height * unit), 0.0, 0.0)[: len(size)]
+        speed = (self.velocity * math.sqrt(GRAVITY * height * unit), 0.0, 0.0)[: self.dimension]
+
+        def metres(*lengths: float) -> tuple[float, ...]:
+            return tuple(each * unit for each in lengths[: self.dimension])
+
         return Scene(
-            domain=Domain(size=scaled(box, unit), cell=unit / OWN_CELLS),
+            domain=Domain(size=metres(*box), cell=unit / OWN_CELLS),
             material=Material(
                 friction_deg=self.friction_deg,
                 density=self.density,
@@ -90,11 +90,14 @@ class Flow(Record):
                 tension_cutoff=0.5 * self.cohesion * weight,
             ),
             masses=(
-                Mass(lower=scaled(lower, unit), size=scaled(size, unit), velocity=speed if self.velocity else None),
+                Mass(
+                    lower=metres(self.gap, 0.0, along),
+                    size=metres(length, height, self.depth),
+                    velocity=speed if self.velocity else None,
+                ),
             ),
             baffles=tuple(
-                Baffle(lower=scaled((x, 0.0, z)[: len(size)], unit), size=scaled((long, high, long)[: len(size)], unit))
-                for x, long, high, z in self.baffles
+                Baffle(lower=metres(x, 0.0, z), size=metres(long, high, long)) for x, long, high, z in self.baffles
             ),
             duration=self.duration * time,
             frame_dt=self.duration * time / FRAMES,
@@ -105,11 +108,6 @@ class Flow(Record):
             damping=self.damping,
             step_fraction=OWN_STEP,
         )
-
-
-def scaled(lengths: tuple[float, ...], unit: float) -> tuple[float, ...]:
-    """Lengths in S as lengths in metres."""
-    return tuple(length * unit for length in lengths)
 
 
 def read_flows(dimension: int, *, unseen: bool) -> dict[str, Scene]:

@@ -2,10 +2,10 @@
 
 import difflib
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,35 +42,7 @@ RELEASED = {
 """Columns whose fronts are compared, and cells across them, by dimension."""
 TRANSFERS = {"AFLIP, default": None, "APIC": 0.0}
 """Relaxation times of the transfer."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Quantity(Record):
-    """How a function of `quantities.py` is called, and the range in which it usually has to lie."""
-
-    name: str
-    unit: str = ""
-    minimum: float = -math.inf
-    maximum: float = math.inf
-
-
 ROWS = read_toml(FOLDER / "rows.toml")
-QUANTITIES = {key: from_mapping(Quantity, each) for key, each in ROWS["quantities"].items()}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Check(Record):
-    """A quantity, with another range where one is given."""
-
-    quantity: str
-    minimum: float | None = None
-    maximum: float | None = None
-
-    def finding(self, flow: Trajectory) -> Finding:
-        usual, value = QUANTITIES[self.quantity], getattr(quantities, self.quantity)(flow)
-        low = usual.minimum if self.minimum is None else self.minimum
-        high = usual.maximum if self.maximum is None else self.maximum
-        return Finding(check=usual.name, value=value, unit=usual.unit, minimum=low, maximum=high)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,10 +59,10 @@ class Row(Record):
     until_rest: bool = False
     energy: float | None = None
     """Energy that it may gain, over the available one, where that is more than usual."""
-    checks: tuple[Check, ...] = ()
+    checks: tuple[dict[str, Any], ...] = ()
+    """Of `quantities.py`: `quantity`, and its keys in `rows.toml` that are others here."""
     over: str = ""
     within: float = 0.0
-    remark: str = ""
 
     @property
     def scene(self) -> Scene:
@@ -109,7 +81,6 @@ class Verdict:
 
     @property
     def failures(self) -> list[str]:
-        """What is wrong; empty for a green row."""
         return [self.blown_up] * bool(self.blown_up) + [str(each) for each in (*self.kept, *self.own) if not each.ok]
 
 
@@ -148,7 +119,11 @@ def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFai
         kept = [each for each in kept if each.check != "energy"]
     if row.energy is not None:
         kept = [replace(each, maximum=row.energy) if each.check == "energy" else each for each in kept]
-    own = [check.finding(flow) for check in row.checks]
+    own = []
+    for check in row.checks:
+        keys = ROWS["quantities"][check["quantity"]] | check
+        value = getattr(quantities, keys.pop("quantity"))(flow)
+        own.append(Finding(value=value, **keys))
     if isinstance(other, Trajectory):
         value = front(flow.positions[-1], flow.volumes) / front(other.positions[-1], other.volumes)
         name = f"front over that of {row.over}"
@@ -171,12 +146,6 @@ def fronts() -> Fronts:
         scenes[dimension, transfer, stiffness, step] = scene
     flows = simulate_many(list(scenes.values()), record=LAST, progress=True)
     return {key: front(flow.positions[-1], flow.volumes) for key, flow in zip(scenes, flows, strict=True)}
-
-
-def spread(found: Fronts, dimension: int, transfer: str) -> str:
-    """Largest less smallest front over their mean."""
-    some = [value for (*kind, _, _), value in found.items() if kind == [dimension, transfer]]
-    return percent((max(some) - min(some)) / float(np.mean(some)))
 
 
 def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32") -> str:
@@ -202,12 +171,11 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
         count=len(verdicts),
         precision=precision,
         cases=[row_of(each) for each in verdicts],
-        remarks="\n".join(f"- `{each.row.name}`: {each.row.remark}" for each in verdicts if each.row.remark),
         safety=slopes.rows(safety),
         fronts=[
             {"": f"{dimension}D", "stiffness": f"{stiffness:g}", "step": f"{step:g}"}
             | {transfer: f"{found[dimension, transfer, stiffness, step]:.4f}" for transfer in TRANSFERS}
-            for dimension, stiffness, step in dict.fromkeys((d, s, t) for d, _, s, t in found)
+            for dimension, stiffness, step in itertools.product(RELEASED, STIFFNESSES, STEPS)
         ],
     )
     if red := [f"{each.row.name}: {'; '.join(each.failures)}" for each in verdicts if each.failures]:
@@ -216,18 +184,17 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
 
 
 def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors) -> list[str]:
-    """Rows that hold, energy and momentum, fronts, factors of safety."""
     red = [each.row.name for each in verdicts if each.failures]
     exact = [not each.failures for each in verdicts if each.row.exact]
     rise, balance = (
         max(one.value for each in verdicts for one in each.kept if one.check == check)
         for check in ("energy", "momentum")
     )
-    own, other = TRANSFERS
-    moved = [
-        f"{spread(found, dimension, own)} in {dimension}D (with APIC by {spread(found, dimension, other)})"
-        for dimension in dict.fromkeys(dimension for dimension, *_ in found)
-    ]
+    moved = []
+    for size in RELEASED:
+        groups = [[x for (d, by, _, _), x in found.items() if (d, by) == (size, transfer)] for transfer in TRANSFERS]
+        own, other = (percent((max(group) - min(group)) / float(np.mean(group))) for group in groups)
+        moved.append(f"{own} in {size}D (with APIC by {other})")
     return [
         f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases pass{'; **red**: ' * bool(red)}{', '.join(red)}.",
         f"{sum(exact)} of {len(exact)} cases with an exact solution agree with it.",

@@ -87,37 +87,6 @@ class SlidingBlock:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VoellmyBlock:
-    """A rigid block on an incline with the bed law of Voellmy, let go at rest: dv/dt = a (1 - v^2 / v_inf^2).
-
-    a = g (sin theta - mu cos theta) > 0, v_inf^2 = xi h (sin theta - mu cos theta), h normal to the bed.
-    """
-
-    acceleration: float
-    """a, down the incline [m/s^2]."""
-    terminal_speed: float
-    """v_inf [m/s]."""
-
-    @staticmethod
-    def on_incline(
-        slope_deg: float, friction: float, turbulence: float, thickness: float, gravity: float = 9.81
-    ) -> "VoellmyBlock":
-        """That of a thickness [m] on an incline of mu and xi [m/s^2]."""
-        acceleration = SlidingBlock.on_incline(slope_deg, friction, gravity).acceleration
-        speed = math.sqrt(turbulence * thickness * acceleration / gravity)
-        return VoellmyBlock(acceleration=acceleration, terminal_speed=speed)
-
-    def speed(self, time: Floats) -> Floats:
-        """[m/s] after `time` [s]."""
-        return np.asarray(self.terminal_speed * np.tanh(self.acceleration * time / self.terminal_speed))
-
-    def displacement(self, time: Floats) -> Floats:
-        """[m] after `time` [s]."""
-        scaled = self.acceleration * np.asarray(time) / self.terminal_speed
-        return np.asarray(self.terminal_speed**2 / self.acceleration * np.log(np.cosh(scaled)))
-
-
-@dataclass(frozen=True, kw_only=True)
 class StandingWave:
     """The lowest mode of an elastic body: velocity and displacement of one shape that swing at omega without decay."""
 

@@ -65,7 +65,6 @@ Factors = Mapping[KnownSlope, Mapping[int, Safety]]
 
 
 def factors(slopes: Sequence[KnownSlope]) -> Factors:
-    """The factors of safety of `slopes` on all `CELLS`."""
     return {slope: {count: safety_factor(slope.scene(count)) for count in CELLS} for slope in slopes}
 
 
