@@ -164,15 +164,3 @@ def test_the_site_builds(tmp_path: Path) -> None:
         # An environment that the converter does not know leaves its marks of alignment as text.
         assert "arithmatex" not in text
         assert not re.search(r"<mi>&(amp;)?</mi>", text), page
-    assert "<h2" in (tmp_path / "api" / "datasets.html").read_text()
-    for page, said in (
-        ("slope", "until 1"),
-        ("deposit", "rms error"),
-        ("terrain", "far enough"),
-        ("dataset", "off by"),
-        ("gradient", "loss "),
-        ("cluster", "degrees: front"),
-    ):
-        assert said in (tmp_path / "how-to" / f"{page}.html").read_text(), page
-    # The search reads its index from a script, as a page that is opened from disk may not fetch one.
-    assert (tmp_path / "search" / "search_index.js").exists()

@@ -1,4 +1,4 @@
-"""Two flows side by side: of flows that are shifted, faster or thinner every figure is known."""
+"""Two flows side by side: of flows that are shifted, faster or thinner every figure is known; fields between frames."""
 
 import dataclasses
 import json
@@ -10,6 +10,7 @@ import pytest
 
 from datasets.command_line import run
 from datasets.compare import command, compare
+from datasets.flow.fields import FlowFields, pairs
 from datasets.flow.trajectory import Trajectory
 from tests.datasets.conftest import toy
 from tests.refusals import refused_by
@@ -89,3 +90,32 @@ def test_a_mistake_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     toy(3).save(tmp_path / "deep.npz")
     for other, said in (("deep.npz", "deep.npz: expected a 2D flow"), ("none", "none: expected")):
         assert said in refused_by(capsys, command, tmp_path / "flat.npz", tmp_path / other)
+
+
+def test_between_two_frames_a_flow_is_linear() -> None:
+    flow = toy(2)
+    half = FlowFields(flow).at_time(float(flow.time[1] + flow.time[2]) / 2.0)
+    np.testing.assert_allclose(half["position"], 0.5 * (flow.positions[1] + flow.positions[2]), rtol=1e-6)
+    assert half["material"].dtype == np.int32
+    np.testing.assert_array_equal(FlowFields(flow).at_time(1.0e3)["position"], flow.positions[-1])
+
+
+def test_a_thinned_flow_has_the_particles_of_the_whole_one() -> None:
+    flow = toy(2)
+    chosen = np.arange(0, flow.positions.shape[1], 3)
+    ratio = np.float32(flow.volumes.sum() / flow.volumes[chosen].sum())
+    thin = dataclasses.replace(
+        flow,
+        positions=flow.positions[:, chosen],
+        velocity0=flow.velocity0[chosen],
+        friction=flow.friction[chosen],
+        volume=(ratio * flow.volumes[chosen]).astype(np.float32),
+        mass=np.zeros(len(chosen), np.int32),
+    )
+    found = pairs(FlowFields(flow), FlowFields(thin))
+    np.testing.assert_array_equal(found[0], chosen)
+    np.testing.assert_array_equal(found[1], np.arange(len(chosen)))
+    assert compare(flow, thin).apart["positions"][-1] == 0.0
+    elsewhere = dataclasses.replace(thin, positions=thin.positions + np.float32(0.05))
+    assert pairs(FlowFields(flow), FlowFields(elsewhere)) is None
+    assert np.isnan(compare(flow, elsewhere).apart["positions"][-1])

@@ -87,10 +87,10 @@ def test_damaged_meshes_are_one_line(tmp_path: Path, name: str, text: str, said:
     assert refused(read_mesh, tmp_path / name, said=said).where == str(tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["ball.off", "ball.vtk"])
-def test_other_formats(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(("name", "kind"), [("ball.off", "off"), ("ball.vtk", "vtk"), ("ball.msh", "gmsh22")])
+def test_other_formats(tmp_path: Path, name: str, kind: str) -> None:
     vertices, triangles = sphere((0.0, 0.0, 0.0), 1.0, 32)
-    meshio.Mesh(vertices, [("triangle", triangles.astype(np.int32))]).write(tmp_path / name)
+    meshio.Mesh(vertices, [("triangle", triangles.astype(np.int32))]).write(tmp_path / name, file_format=kind)
     assert volume_of(tmp_path / name) == pytest.approx(4.0 / 3.0 * np.pi, rel=0.03)
 
 
