@@ -135,19 +135,6 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     assert validation_score([wrong]) > validation_score([right])
 
 
-def test_the_table_keeps_kinds_of_start_apart() -> None:
-    common = {"profile": 0.25, "height": -0.2, "thickness": 0.15, "overlap": 0.9}
-    scores = [scored(front=error, **common) for error in (-0.01, 0.03, 0.08)]
-    # What a wall holds says nothing of fronts.
-    scores += [scored(front=0.0, at_wall=True, **common), scored(front=0.1, released=False)]
-    lines = table(scores).splitlines()
-    assert len(lines) == 4
-    cells = [cell.strip() for cell in lines[2].strip("|").split("|")]
-    fronts, others = ["4.0 %", "3.0 %", "+3.3 %", "+8.0 %"], ["25.0 %", "-20.0 %", "15.0 %", "90 %"]
-    assert cells == ["released at rest", "4", "1", *fronts, *others]
-    assert "| - " in table([scored(at_wall=True)])
-
-
 def test_fronts_that_a_wall_holds_make_no_band_narrower() -> None:
     free = scores_of(0.01 * np.arange(1.0, 20.0))
     assert calibrated([*free, *(scored(at_wall=True) for _ in range(40))]) == calibrated(free)

@@ -58,7 +58,8 @@ def test_what_ships_has_a_line_each(capsys: pytest.CaptureFixture[str], name: st
 
 def test_help_loads_no_solver() -> None:
     code = (
-        "import sys; from validation.talus import main; main(['--help']); print({'taichi', 'torch'} & {*sys.modules})"
+        "import sys, gns.train, gns.rollout, gns.score; from validation.talus import main; main(['--help']); "
+        "print({'taichi', 'torch'} & {*sys.modules})"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"

@@ -114,13 +114,6 @@ def test_a_stretch_gives_the_past_that_there_is(
     assert few.conditions.volume.sum() == pytest.approx(flow.volume.sum())
 
 
-def test_solids_other_than_terrain_are_refused(tmp_path: Path) -> None:
-    flow, solid = spreading(30.0), Solid(lower=(0.45, 0.0), size=(0.02, 0.05))
-    dataclasses.replace(flow, scene=dataclasses.replace(flow.scene, solids=(solid,))).save(tmp_path / "a.npz")
-    with pytest.raises(InputError, match=r"a\.npz: solids\[0\].kind: expected baffles and terrain"):
-        Flows([tmp_path / "a.npz"], ModelSettings())[0]
-
-
 def test_flows_are_opened_when_they_are_asked_for(tmp_path: Path, settings: ModelSettings) -> None:
     trajectory = spreading(30.0)
     for name in ("a", "b", "c"):

@@ -1,4 +1,4 @@
-"""Observations: the smooth forms against the exact ones, and their gradients against central differences."""
+"""Observations: the smooth forms against the exact ones; errors of measured numbers: forms, draws and statements."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ import torch
 from datasets.flow import measures
 from datasets.scene import Mass
 from inverse.observations import KINDS, Observation
+from inverse.observations.errors import Covariance, Noise
 from inverse.observations.observation import fitted_tail
 from tests.scenes import scene_of
 
@@ -66,3 +67,33 @@ def test_the_loss_of_points_is_their_mean_squared_distance() -> None:
     toe = made("toe")
     apart = toe.exact(found) - toe.exact(required)
     assert toe.misfit(toe.exact(found), toe.exact(required)) == pytest.approx(float(apart @ apart))
+
+
+ROOT = np.random.default_rng(0).normal(size=(4, 4))
+FORMS = pytest.mark.parametrize("errors", [Covariance.of(ROOT @ ROOT.T), Covariance(np.array([0.5, 1.0, 0.0, 2.0]))])
+"""Dependent errors, and independent ones."""
+
+
+@FORMS
+def test_every_form_is_that_of_the_matrix(errors: Covariance) -> None:
+    index, scale = np.array([2, 0]), np.array([1.0, 2.0, 3.0, 4.0])
+    np.testing.assert_allclose(errors.deviation**2, np.diag(errors.matrix))
+    np.testing.assert_allclose(errors.combined(ROOT), ROOT.T @ errors.matrix @ ROOT)
+    np.testing.assert_allclose(errors.over(scale).matrix, errors.matrix / np.outer(scale, scale))
+    np.testing.assert_allclose(errors.some(index).matrix, errors.matrix[index][:, index])
+    both = Covariance.joined([errors, errors]).matrix
+    np.testing.assert_allclose(both[4:, 4:], errors.matrix)
+    assert not both[:4, 4:].any()
+
+
+@FORMS
+def test_errors_are_drawn_as_they_are_stated(errors: Covariance) -> None:
+    rng = np.random.default_rng(1)
+    drawn = np.stack([errors.drawn(rng) for _ in range(20_000)])
+    np.testing.assert_allclose(np.cov(drawn, rowvar=False), errors.matrix, atol=0.04 * errors.matrix.max())
+
+
+def test_a_stated_noise_is_a_share_or_a_deviation() -> None:
+    numbers = np.array([0.1, -2.0])
+    np.testing.assert_allclose(Noise.stated("3%").of(numbers), [0.003, 0.06])
+    np.testing.assert_allclose(Noise.stated(0.2).of(numbers), 0.2)
