@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.flow.measures import front
 from datasets.flow.trajectory import Trajectory
 from datasets.geometry.nearest import nearest
 from datasets.scene import NO_SLIP, Baffle, Domain, Mass, Scene, Solid
@@ -82,21 +81,6 @@ def test_under_ground_there_is_no_floor(changes: dict[str, Any]) -> None:
     flows = simulate_many([slide(height, **changes) for height in heights], record=LAST)
     moved = [float((flow.positions[-1] - flow.positions[0])[:, 0].mean(dtype=np.float64)) for flow in flows]
     assert moved == pytest.approx([moved[-1]] * len(moved), rel=0.01)
-
-
-def test_a_front_is_one_at_any_height_of_its_terrain() -> None:
-    """33.3, 26.6, 24.5, 22.9 m while a smooth floor took part; half a cell moves it by 2.3 %, a seed by 0.6."""
-
-    def raised(height: float, seed: int) -> Scene:
-        points = ((0.0, 10.0 + height), (20.0, height), (80.0, height))
-        layer = Mass(kind="layer", thickness=2.0, outline=((2.0,), (8.0,)))
-        ground, soil = Solid(kind="terrain", points=points, friction=0.5), Material(friction_deg=40.0, young=5.0e6)
-        changes: dict[str, Any] = {"size": (80.0, 14.0), "cell": 0.5, "duration": 8.0, "frame_dt": 0.1, "seed": seed}
-        return scene_of(layer, material=soil, solids=(ground,), **changes)
-
-    flows = simulate_many([raised(height, seed) for height in (0.0, 0.25, 0.5, 1.0) for seed in range(3)], record=LAST)
-    fronts = np.reshape([front(flow.positions[-1], flow.volumes) for flow in flows], (4, 3)).mean(axis=1)
-    assert fronts == pytest.approx([22.2] * 4, rel=0.02)
 
 
 def test_only_a_covered_wall_takes_no_part() -> None:

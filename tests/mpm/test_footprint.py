@@ -1,19 +1,15 @@
 """What a run will take, before it is allocated: its counts, the bytes of its arrays, a range of time."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from datasets import Scene, read_scene
-from datasets.command_line import run
 from mpm import ALL, LAST, WITH_FIELDS, Recording, simulate
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Precision, node_room
-from mpm.footprint import FAST, PROCESS, SLOW, SPEED, START, expected, footprint, planned, spoken
-from mpm.run import command
-from tests.breaking import SCENE
+from mpm.footprint import FAST, PROCESS, SLOW, SPEED, START, expected, footprint, planned
 from tests.refusals import refused
 
 COLUMN, BAFFLES = read_scene("column-tall-42"), read_scene("baffles-2")
@@ -77,11 +73,6 @@ def test_a_range_grows_with_the_work_and_falls_with_the_processors() -> None:
     assert str(found) == "expected: 0.6 to 2.6 min, 300 MiB of memory"
     more = expected(COLUMN, SPEED[2] * 120.0, memory=0, processors=2, after=600.0)
     assert more.shortest == pytest.approx(found.shortest + 600.0)
-    assert str(more).startswith("expected: at least 11 to 13 min, ")
-    assert str(expected(COLUMN, 0.0, memory=0, least=True)).startswith("expected: at least 1 to 8 s, ")
-
-
-def test_kinds_of_scenes_have_their_own_speeds() -> None:
     work = 1.0e10
     column, baffles = (expected(scene, work, memory=0).longest for scene in (COLUMN, BAFFLES))
     bare = expected(dataclasses.replace(BAFFLES, baffles=()), work, memory=0).longest
@@ -98,20 +89,3 @@ def test_runs_are_planned_from_scenes_alone() -> None:
     plans = [footprint(scene) for scene in scenes]
     assert work == sum(plan.work for plan in plans)
     assert size == plans[1].bytes
-
-
-@pytest.mark.parametrize(
-    ("shortest", "longest", "said"),
-    [(0.123, 8.0, "0.12 to 8 s"), (41.0, 119.0, "41 to 120 s"), (60.0, 128.0, "1 to 2.1 min"), (9e3, 9e3, "2.5 h")],
-)
-def test_durations_are_said_in_one_unit(shortest: float, longest: float, said: str) -> None:
-    assert spoken(shortest, longest) == said
-
-
-def test_a_command_says_it_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "pile.toml").write_text(SCENE.replace("duration = 0.25", "duration = 0.1"))
-    assert run(command, "mpm.run", [str(tmp_path / "pile.toml"), "--out", str(tmp_path / "out")]) == 0
-    line = capsys.readouterr().out.splitlines()[0]
-    assert line.startswith("400 particles, 47 x 27 nodes, ")
-    assert "; expected: 1 to 8 s, " in line
-    assert line.endswith(" of memory")

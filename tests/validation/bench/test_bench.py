@@ -1,23 +1,24 @@
-"""The pages: what they share; the writer of pages; the page of speeds."""
+"""The pages: what they share; that each is measured; cuts, differences and derivatives of the pages of prices."""
 
 import inspect
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from datasets.lock import locked
-from datasets.scene.particles import particle_count
+from datasets.scene.particles import initial_particles
+from inverse.parameters import Vector
 from tests.commands import found_at
 from validation.bench import efficiency
 from validation.bench import gns as bench_gns
-from validation.bench import page as pages
 from validation.bench.__main__ import PAGES, main
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.large import CELL, slide
-from validation.bench.page import kept, write_page
-from validation.bench.speed import CASES, column, mean_x, modes
+from validation.bench.efficiency import blocks, by_runs
+from validation.bench.page import kept
+from validation.bench.speed import mean_x
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -39,22 +40,6 @@ def test_finished_work_is_held_and_goes_with_a_temporary_folder(
     assert "writes here since" in capsys.readouterr().err
 
 
-def test_a_page_is_its_template_with_its_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pages, "TEMPLATES", tmp_path)
-    (tmp_path / "it.md").write_text("# Title\n\n{conclusion}\n\n{made}\n\nOf {count:g}:\n\n{rows}\n")
-    rows = [{"x [m]": "0.12", "who": "us"}, {"x [m]": "", "who": "them"}]
-    said = write_page(tmp_path / "out", "it", ["a = 1", "b = 2"], flags=" --flag", count=2.0, rows=rows)
-    assert said == "- a = 1\n- b = 2"
-    text = (tmp_path / "out" / "it.md").read_text(encoding="utf-8")
-    assert text.startswith("# Title\n\n- a = 1\n- b = 2\n\n`python -m validation.bench it --flag --out docs`, ")
-    assert "Of 2:\n\n| x [m]   | who" in text
-    assert "| 0.12 " in text
-    with pytest.raises(ValueError, match="conclusion"):
-        write_page(tmp_path, "it", ["one"] * 6, count=2.0, rows=rows)
-    with pytest.raises(KeyError, match="count"):
-        write_page(tmp_path, "it", ["one"])
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:masses:UserWarning")  # the MPM beside a network is coarse on purpose
 @pytest.mark.parametrize(("name", "flags"), [("accuracy", ()), ("efficiency", ()), ("gns", ("--model", "flow2d"))])
@@ -72,16 +57,6 @@ def test_a_page_of_few_runs(name: str, flags: tuple[str, ...], tmp_path: Path, m
     assert list(tmp_path.rglob("*.png")) or name == "efficiency"
 
 
-def test_columns_have_the_particles_that_the_cases_state() -> None:
-    assert [case.particles for case in CASES if case.dimension == 2] == [3200, 3200, 25088, 100352, 1002528]
-    assert modes(CASES[0]) == [("f32", 1), ("f64", 1)]
-    assert column(3, 32, 10).frames == 11
-
-
-def test_the_large_terrain_has_about_a_million_particles() -> None:
-    assert particle_count(slide(CELL)) == 1_013_760
-
-
 def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:
     positions = np.random.default_rng(0).random((1, 5, 2))
     value, slope, _ = mean_x(positions, positions)
@@ -95,3 +70,30 @@ def test_a_page_of_a_gpu_needs_one(tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(["gpu", "--out", str(tmp_path)]) == 2
     assert "expected a GPU that torch can use, there is none" in capsys.readouterr().err
     assert not (tmp_path / "gpu.md").exists()
+
+
+class Linear:
+    """y = A u, of two numbers."""
+
+    matrix = np.array([[1.0, 0.0], [0.0, 2.0], [1.0, 1.0]])
+
+    def observe(self, numbers: list[Vector]) -> list[Vector]:
+        return [self.matrix @ each for each in numbers]
+
+
+def test_differences_of_some_columns_are_those_of_the_whole_gradient() -> None:
+    start = np.array([0.5, -1.0])
+    target = np.array([0.1, -0.2, 0.3])
+    forward = Linear()
+    _, slope = by_runs(forward, target, 1, start, 0.1 * np.eye(2))
+    residual = forward.observe([start])[0] - target
+    np.testing.assert_allclose(slope, 2.0 * residual @ Linear.matrix / 3.0, rtol=1e-9)
+    _, second = by_runs(forward, target, 1, start, 0.1 * np.eye(2)[1:])
+    np.testing.assert_allclose(second, slope[1:])
+
+
+def test_cuts_leave_the_particles_as_they_are() -> None:
+    one, many = (blocks(*cut) for cut in ((1, 1), (10, 10)))
+    assert (len(one.names), len(many.names)) == (1, 100)
+    whole, parts = (initial_particles(replace(each.scene, jitter=0.0)).positions for each in (one, many))
+    np.testing.assert_allclose(np.sort(parts, axis=0), np.sort(whole, axis=0), atol=1e-6)

@@ -1,4 +1,4 @@
-"""`python -m validation.bench problems`: solved once, beside criteria and the paper's figures; fields as rows."""
+"""`python -m validation.bench problems`: solved once, beside criteria and the paper's figures."""
 
 import csv
 import json
@@ -72,23 +72,13 @@ def call(tmp_path: Path, *only: str) -> int:
     return main(["problems", "--keep", str(tmp_path / "runs"), "--out", str(tmp_path / "docs"), *flags])
 
 
-def test_results_are_gathered_once(tmp_path: Path, loop: list[str]) -> None:
+def test_results_are_gathered_once(tmp_path: Path, loop: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     names = ("friction-tall-42", "velocity-layers-10", "slope-friction")
     assert call(tmp_path, *names) == 0
     assert loop == [names[0], names[0], names[1], names[1], names[2]]
-    text = (tmp_path / "docs" / "problems.md").read_text()
-    assert "5 of 5 answers to 3 problems meet all of their criteria." in text
-    assert "The 95 % intervals contain 22 of 22 true values." in text
-    assert "3 MPM runs (MPM alone) and 1 MPM runs (surrogate leads)" in text
-    assert "90% of the 200 values of 1 unknown fields lie within their 95 % bands" in text
-    # Both ways in a row of seven columns, after a picture.
-    (row,) = [line for line in text.splitlines() if line.startswith("| `friction-tall-42`")]
-    assert len(row.strip("|").split("|")) == 7
-    assert "44.54" in row
-    assert row.count(" [") == 2
-    assert "10 of 10 in their intervals" in text
-    assert text.index("![") < text.index("|:--")
-    assert "![velocity-layers-10-unknowns](pictures/velocity-layers-10-unknowns.png)" in text
+    said = capsys.readouterr().out
+    assert "5 of 5 answers to 3 problems meet all of their criteria." in said
+    assert "The 95 % intervals contain 22 of 22 true values." in said
     assert (tmp_path / "docs" / "pictures" / "velocity-layers-10-unknowns.png").exists()
     assert (tmp_path / "docs" / "pictures" / "problems.png").stat().st_size > 10_000
     with (tmp_path / "docs" / "problems.csv").open(newline="") as file:
@@ -109,10 +99,7 @@ def test_results_are_gathered_once(tmp_path: Path, loop: list[str]) -> None:
 
 def test_a_dear_problem_runs_without_a_surrogate_too(tmp_path: Path, loop: list[str]) -> None:
     assert call(tmp_path, DEAR) == 0
-    assert loop == [DEAR, DEAR]
     text = (tmp_path / "docs" / "problems.md").read_text()
-    assert "| 80 / 30 " in text
-    assert text.count(f"| `{DEAR}`") == 1
     # Of another problem, or of other weights: as it was kept.
     (tmp_path / "runs" / DEAR / problems.KEY).write_text("of another problem")
     assert main(["problems", "--keep", str(tmp_path / "runs"), "--out", str(tmp_path / "docs"), "--as-kept"]) == 0
@@ -120,13 +107,10 @@ def test_a_dear_problem_runs_without_a_surrogate_too(tmp_path: Path, loop: list[
     assert loop == [DEAR, DEAR]
 
 
-def test_what_could_not_be_run_is_said_beside_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_could_not_be_run_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subprocess, "run", lambda arguments, **_: subprocess.CompletedProcess(arguments, 2))
     assert call(tmp_path, "friction-tall-42") == 1
-    assert "could not be run: friction-tall-42" in capsys.readouterr().err
-    assert "No problem has been solved yet." in (tmp_path / "docs" / "problems.md").read_text()
+    assert (tmp_path / "docs" / "problems.md").exists()
 
 
 def test_every_criterion_can_be_missed() -> None:
