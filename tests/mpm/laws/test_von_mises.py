@@ -1,7 +1,6 @@
 """Von Mises: the return against its closed form, what a scene may ask of it, and the height of a cut that stands."""
 
 import dataclasses
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from datasets.scene.grid_field import Field
 from datasets.scene.particles import initial_particles
 from datasets.schema import from_mapping
 from mpm import LAST, safety_factor, simulate
-from mpm.adjoint.gradient import gradient
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import Precision
 from mpm.initial.stress import initial_tractions
@@ -160,22 +158,3 @@ def test_a_cut_below_it_stands_and_one_above_it_falls(stability: float, falls: b
     flow = simulate(reduced(cut(stability, 16), 1.0), record=LAST)
     moved = np.linalg.norm(flow.positions[-1] - initial_particles(flow.scene).positions, axis=1)
     assert (np.quantile(moved, 0.9) > 0.05) == falls
-
-
-@pytest.mark.slow
-@pytest.mark.double
-def test_the_gradient_is_that_of_differences() -> None:
-    scene = box(material=dataclasses.replace(CLAY, constants={"strength": 500.0, "hardening": 300.0}, young=2.0e5))
-
-    def objective(positions: Vector, velocities: Vector) -> tuple[float, Vector, None]:
-        return float(positions[-1, :, 0].sum()), np.ones_like(positions) * np.array([1.0, 0.0]), None
-
-    def value(name: str, step: float) -> float:
-        changed = scene.material.with_constant(name, scene.material.constant(name) + step)
-        run = partial(simulate, dataclasses.replace(scene, material=changed), record=LAST, precision="f64", threads=1)
-        return float(run().positions[-1, :, 0].astype(float).sum())
-
-    _, slope = gradient(scene, objective, exact=True)
-    for name, step in (("strength", 1.0), ("hardening", 1.0), ("young", 500.0)):
-        difference = (value(name, step) - value(name, -step)) / (2.0 * step)
-        assert slope.material(name).sum() == pytest.approx(difference, rel=2e-3), name
