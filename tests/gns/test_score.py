@@ -44,6 +44,10 @@ def test_bands_are_conformal_quantiles() -> None:
     assert found.flows == 19
     # Of fewer flows than the level asks for by Student's law, which is the normal law of many and 12.7 sigma of one.
     assert calibrated(scores_of(errors[:1])).front["0.95"] == pytest.approx(0.01 * 12.706, rel=1e-3)
+    # Fronts that a wall holds make no band narrower.
+    held = scored(front=0.02, at_wall=True)
+    assert calibrated([*scores_of(errors), *[held] * 40]) == found
+    assert calibrated([held]).flows == 1
 
 
 @pytest.mark.parametrize(("heavy", "count"), [(False, 60), (True, 60), (False, 8)])
@@ -133,12 +137,6 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     assert wrong.front < -0.1
     assert wrong.profile > 0.1
     assert validation_score([wrong]) > validation_score([right])
-
-
-def test_fronts_that_a_wall_holds_make_no_band_narrower() -> None:
-    free = scores_of(0.01 * np.arange(1.0, 20.0))
-    assert calibrated([*free, *(scored(at_wall=True) for _ in range(40))]) == calibrated(free)
-    assert calibrated([scored(front=0.02, at_wall=True)]).flows == 1
 
 
 def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(

@@ -58,13 +58,6 @@ def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
     np.testing.assert_allclose(true, np.array([0.341, 0.812]) - 0.1)
 
 
-def test_a_twin_on_other_cells_is_the_flow_of_these() -> None:
-    problem = read_problem("friction-tall-42")
-    finer = dataclasses.replace(problem, target=dataclasses.replace(problem.target, cell=0.005))
-    assert finer.twin_scene == problem.twin_scene.with_cell(0.005)
-    assert finer.scene.domain.cell == 0.01
-
-
 def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> None:
     text = GOOD.replace('"friction_deg"', '"phi"')
     message = refused(read_problem, written(tmp_path, text), said="friction_deg").message
@@ -137,6 +130,10 @@ def test_a_twin_has_its_own_angle_and_jitter(tmp_path: Path) -> None:
     assert target.values == pytest.approx([target.front])
     unstated = small("front", tmp_path, TargetSettings(twin=True, seed=3))
     assert read_target(unstated, fall).truth == {"friction_deg": 42.0}
+    # On other cells it is the flow of these.
+    finer = dataclasses.replace(problem, target=dataclasses.replace(settings, cell=0.005))
+    assert finer.twin_scene == problem.twin_scene.with_cell(0.005)
+    assert finer.scene.domain.cell == 0.01
 
 
 def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """Contact with solids: exact statics at any offset, closed forms of sliding, no leaks, momentum; whole flows."""
 
 import dataclasses
-import math
 from functools import partial
 from typing import Any
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 from datasets.errors import InputError
-from datasets.flow.trajectory import Trajectory
 from datasets.geometry.nearest import nearest
 from datasets.scene import NO_SLIP, Baffle, Domain, Mass, Scene, Solid
 from datasets.scene.material import Material
@@ -151,7 +149,7 @@ def test_a_block_holds_below_the_angle_of_its_base_and_slides_beyond_it_by_the_c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("thickness", "speed"), [(0.5, 50.0), (0.2, 20.0), (0.05, 5.0)])
+@pytest.mark.parametrize(("thickness", "speed"), [(0.2, 20.0), (0.05, 5.0)])
 def test_nothing_passes_a_thin_plate(thickness: float, speed: float) -> None:
     face = 0.8 + 0.3 * CELL
     plate = Baffle(lower=(face, 0.0), size=(thickness * CELL, 0.6))
@@ -192,29 +190,30 @@ def test_momentum_goes_into_walls_and_solids_alone() -> None:
     assert flow.solid_impulse[-1, 1, 0] > 0.0
 
 
-@pytest.mark.slow
-def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
-    def slope(**surface: object) -> Trajectory:
-        body, base = Mass(lower=(0.3, 0.087), size=(0.3, 0.06)), Solid(lower=(0.0, 0.0), size=(1.0, 0.087), **surface)
-        soil = dataclasses.replace(SAND, friction_deg=45.0, cohesion=2000.0)
-        return simulate(sand(body, size=(1.0, 0.4), material=soil, solids=(base,), slope_deg=25.0, duration=0.5))
-
-    slides, sticks = slope(friction=0.2), slope(contact="no-slip")
-    moved = [(flow.positions[-1] - flow.positions[0])[:, 0].mean() for flow in (slides, sticks)]
-    assert moved[0] == pytest.approx(SlidingBlock.on_incline(25.0, 0.2).displacement(0.5), rel=0.1)
-    assert abs(moved[1]) < 0.03 * moved[0]
+SLAB = Solid(lower=(0.0, 0.0), size=(0.6, 0.047), friction=0.3)
 
 
-def test_rough_surfaces_hold_what_touches_them() -> None:
-    """A block on a rough floor stands at 40 degrees; a rough baffle has no slip; other words are refused."""
+@pytest.mark.parametrize(
+    ("top", "stuck", "smooth"),
+    [
+        (0.0, {"floor_friction": "rough"}, {"floor_friction": 0.3}),
+        (0.047, {"solids": (dataclasses.replace(SLAB, contact="no-slip"),)}, {"solids": (SLAB,)}),
+    ],
+    ids=["floor", "solid"],
+)
+def test_rough_surfaces_hold_what_touches_them(top: float, stuck: dict[str, Any], smooth: dict[str, Any]) -> None:
+    """A block on a rough floor, or on a solid without slip, stands at 40 degrees."""
     strong = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, young=1.0e7)
-    body = Mass(lower=(0.1, 0.0), size=(0.2, 0.02))
-    scene = sand(body, size=(0.6, 0.4), material=strong, slope_deg=40.0, floor_friction="rough", duration=0.2)
-    moved = [
-        float((flow.positions[-1] - flow.positions[0])[:, 0].mean())
-        for flow in (simulate(scene), simulate(dataclasses.replace(scene, floor_friction=0.3)))
-    ]
-    assert abs(moved[0]) < 0.01 * moved[1]
+    scene = sand(
+        Mass(lower=(0.1, top), size=(0.2, 0.02)), size=(0.6, 0.4), material=strong, slope_deg=40.0, duration=0.2
+    )
+    flows = [simulate(dataclasses.replace(scene, **changes)) for changes in (stuck, smooth)]
+    held, slid = (float((flow.positions[-1] - flow.positions[0])[:, 0].mean()) for flow in flows)
+    assert abs(held) < 0.01 * slid
+
+
+def test_a_rough_baffle_has_no_slip() -> None:
+    scene = sand(Mass(lower=(0.1, 0.0), size=(0.2, 0.02)), size=(0.6, 0.4))
     baffle = Baffle(lower=(0.4, 0.0), size=(0.1, 0.1), friction="rough")
     assert np.isinf(surface(dataclasses.replace(scene, baffles=(baffle,))).friction).all()
     with pytest.raises(InputError, match="'rough', got 'glued'"):
@@ -331,60 +330,6 @@ def test_what_is_rough_is_so_for_clay_alone() -> None:
     scene = sand(Mass(lower=(0.0, 0.3), size=(0.2, 0.2)), size=(0.6, 0.6), material=clay, wall_friction="rough")
     assert roughest(scene) == NO_SLIP
     assert roughest(dataclasses.replace(scene, material=SAND)) == DRY_GRIP
-
-
-INCLINE = math.radians(20.0)
-
-
-def level(along: float, above: float) -> tuple[float, float]:
-    """Coordinates in the level box [m] of a position along and above the incline [m]."""
-    return (
-        0.1 + along * math.cos(INCLINE) + above * math.sin(INCLINE),
-        1.0 - along * math.sin(INCLINE) + above * math.cos(INCLINE),
-    )
-
-
-def on_incline(seed: int) -> tuple[Scene, Scene]:
-    """The same sand runs down the floor of a tilted box, and down a polyline in a level one."""
-    tilted = scene_of(
-        Mass(lower=(0.2, 0.0), size=(0.3, 0.2)),
-        size=(2.4, 0.5),
-        cell=CELL,
-        material=SAND,
-        floor_friction=0.45,
-        slope_deg=math.degrees(INCLINE),
-        duration=0.8,
-        frame_dt=0.01,
-        step_fraction=0.9,
-        seed=seed,
-    )
-    # A micrometre above the line, so that rounding leaves no corner below it.
-    corners = tuple(level(x, y + 1.0e-6) for x, y in ((0.2, 0.0), (0.5, 0.0), (0.5, 0.2), (0.2, 0.2)))
-    start = level(0.0, 0.0)[1]
-    ends = ((0.0, start + 0.1 * math.tan(INCLINE)), (2.4, start - 2.3 * math.tan(INCLINE)))
-    sloping = dataclasses.replace(
-        tilted,
-        domain=Domain(size=(2.4, 1.4), cell=CELL),
-        masses=(Mass(kind="polygon", vertices=corners),),
-        solids=(Solid(kind="terrain", points=ends, friction=0.45),),
-        slope_deg=0.0,
-        floor_friction=0.0,
-    )
-    return tilted, sloping
-
-
-@pytest.mark.slow
-def test_sand_runs_as_far_down_a_polyline_as_down_the_floor_of_a_tilted_box() -> None:
-    downhill = np.array([math.cos(INCLINE), -math.sin(INCLINE)])
-    pairs = [on_incline(seed) for seed in range(4)]
-    tilted = [flow.positions[-1, :, 0] for flow in simulate_many([one for one, _ in pairs], record=LAST)]
-    sloping = [
-        (flow.positions[-1] - np.array(level(0.0, 0.0))) @ downhill
-        for flow in simulate_many([other for _, other in pairs], record=LAST)
-    ]
-    # Without the last twentieth, which single particles make.
-    far = [np.mean([np.quantile(x, 0.95) for x in some]) for some in (tilted, sloping)]
-    assert far[1] == pytest.approx(far[0], rel=0.015)
 
 
 @pytest.mark.slow

@@ -11,15 +11,11 @@ from datasets.scene.material import TENSION_SHARE, Material
 from tests.refusals import refused
 
 
-def test_tresca_requires_a_cohesion_and_has_no_apex() -> None:
-    clay = Material(friction_deg=0.0, cohesion=2.0e4, tension_cutoff=3.0e4)
-    assert clay.friction == 0.0
-    assert clay.tension_limit == 3.0e4
-
-
 def test_a_share_of_the_cohesion_is_the_default_cutoff() -> None:
     assert Material(friction_deg=30.0, cohesion=1.0e3).tension_limit == TENSION_SHARE * 1.0e3 == 3.0
     assert Material(friction_deg=0.0, cohesion=1.0e3).tension_limit == 3.0
+    # Of Tresca's clay there is no apex.
+    assert Material(friction_deg=0.0, cohesion=2.0e4, tension_cutoff=3.0e4).tension_limit == 3.0e4
     assert Material(friction_deg=30.0).tension_limit == 0.0
     steep = Material(friction_deg=89.9, cohesion=1.0e3)
     assert steep.tension_limit == pytest.approx(1.0e3 / math.tan(math.radians(89.9)))

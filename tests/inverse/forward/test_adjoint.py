@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import Baffle, Solid
+from datasets import Baffle
 from inverse import Parameter, Problem, TargetSettings
 from inverse.forward.adjoint import AdjointForward, Run
 from inverse.observations import ImpulseSettings
@@ -36,25 +36,6 @@ def test_a_layer_is_ten_lines() -> None:
         change = np.where(np.arange(len(VALUES)) == index, step, 0.0)
         found = (loss(VALUES + change) - loss(VALUES - change)) / (2.0 * step)
         assert float(parameters.grad[index]) == pytest.approx(found, rel=2e-4), NAMES[index]
-
-
-@pytest.mark.slow
-def test_friction_and_turbulence_of_a_bed() -> None:
-    """The mean place as a function of both, and of a velocity that the drag squares."""
-    bed = Solid(kind="terrain", points=((0.0, 0.02), (1.0, 0.02)), friction=0.3, turbulence=20.0)
-    masses = tuple(dataclasses.replace(mass, lower=(mass.lower[0], 0.03)) for mass in SCENE.masses)
-    scene = dataclasses.replace(SCENE, solids=(bed,), masses=masses, duration=0.04)
-    names, values, steps = ("solids[0].friction", "solids[0].turbulence", BOTH[1]), (0.3, 20.0, 1.0), (1e-5, 1e-3, 1e-6)
-    run = Run(scene, names=names, precision="f64", threads=1)
-    parameters = torch.tensor(values, dtype=torch.float64, requires_grad=True)
-    run(parameters)[0][-1, :, 0].mean().backward()
-
-    def place(change: np.ndarray) -> float:
-        return float(run(torch.tensor(np.array(values) + change))[0][-1, :, 0].mean())
-
-    for index, step in enumerate(np.diag(steps)):
-        found = (place(step) - place(-step)) / (2.0 * steps[index])
-        assert float(parameters.grad[index]) == pytest.approx(found, rel=2e-4), names[index]
 
 
 def test_the_impulse_on_a_baffle() -> None:

@@ -19,7 +19,7 @@ from inverse.posterior.posterior import posterior
 from inverse.posterior.sampling import Samples, sample
 from inverse.search.descent import inverted
 from tests.inverse.flows import problem_of
-from tests.inverse.posterior.test_posterior import SCATTER, SLOPES, target_of
+from tests.inverse.posterior.test_posterior import target_of
 from tests.inverse.search.test_descent import NAMES, Formula, WithGradient
 from tests.refusals import refused
 
@@ -93,17 +93,6 @@ def test_a_gaussian_likelihood_and_a_gaussian_prior_have_the_closed_form() -> No
     assert found.evidence == pytest.approx(exact, abs=0.1)
     slopes = prior.slope(np.array([[0.5, 0.5], [0.2, 0.7]]))
     np.testing.assert_allclose(slopes, (np.array([0.4, 0.6]) - [[0.5, 0.5], [0.2, 0.7]]) @ before, rtol=0.1, atol=0.3)
-
-
-def test_a_linear_response_has_the_closed_form_too() -> None:
-    """By an emulator, as in `tests/inverse/posterior`, with a prior as narrow as what is measured."""
-    rng, prior = np.random.default_rng(1), joint(first=0.01, second=0.01, coefficient=0.0)
-    points = np.concatenate([rng.random((54, 2)), np.full((6, 2), 0.5)])
-    numbers = points @ SLOPES + SCATTER * rng.standard_normal((60, 4))
-    target = target_of(np.array([0.41, 0.61]) @ SLOPES)
-    found = posterior(points, numbers, target, scatter=np.full(4, SCATTER), rng=rng, prior=prior)
-    exact = np.linalg.inv(SLOPES @ SLOPES.T / SCATTER**2 + np.eye(2) / 0.01**2)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.samples.covariance)), np.sqrt(np.diag(exact)), rtol=0.25)
 
 
 @pytest.mark.parametrize("coefficient", [-0.5, 0.8])

@@ -75,6 +75,11 @@ def test_a_posterior_wider_than_its_region_leaves_it() -> None:
     assert np.all(np.sqrt(np.diag(found.samples.covariance)) > 0.8 * deviation)
     assert np.all(found.region.low < narrow.low)
     assert np.all(found.region.high > narrow.high)
+    # Samples of many parameters lie beyond their runs.
+    for unknowns, edge in ((6, 0.6), (7, 0.62)):
+        region = Region(low=np.full(unknowns, 0.4), high=np.full(unknowns, 0.6))
+        np.testing.assert_allclose(region.sampled.high, edge)
+        assert not Region.whole(unknowns).sampled.inside(np.full((1, unknowns), 1.01))[0]
 
 
 def test_a_weak_parameter_has_a_direction_of_its_own() -> None:
@@ -186,15 +191,12 @@ def test_a_column_that_stands_may_have_all_parameters_at_which_it_does(seed: int
     assert np.mean(samples.points[:, 0] < EDGE + 0.1) > 0.95
 
 
-def test_the_nearest_runs_decide() -> None:
+def test_the_nearest_runs_decide_and_a_steady_response_is_one_regime() -> None:
     regime = Regime(inside=np.array([[0.2, 0.5], [0.1, 0.4]]), outside=np.array([[0.8, 0.5]]))
     inside, between, outside = np.exp(regime(np.array([[0.21, 0.5], [0.5, 0.5], [0.79, 0.5]])))
     assert inside > 0.999
     assert 0.4 < between < 0.7
     assert outside < 0.001
-
-
-def test_a_steady_response_is_one_regime() -> None:
     points = np.linspace(0.0, 1.0, 20)[:, None]
     near = np.ones(20, bool)
     assert regime_of(50.0 * points, points, near, np.array([25.3])) is None
@@ -202,13 +204,6 @@ def test_a_steady_response_is_one_regime() -> None:
     values = np.where(points < 0.5, points, 50.0 + points)
     assert regime_of(values, points, near, np.array([25.0])) is None
     assert np.array_equal(regime_of(values, points, near, np.array([0.2])), points[:, 0] < 0.5)
-
-
-@pytest.mark.parametrize(("unknowns", "edge"), [(6, 0.6), (7, 0.62)])
-def test_samples_of_many_parameters_lie_beyond_their_runs(unknowns: int, edge: float) -> None:
-    region = Region(low=np.full(unknowns, 0.4), high=np.full(unknowns, 0.6))
-    np.testing.assert_allclose(region.sampled.high, edge)
-    assert not Region.whole(unknowns).sampled.inside(np.full((1, unknowns), 1.01))[0]
 
 
 def whole(unknowns: int) -> dict[str, Matrix]:

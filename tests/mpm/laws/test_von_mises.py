@@ -149,12 +149,3 @@ def test_a_factor_of_safety_divides_the_strength() -> None:
 def test_a_cut_stands_up_to_taylors_height() -> None:
     """rho g H / s_u of 3.83 by a circle (Taylor 1937), 3.77 by better bounds: found within a tenth."""
     assert safety_factor(cut(3.0, 16), tolerance=0.02).factor * 3.0 == pytest.approx(3.8, rel=0.1)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:no initial stress:UserWarning")
-@pytest.mark.parametrize(("stability", "falls"), [(3.0, False), (5.0, True)])
-def test_a_cut_below_it_stands_and_one_above_it_falls(stability: float, falls: bool) -> None:
-    flow = simulate(reduced(cut(stability, 16), 1.0), record=LAST)
-    moved = np.linalg.norm(flow.positions[-1] - initial_particles(flow.scene).positions, axis=1)
-    assert (np.quantile(moved, 0.9) > 0.05) == falls

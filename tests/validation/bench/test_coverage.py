@@ -60,12 +60,6 @@ def test_even_ranks_pass_and_uneven_ones_are_named() -> None:
     assert "50% / 80% / 95%" in row(FAMILY, even).values()
 
 
-def test_truths_of_stated_priors_are_drawn_from_them() -> None:
-    truths = [drawn(coverage.FAMILIES["prior-normal"], number).target.truth["friction_deg"] for number in range(25)]
-    assert np.mean(truths) == pytest.approx(30.0, abs=4.0)
-    assert 2.5 < np.std(truths) < 7.5
-
-
 def test_the_command(
     mpm: FakeMpm, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
