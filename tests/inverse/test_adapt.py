@@ -43,12 +43,16 @@ def adapted(weights: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_call_holds_beside_the_command() -> None:
+def test_the_call_holds_beside_the_command_and_refuses_what_no_surrogate_knows(tmp_path: Path, weights: Path) -> None:
     """`import inverse.adapt`, as for the command, binds the module over the function of the package."""
     import inverse
     import inverse.adapt
 
     refused(inverse.adapt, "friction-tall-42", "out", runs=1, said="at least 7 runs")
+    young = Parameter(name="young", initial=2e6, lower=1e6, upper=3e6)
+    problem = dataclasses.replace(problem_of(2, "friction_deg"), parameters=(young,))
+    said = "unknowns[0]: expected an input of the surrogate, young is none"
+    refused(adapt, problem, tmp_path, model=weights, said=said)
 
 
 def test_flows_fill_the_box_and_more_begin_with_the_fewer(tiny: Model) -> None:
@@ -128,10 +132,3 @@ def test_wrong_input_ends_in_a_line(
     arguments: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert expected in refused_by(capsys, main, *arguments, "--out", tmp_path / "run")
-
-
-def test_what_no_surrogate_knows_is_refused(tmp_path: Path, weights: Path) -> None:
-    young = Parameter(name="young", initial=2e6, lower=1e6, upper=3e6)
-    problem = dataclasses.replace(problem_of(2, "friction_deg"), parameters=(young,))
-    with pytest.raises(InputError, match=r"unknowns\[0\]: expected an input of the surrogate, young is none"):
-        adapt(problem, tmp_path, model=weights)

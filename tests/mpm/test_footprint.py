@@ -43,6 +43,9 @@ def test_steps_and_frames_are_those_of_the_run() -> None:
     assert plan.frames == len(flow.time)
     assert plan.steps == flow.summary["steps"]
     assert f"{plan.particles} particles, " in str(plan)
+    # Many runs are planned from scenes alone: their work, and the bytes of the largest.
+    work, size = planned([scene, COLUMN])
+    assert (work, size) == (plan.work + footprint(COLUMN).work, footprint(COLUMN).bytes)
 
 
 @pytest.mark.parametrize(
@@ -50,6 +53,8 @@ def test_steps_and_frames_are_those_of_the_run() -> None:
     [
         ({"frame_dt": 1.0e4, "duration": 1.0e8}, "duration: expected at most 2147483647 steps"),
         ({"frame_dt": 1.0e-4, "duration": 900.0}, "fewer particles_per_axis or frames"),
+        # Single precision does not hold it.
+        ({"gravity": 1e-45}, "gravity y of -1e-45; --precision f64 holds more"),
     ],
 )
 def test_what_no_machine_could_run_is_refused_at_once(
@@ -58,12 +63,6 @@ def test_what_no_machine_could_run_is_refused_at_once(
     monkeypatch.setattr("datasets.memory.free", lambda: 2**36)
     scene: Scene = dataclasses.replace(read_scene("column-short-21"), **change)
     refused(simulate, scene, said=message)
-
-
-def test_numbers_that_single_precision_cannot_hold() -> None:
-    scene = read_scene("column-short-21")
-    thin = dataclasses.replace(scene, gravity=1e-45)
-    refused(simulate, thin, said="gravity y of -1e-45; --precision f64 holds more")
 
 
 def test_a_range_grows_with_the_work_and_falls_with_the_processors() -> None:
@@ -81,11 +80,3 @@ def test_a_range_grows_with_the_work_and_falls_with_the_processors() -> None:
     assert expected(COLUMN, work, memory=0, arch="cuda").longest < column / 5.0
     rests = expected(COLUMN, work, memory=0, until_rest=True)
     assert (rests.longest, rests.shortest < 0.6 * expected(COLUMN, work, memory=0).shortest) == (column, True)
-
-
-def test_runs_are_planned_from_scenes_alone() -> None:
-    scenes = [read_scene("column-short-21"), COLUMN]
-    work, size = planned(scenes)
-    plans = [footprint(scene) for scene in scenes]
-    assert work == sum(plan.work for plan in plans)
-    assert size == plans[1].bytes

@@ -85,9 +85,7 @@ def test_only_what_began_in_the_region_changes() -> None:
     cohesion = np.where(x < 0.05, 7.0, np.where(particles.mass == 1, 100.0, CLAY.cohesion))
     np.testing.assert_array_equal(after.cohesion, cohesion.astype(np.float32))
     np.testing.assert_array_equal(after.friction_deg, np.where((x >= 0.1) & (x <= 0.5) & (y <= 0.1), 10.0, 25.0))
-
-
-def test_in_plan_in_3d() -> None:
+    # In 3D an outline is one in plan.
     corner = Stage(time=0.01, outline=((0.0, 0.0), (0.2, 0.0), (0.0, 0.2)), cohesion=1.0)
     scene = room(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.2, 0.2)), material=CLAY, stages=(corner,))
     particles = initial_particles(scene)

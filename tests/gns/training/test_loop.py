@@ -49,8 +49,7 @@ def run(dataset: Path, out: Path, *flags: str) -> int:
 
 
 def last(out: Path) -> dict[str, Any]:
-    found: dict[str, Any] = torch.load(out / LAST, weights_only=True)
-    return found
+    return dict(torch.load(out / LAST, weights_only=True))
 
 
 def test_a_training_learns_and_leaves_a_model_with_its_card(dataset: Path, tmp_path: Path) -> None:

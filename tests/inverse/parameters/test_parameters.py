@@ -126,11 +126,8 @@ def test_what_is_written_is_read_and_nothing_else_changes(scene: Scene, names: t
         np.testing.assert_allclose(*([kind(other).read(each) for other in others] for each in (changed, scene)))
     assert all(kind(name).input is None for name in INTO_MATERIAL)
     assert not kind("solids[0].turbulence").predicted
-
-
-def test_a_thicker_layer_releases_more() -> None:
-    changed = with_parameters(COVERED, ["masses[0].thickness"], [0.15])
-    assert released_volume(changed) == pytest.approx(1.5 * released_volume(COVERED))
+    thicker = with_parameters(COVERED, ["masses[0].thickness"], [0.15])
+    assert released_volume(thicker) == pytest.approx(1.5 * released_volume(COVERED))
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,6 @@ def plain(problem: Problem) -> tuple[Parameter, ...]:
 
 def test_a_stated_prior_is_read_and_a_uniform_one_is_none(tmp_path: Path) -> None:
     read = stated(tmp_path)
-    assert read.prior is not None
     # The search starts at the median: of a lognormal number exp(mu), all but what the bounds cut off.
     np.testing.assert_allclose(read.initial, [30.0, 600.0 / np.sqrt(1.0 + (4.0 / 6.0) ** 2)], rtol=0.01)
     for each in read.parameters:

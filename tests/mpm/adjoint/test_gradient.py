@@ -183,8 +183,7 @@ def derivatives(
     for way, step in paths_of(scene):
 
         def path(h: float, way: Way = way) -> Scene:
-            found: Scene = raised(scene, way, h)
-            return found
+            return raised(scene, way, h)
 
         match way:
             case ("material", *_, str(name)):

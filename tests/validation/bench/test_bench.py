@@ -1,6 +1,5 @@
 """The pages: what they share; that each is measured; cuts, differences and derivatives of the pages of prices."""
 
-import inspect
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -11,22 +10,13 @@ import pytest
 from datasets.lock import locked
 from datasets.scene.particles import initial_particles
 from inverse.parameters import Vector
-from tests.commands import found_at
 from validation.bench import efficiency
 from validation.bench import gns as bench_gns
-from validation.bench.__main__ import PAGES, main
+from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
 from validation.bench.efficiency import blocks, by_runs
 from validation.bench.page import kept
 from validation.bench.speed import mean_x
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_is_measured_as_it_ships_without_flags_of_its_own(name: str) -> None:
-    out, *flags = inspect.signature(found_at(PAGES[name][0])).parameters.values()
-    assert out.name == "out"
-    # A comparison's data are not in the repository.
-    assert all(flag.default is not flag.empty for flag in flags if flag.name != "data")
 
 
 def test_finished_work_is_held_and_goes_with_a_temporary_folder(

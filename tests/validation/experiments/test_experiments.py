@@ -33,18 +33,11 @@ what = "Its front falls by 10 mm a degree."
 source = "this test"
 licence = "MIT"
 cells = [0.02, 0.01]
-[[angles]]
-name = "avalanche"
-lower_deg = 24.5
-upper_deg = 25.5
-status = "read"
-source = "this test"
-[[angles]]
-name = "repose"
-lower_deg = 20.0
-upper_deg = 20.0
-status = "worked out"
-source = "this test"
+angles = [
+  { name = "avalanche", lower_deg = 24.5, upper_deg = 25.5, status = "read", source = "this test" },
+  { name = "repose", lower_deg = 20.0, upper_deg = 20.0, status = "worked out", source = "this test" },
+]
+assumptions = [{ what = "everything", choice = "nothing", reason = "a test" }]
 [grains]
 friction_growth = 0.26
 inertial_number = 0.3
@@ -62,10 +55,6 @@ spread_from = "this test"
 status = "read"
 source = "this test"
 explanation = "The wedge is imaginary."
-[[assumptions]]
-what = "everything"
-choice = "nothing"
-reason = "a test"
 """
 
 PARTICLES = 2000
@@ -173,13 +162,10 @@ def test_the_angle_of_a_front_lies_between_runs(target: float) -> None:
     angle, slope = crossing(fronts, target)
     assert angle == pytest.approx(12.5 / target, abs=0.3)
     assert slope == pytest.approx(-(target**2) / 12.5, rel=0.2)
-
-
-def test_a_front_that_no_angle_gives_has_a_slope_alone() -> None:
+    # A front that no angle gives has a slope alone.
     fronts = {20.0: 0.6, 28.0: 0.5, 36.0: 0.45}
     assert math.isnan(crossing(fronts, 0.7)[0])
-    assert crossing(fronts, 0.7)[1] == pytest.approx(-0.0125)
-    assert crossing(fronts, 0.3)[1] == pytest.approx(-0.00625)
+    assert (crossing(fronts, 0.7)[1], crossing(fronts, 0.3)[1]) == pytest.approx((-0.0125, -0.00625))
 
 
 BLOCK = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.1)), size=(1.0, 0.2), cell=0.01, jitter=0.0)
@@ -194,13 +180,6 @@ def flow(*positions: NDArray[np.floating]) -> Trajectory:
 def number(kind: Quantity, **other: object) -> Measured:
     """A measured number of a kind."""
     return Measured(quantity=kind, value=0.1, spread=0.01, status="read", source="", **other)
-
-
-def test_height_of_the_surface_and_front_by_share_and_by_thickness() -> None:
-    assert quantity(number(Quantity.HEIGHT, within=0.05), flow(AT_START)) == pytest.approx(0.1)
-    assert quantity(number(Quantity.FRONT), flow(AT_START)) == pytest.approx(0.4, abs=0.006)
-    thin = quantity(number(Quantity.FRONT, thicker_than=0.05), flow(AT_START))
-    assert thin == pytest.approx(0.4, abs=0.006)
 
 
 def test_edge_is_linear_between_stations_and_ends_with_the_deposit() -> None:
@@ -221,12 +200,12 @@ def test_radius_is_about_the_vertical_axis() -> None:
     assert quantity(measured, flow(circle, 2.0 * circle)) == pytest.approx(0.05 / np.sqrt(2.0))
 
 
-def test_profile_is_held_against_the_rows() -> None:
+def test_height_front_and_profile_of_a_block() -> None:
+    assert quantity(number(Quantity.HEIGHT, within=0.05), flow(AT_START)) == pytest.approx(0.1)
+    for front in (number(Quantity.FRONT), number(Quantity.FRONT, thicker_than=0.05)):
+        assert quantity(front, flow(AT_START)) == pytest.approx(0.4, abs=0.006)
     measured = number(Quantity.PROFILE, x=(0.1, 0.2, 0.3, 0.6), heights=(0.1, 0.12, 0.1, 0.0))
     # One row of four is 20 mm off.
     assert quantity(measured, flow(AT_START)) == pytest.approx(0.01, rel=1e-3)
-
-
-@pytest.mark.parametrize(("x", "heights"), [((0.1,), (0.1,)), ((0.1, 0.2), (0.1,)), ((0.2, 0.1), (0.1, 0.1))])
-def test_a_wrong_profile_is_refused(x: tuple[float, ...], heights: tuple[float, ...]) -> None:
-    refused(number, Quantity.PROFILE, x=x, heights=heights)
+    for x, heights in (((0.1,), (0.1,)), ((0.1, 0.2), (0.1,)), ((0.2, 0.1), (0.1, 0.1))):
+        refused(number, Quantity.PROFILE, x=x, heights=heights)
