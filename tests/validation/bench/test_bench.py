@@ -1,22 +1,16 @@
-"""The pages: what they share; that each is measured; cuts, differences and derivatives of the pages of prices."""
+"""The pages: finished work is held, each of few runs is written, one of a GPU needs one."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from datasets.lock import locked
-from datasets.scene.particles import initial_particles
-from inverse.parameters import Vector
 from validation.bench import efficiency
 from validation.bench import gns as bench_gns
 from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.efficiency import blocks, by_runs
 from validation.bench.page import kept
-from validation.bench.speed import mean_x
 
 
 def test_finished_work_is_held_and_goes_with_a_temporary_folder(
@@ -47,43 +41,8 @@ def test_a_page_of_few_runs(name: str, flags: tuple[str, ...], tmp_path: Path, m
     assert list(tmp_path.rglob("*.png")) or name == "efficiency"
 
 
-def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:
-    positions = np.random.default_rng(0).random((1, 5, 2))
-    value, slope, _ = mean_x(positions, positions)
-    moved = positions.copy()
-    moved[0, 3, 0] += 1e-6
-    assert (mean_x(moved, moved)[0] - value) / 1e-6 == pytest.approx(slope[0, 3, 0])
-
-
 @pytest.mark.skipif(shutil.which("nvidia-smi") is not None, reason="there may be a GPU here")
 def test_a_page_of_a_gpu_needs_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["gpu", "--out", str(tmp_path)]) == 2
     assert "expected a GPU that torch can use, there is none" in capsys.readouterr().err
     assert not (tmp_path / "gpu.md").exists()
-
-
-class Linear:
-    """y = A u, of two numbers."""
-
-    matrix = np.array([[1.0, 0.0], [0.0, 2.0], [1.0, 1.0]])
-
-    def observe(self, numbers: list[Vector]) -> list[Vector]:
-        return [self.matrix @ each for each in numbers]
-
-
-def test_differences_of_some_columns_are_those_of_the_whole_gradient() -> None:
-    start = np.array([0.5, -1.0])
-    target = np.array([0.1, -0.2, 0.3])
-    forward = Linear()
-    _, slope = by_runs(forward, target, 1, start, 0.1 * np.eye(2))
-    residual = forward.observe([start])[0] - target
-    np.testing.assert_allclose(slope, 2.0 * residual @ Linear.matrix / 3.0, rtol=1e-9)
-    _, second = by_runs(forward, target, 1, start, 0.1 * np.eye(2)[1:])
-    np.testing.assert_allclose(second, slope[1:])
-
-
-def test_cuts_leave_the_particles_as_they_are() -> None:
-    one, many = (blocks(*cut) for cut in ((1, 1), (10, 10)))
-    assert (len(one.names), len(many.names)) == (1, 100)
-    whole, parts = (initial_particles(replace(each.scene, jitter=0.0)).positions for each in (one, many))
-    np.testing.assert_allclose(np.sort(parts, axis=0), np.sort(whole, axis=0), atol=1e-6)
