@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import InputError, Trajectory
+from datasets import Trajectory
 from datasets.definitions.definition import Split
 from gns import card, checkpoint
 from gns.checkpoint import Model
@@ -102,8 +102,8 @@ def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, weights: 
         np.testing.assert_allclose(values, [each.read(flow.scene) for each in problem.kinds])
     other = problem_of(2, "cohesion")
     assert deposits(adapted, other) == []
-    with pytest.raises(InputError, match=r"expected a new folder, or one of small on the same cells, it is of another"):
-        adapt(other, adapted, runs=7, model=weights)
+    said = "expected a new folder, or one of small on the same cells, it is of another"
+    refused(adapt, other, adapted, runs=7, model=weights, said=said)
 
 
 @pytest.mark.slow

@@ -228,10 +228,7 @@ def test_a_thrust_that_no_stress_has_is_said() -> None:
 
 @pytest.mark.parametrize(
     ("k0", "face", "dimension"),
-    [
-        (2.9, 0.6, 2),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.36, 0.6, 2), (0.34, 0.6125, 2), (0.36, 0.6, 3))),
-    ],
+    [(2.9, 0.6, 2), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.34, 0.6125, 2), (0.36, 0.6, 3)))],
 )
 def test_a_bed_presses_on_a_baffle_with_its_ratio_up_to_the_limits_of_yield(
     k0: float, face: float, dimension: int

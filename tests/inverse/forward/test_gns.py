@@ -14,7 +14,7 @@ from inverse import Parameter, Problem, TargetSettings, read_problem
 from inverse.forward.gns import GnsForward
 from inverse.observations import KINDS, FrontSettings, GaugesSettings, Rollout
 from tests.inverse.flows import problem_of, simulator_of
-from tests.scenes import scaled, scene_of
+from tests.scenes import scene_of
 
 
 @pytest.fixture(scope="module")
@@ -32,19 +32,6 @@ def forward_of(problem: Problem) -> GnsForward:
     scales = Normalisation(displacement_scale=0.003, acceleration_scale=0.01, friction_mean=0.6, friction_std=0.2)
     observation = FrontSettings().operator(problem.scene)
     return GnsForward(Simulator(settings, scales), problem, observation)
-
-
-def test_a_rollout_is_in_the_units_of_the_scene(problem: Problem) -> None:
-    """The same flow ten times as large: the same model's deposit, ten times as large."""
-    large = dataclasses.replace(problem, scene=scaled(problem.scene, 10.0))
-    small = forward_of(problem)
-    other = forward_of(large)
-    assert (small.initial.steps, len(small.indices)) == (other.initial.steps, len(other.indices))
-    assert small.initial.times[-1] == pytest.approx(problem.scene.duration)
-    assert other.initial.times[-1] == pytest.approx(large.scene.duration)
-    angle = np.array([30.0])
-    np.testing.assert_allclose(other.deposit(angle), 10.0 * small.deposit(angle), rtol=1e-3, atol=1e-3)
-    assert np.abs(small.deposit(angle) - small.initial.known[0]).max() > 0.01
 
 
 def test_between_two_steps_particles_move_straight(problem: Problem) -> None:
