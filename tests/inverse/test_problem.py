@@ -103,12 +103,6 @@ def test_a_wrong_problem_is_one_line_and_status_2(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_deposit_requires_the_particles_of_its_scene(tmp_path: Path) -> None:
-    problem = small("deposit", tmp_path, TargetSettings(trajectory="seen.npz"))
-    fall(problem.scene).save(tmp_path / "seen.npz")
-    refused(read_target, problem, fall, said="seen.npz: expected the 3200 particles")
-
-
 def small(kind: str, folder: Path, target: TargetSettings | None = None, **measured: str) -> Problem:
     problem, settings = read_problem("friction-tall-42"), KINDS[kind](**measured)
     return dataclasses.replace(problem, observations=(settings,), folder=folder, target=target or TargetSettings())
@@ -140,6 +134,8 @@ def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
     problem = small("profile", tmp_path, TargetSettings(trajectory="seen.npz"))
     seen = fall(problem.scene)
     seen.save(tmp_path / "seen.npz")
+    whole = small("deposit", tmp_path, TargetSettings(trajectory="seen.npz"))
+    refused(read_target, whole, fall, said="seen.npz: expected the 3200 particles")
     observation = problem.operators[0]
     target = read_target(problem, fall)
     assert target.truth is None

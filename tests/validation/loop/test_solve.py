@@ -104,8 +104,6 @@ def test_every_answer_is_named_and_what_would_decide(tmp_path: Path, capsys: pyt
     print_outcome(result, tmp_path)
     said = capsys.readouterr().out
     assert said.startswith("wedge: ambiguous")
-    assert "2 separate answers" in said
-    assert "Most would be decided by" in said
     assert "the height around x =" in said
     # The profile tells the two apart.
     identified = wedge(tmp_path, truth=22.0, mpm=Folded(scatter=0.002), kind="profile").solve(tmp_path / "profile")
