@@ -21,9 +21,9 @@ from tests.gns.conftest import TINY
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="expects Linux")]
 MOMENTS = 4
-"""Of each command and signal, evenly over its work: with four commands and three signals about fifty kills."""
+"""Of each command and signal, evenly over its work: with three commands and three signals about forty kills."""
 DISKS = 5
-"""Sizes of a full disk of each command: twenty in all."""
+"""Sizes of a full disk of each command: fifteen in all."""
 ENOUGH = 2**28
 """Bytes of a disk on which every command has room."""
 PAGE = 4096
@@ -62,7 +62,7 @@ class Command:
         assert self.result(out) == self.expected
 
 
-@pytest.fixture(scope="module", params=["generate", "train", "loop", "bench"])
+@pytest.fixture(scope="module", params=["generate", "train", "loop"])
 def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Command:
     """A small command of every kind that leaves files from which it goes on."""
     folder = tmp_path_factory.mktemp(request.param)
@@ -80,12 +80,10 @@ def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         return ["-m", "gns.train", *flags, *resume]
 
     problem = str(folder / "problem.toml")
-    coverage = ["-m", "validation.bench", "coverage", "--only", "front", "--twins", "2"]
     arguments, result = {
         "generate": (lambda out: [*generate, "--out", str(out)], breaking.dataset_files),
         "train": (train, breaking.trained),
         "loop": (lambda out: ["-m", "validation.loop", problem, "--out", str(out)], breaking.answer),
-        "bench": (lambda out: [*coverage, "--out", str(out), "--keep", str(out / "keep")], breaking.twins),
     }[request.param]
     found = Command(arguments=arguments, result=result, expected={}, seconds=0.0, size=0)
     # The first run may compile kernels.
