@@ -22,6 +22,7 @@ from datasets.definitions.paper_families import BAFFLES3D, COLUMNS2D
 from datasets.geometry.placement import overlaps
 from datasets.scene.particles import initial_particles
 from datasets.schema import changed
+from tests.commands import DOCS, blocks
 from tests.refusals import refused
 from tests.scenes import scaled, scene_of
 
@@ -149,9 +150,7 @@ def test_a_column_of_a_held_out_aspect_at_a_wall_is_held_out(aspect: float) -> N
     assert not is_held_out(column(0.2, 0.48))
 
 
-PAGE = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
-(EXAMPLE,) = re.findall(r"```toml\n(.*?)```", PAGE.split("\n## Definition (TOML)\n")[1].split("\n## ")[0], re.DOTALL)
-
+(EXAMPLE,) = (text for text in blocks(DOCS / "formats.md", "toml") if "[scene]" in text)
 TEXT = """
 [scene]
 duration = 0.01
