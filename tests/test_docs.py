@@ -19,7 +19,6 @@ import torch
 
 from datasets import Baffle, Channel, Domain, Gate, Mass, Material, Scene, Solid, read_scene
 from datasets.scene.grid_field import Field
-from datasets.scene.library import read_scene
 from datasets.scene.particles import initial_particles
 from datasets.schema import from_mapping
 from inverse.forward.adjoint import Run
@@ -264,9 +263,8 @@ def test_every_key_of_a_trajectory_stands_on_the_page(tmp_path: Path) -> None:
 
 
 def test_the_scenes_on_the_page_load(tmp_path: Path) -> None:
-    (text,) = re.findall(r"```toml\n(.*?)```", section("Scene (TOML)"), re.DOTALL)
-    assert from_mapping(Scene, tomllib.loads(text)).damping == 0.12
-    (flume,) = re.findall(r"```toml\n(.*?)```", section("Solids and bodies (TOML)"), re.DOTALL)
+    column, flume, *_ = blocks(FORMATS, "toml")
+    assert from_mapping(Scene, tomllib.loads(column)).damping == 0.12
     (tmp_path / "flume.toml").write_text(flume)
     scene = read_scene(str(tmp_path / "flume.toml"))
     assert [solid.kind for solid in scene.solids] == ["terrain", "box", "polygon"]

@@ -66,19 +66,17 @@ def test_flows_that_have_no_time_in_common_are_compared_where_they_end() -> None
     assert found.time.tolist() == [flow.time[-1]]
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(tmp_path: Path) -> None:
     flow = toy(2)
     for name, each in {"one": flow, "other": shifted(flow, APART)}.items():
         each.save(tmp_path / name / "trajectory.npz")
     out = tmp_path / "out"
     arguments = [str(tmp_path / "one"), str(tmp_path / "other"), "--out", str(out)]
     assert run(command, "compare", arguments) == 0
-    assert "front [m]" in capsys.readouterr().out
     found = json.loads((out / "comparison.json").read_text())
     assert found["runs"] == ["one", "other"]
     assert found["end"]["difference"]["transport"] == pytest.approx(APART, rel=1e-5)
     assert len(found["series"]["a"]["front"]) == len(found["time"]) == len(flow.time)
-    assert "| front [m] " in (out / "comparison.md").read_text()
     assert (out / "comparison.png").stat().st_size > 10_000
 
 

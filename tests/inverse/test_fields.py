@@ -199,10 +199,9 @@ def test_the_derivative_of_the_numbers(tmp_path: Path) -> None:
     np.testing.assert_allclose(ours, found, atol=0.15 * np.abs(found).max())
 
 
-def test_the_command(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_command(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert run(main, "inverse", [files(tmp_path), "--out", str(out)]) == 0
-    assert "velocity_x: The observation removes" in capfd.readouterr().out
     result = json.loads((out / "result.json").read_text())
     (velocity,) = result["fields"]
     assert result["unknowns"].keys() == result["certainty"].keys() == {"velocity_x", "floor_friction"}

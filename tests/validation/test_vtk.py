@@ -96,12 +96,11 @@ def test_a_picture_shows_what_is_where(dimension: int) -> None:
 
 
 @opengl
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(tmp_path: Path) -> None:
     slide(2).save(tmp_path / "run" / "trajectory.npz")
     out = tmp_path / "out"
     flags = ["--out", str(out), "--picture", "--movie", "--time", "0.12"]
     assert run(command, "vtk", [str(tmp_path / "run"), *flags]) == 0
-    assert "t = 0.100 s" in capsys.readouterr().out
     assert pyvista.get_reader(out / "trajectory.pvd").time_values == [0.0, 0.1, 0.2]
     picture = imread(out / "picture.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 100

@@ -208,12 +208,11 @@ def test_a_force_is_that_of_the_solid() -> None:
 
 
 @pytest.mark.slow
-def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path) -> None:
     force = 'quantity = "impact_force"\nsolid = "baffles[1]"\nwindow = 0.04\nbelow = 700.0'
     file.write_text(PROBLEM.replace('quantity = "front"\nbelow = 0.7', force))
     out = file.parent / "out"
     main(str(file), out=out)
-    assert "problem: confirmed" in capsys.readouterr().out
     found = json.loads((out / "design.json").read_text())
     # A low barrier lets through what strikes the second one, a higher one than needed costs more.
     assert 0.06 < found["design"]["baffles[0].height"] < 0.2
