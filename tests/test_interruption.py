@@ -30,6 +30,17 @@ PAGE = 4096
 """Bytes in which a disk in memory counts."""
 
 
+def finished(arguments: list[str], out: Path) -> float:
+    """Run a command to its end; seconds from when it held its folder."""
+    process = start(arguments)
+    began = wait_for_work(process, out)
+    _, error = process.communicate(timeout=breaking.LIMIT)
+    # A loop without a confirmed answer ends with 1.
+    assert process.returncode in (0, 1), error
+    assert "Traceback" not in error
+    return time.monotonic() - began
+
+
 @dataclass(frozen=True, kw_only=True)
 class Command:
     """A command, which goes on where it was broken off when it is given again."""
@@ -45,19 +56,9 @@ class Command:
     size: int
     """What it writes [bytes]."""
 
-    def finish(self, out: Path) -> float:
-        """Run it to its end; seconds from when it held its folder."""
-        process = start(self.arguments(out))
-        began = wait_for_work(process, out)
-        _, error = process.communicate(timeout=breaking.LIMIT)
-        # A loop without a confirmed answer ends with 1.
-        assert process.returncode in (0, 1), error
-        assert "Traceback" not in error
-        return time.monotonic() - began
-
     def check(self, out: Path) -> None:
         """Give it again: nothing is left over, and the results are those of a run that was never broken off."""
-        self.finish(out)
+        finished(self.arguments(out), out)
         assert unfinished(out) == []
         assert self.result(out) == self.expected
 
@@ -85,10 +86,9 @@ def command(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         "train": (train, breaking.trained),
         "loop": (lambda out: ["-m", "validation.loop", problem, "--out", str(out)], breaking.answer),
     }[request.param]
-    found = Command(arguments=arguments, result=result, expected={}, seconds=0.0, size=0)
     # The first run may compile kernels.
-    found.finish(folder / "first")
-    seconds, whole = found.finish(folder / "whole"), folder / "whole"
+    finished(arguments(folder / "first"), folder / "first")
+    seconds, whole = finished(arguments(folder / "whole"), folder / "whole"), folder / "whole"
     size = sum(-(-path.stat().st_size // PAGE) * PAGE for path in whole.rglob("*") if path.is_file())
     return Command(arguments=arguments, result=result, expected=result(whole), seconds=seconds, size=size)
 

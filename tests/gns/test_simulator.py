@@ -20,7 +20,6 @@ from torch import Tensor
 import gns
 from datasets import Trajectory, read_scene
 from datasets.flow import measures
-from datasets.scene.library import read_scene
 from gns import card
 from gns.library import shipped
 from gns.simulator import Simulator, moving, step_activation_bytes, unroll

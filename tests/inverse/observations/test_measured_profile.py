@@ -15,7 +15,7 @@ from inverse.observations.measured_profile import Heights
 from inverse.observations.profile import REPRESENTATION, Profile
 from inverse.observations.target import Target
 from inverse.target import read_target
-from tests.inverse.observations.test_joint import never
+from tests.inverse.observations.test_observations import never
 from tests.scenes import scene_of
 
 X = np.linspace(0.0, 0.48, 25)

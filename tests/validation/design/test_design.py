@@ -33,7 +33,6 @@ HEIGHTS = tuple(Parameter(name=f"baffles[{index}].height", lower=0.04, upper=0.2
 FRICTION = Parameter(name="friction_deg", lower=18.0, upper=42.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
 FLOOR = Parameter(name="floor_friction", lower=0.3, upper=0.5)
 SCATTER, PRICES = 0.005, {"baffles[0].height": 1.0, "baffles[1].height": 2.0}
-SEEDS = range(3)
 
 
 def problem_of(**changes: object) -> DesignProblem:
@@ -54,7 +53,7 @@ class Known:
         return np.asarray(0.9 - one - 1.5 * other - 0.01 * (angle - 30.0) + scatter)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", range(3))
 def test_the_cheapest_design_of_a_known_response_is_found(seed: int) -> None:
     problem = problem_of(budget=Budget(runs=50, seed=seed))
     found = designed(problem, Known(problem))

@@ -109,15 +109,6 @@ def test_scenes_are_undamped_and_hold_what_was_measured(shipped: Shipped) -> Non
                 assert measured.value + 3.0 * measured.spread < scene.domain.size[0]
 
 
-def changed(shelf: Path, old: str, new: str) -> Path:
-    """The experiment of the shelf with a text of its file replaced."""
-    path = shelf / "wedge" / "experiment.toml"
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
-    return path.parent
-
-
 @pytest.mark.parametrize(
     ("old", "new", "key"),
     [
@@ -132,9 +123,11 @@ def changed(shelf: Path, old: str, new: str) -> Path:
     ],
 )
 def test_a_wrong_experiment_is_refused_by_file_and_key(shelf: Path, old: str, new: str, key: str) -> None:
-    folder = changed(shelf, old, new)
-    found = refused(read_experiment, folder)
-    assert found.where == str(folder / "experiment.toml")
+    path = shelf / "wedge" / "experiment.toml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    found = refused(read_experiment, path.parent)
+    assert found.where == str(path)
     assert key in found.key
 
 

@@ -12,8 +12,6 @@ from scipy.stats import norm
 
 from datasets import Domain, Solid
 from gns import card, checkpoint
-from gns.settings import ModelSettings
-from gns.simulator import Normalisation, Simulator
 from inverse import Parameter, TargetSettings, read_problem
 from inverse.answer import Purpose, Verdict
 from inverse.forward.gns import GnsForward
@@ -21,6 +19,7 @@ from inverse.observations import FrontSettings
 from inverse.search.inference import begun
 from inverse.settings import LoopSettings, Surrogate
 from inverse.target import read_target
+from tests.inverse.flows import simulator_of
 from tests.refusals import refused
 from tests.validation.loop.flows import (
     Case,
@@ -137,9 +136,7 @@ def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The file of a tiny model with a card: trained on level floors, 95 % of its fronts within 4 % of the extent."""
     calibration = card.Calibration(front={"0.95": 0.04}, profile={"0.95": 0.02}, flows=40)
     level = SimpleNamespace(ranges=(), calibration=lambda scene: calibration)
-    settings = ModelSettings(body_length=0.2, width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
-    scales = Normalisation(displacement_scale=0.003, acceleration_scale=0.01, friction_mean=0.6, friction_std=0.2)
-    checkpoint.save(tmp_path / "tiny.safetensors", Simulator(settings, scales), {})
+    checkpoint.save(tmp_path / "tiny.safetensors", simulator_of(2).float(), {})
     monkeypatch.setattr(card, "read", lambda path: level)
     monkeypatch.setattr(
         surrogate, "outside", lambda scene, _: [f"slope_deg {scene.slope_deg:g}"] * (scene.slope_deg > 0)

@@ -1,4 +1,4 @@
-"""The surrogate as a forward: a flow of any size, differentiable in all parameters through every observation."""
+"""Forward models: the surrogate, of any size and differentiable in all parameters; the MPM as a layer of PyTorch."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import Mass
-from gns.settings import ModelSettings
-from gns.simulator import Normalisation, Simulator, unroll
+from datasets import Baffle, Mass
+from gns.simulator import unroll
 from inverse import Parameter, Problem, TargetSettings, read_problem
+from inverse.forward.adjoint import AdjointForward, Run
 from inverse.forward.gns import GnsForward
-from inverse.observations import KINDS, FrontSettings, GaugesSettings, Rollout
+from inverse.observations import KINDS, FrontSettings, GaugesSettings, ImpulseSettings, Rollout
+from mpm import simulate, simulate_many
 from tests.inverse.flows import problem_of, simulator_of
+from tests.mpm.adjoint.flows import plane
 from tests.scenes import scene_of
 
 
@@ -27,11 +29,7 @@ def problem() -> Problem:
 
 
 def forward_of(problem: Problem) -> GnsForward:
-    torch.manual_seed(0)
-    settings = ModelSettings(body_length=0.1, width=16, layers=2, rounds=1, grid_channels=8)
-    scales = Normalisation(displacement_scale=0.003, acceleration_scale=0.01, friction_mean=0.6, friction_std=0.2)
-    observation = FrontSettings().operator(problem.scene)
-    return GnsForward(Simulator(settings, scales), problem, observation)
+    return GnsForward(simulator_of(2), problem, FrontSettings().operator(problem.scene))
 
 
 def test_between_two_steps_particles_move_straight(problem: Problem) -> None:
@@ -119,3 +117,46 @@ def test_every_parameter_through_every_observation(rollouts: SimpleNamespace, ki
     assert np.abs(by_differences).min() > 0.0
     # Rounding of a length of some 0.3 m, over a step of 1e-7 m.
     np.testing.assert_allclose(by_ad.numpy(), by_differences, rtol=1e-4, atol=2e-9)
+
+
+BOTH = ("friction_deg", "masses[0].velocity_x")
+LAYERED = (*BOTH, "masses[1].velocity_y", "floor_friction", "young", "masses[1].cohesion")
+VALUES = np.array([30.0, 1.0, -0.3, 0.3, 2.0e6, 450.0])
+CHANGES = np.array([1e-4, 1e-6, 1e-6, 1e-5, 10.0, 1e-2])
+# With its gaps remembered, a corner of this flow's path lies within the difference's step of friction_deg.
+SCENE = plane(wall_friction=0.0, volume_correction=False)
+
+
+def test_a_layer_is_ten_lines() -> None:
+    """As its docstring has it: a loss of the deposit, backward, and the gradient of two parameters."""
+    run = Run(SCENE, names=LAYERED, precision="f64", threads=1)
+    parameters = torch.tensor(VALUES, requires_grad=True)
+    positions, velocities = run(parameters)
+    (positions[-1, :, 0].mean() + 0.1 * velocities[-1, :, 1].square().mean()).backward()
+
+    def loss(values: np.ndarray) -> float:
+        moved, sped = Run(SCENE, names=LAYERED, precision="f64", threads=1)(torch.tensor(values))
+        return float(moved[-1, :, 0].mean() + 0.1 * sped[-1, :, 1].square().mean())
+
+    for index, step in enumerate(CHANGES):
+        change = np.where(np.arange(len(VALUES)) == index, step, 0.0)
+        found = (loss(VALUES + change) - loss(VALUES - change)) / (2.0 * step)
+        assert float(parameters.grad[index]) == pytest.approx(found, rel=2e-4), LAYERED[index]
+
+
+def test_the_impulse_on_a_baffle() -> None:
+    """At two times, as a function of the friction angle and of a velocity."""
+    scene = dataclasses.replace(SCENE, baffles=(Baffle(lower=(0.313, 0.0), size=(0.05, 0.127)),), duration=0.03)
+    settings, both = ImpulseSettings(times=(0.021, 0.03)), zip(BOTH, VALUES[:2], strict=True)
+    parameters = tuple(Parameter(name=name, initial=at, lower=0.5 * at, upper=1.5 * at) for name, at in both)
+    target = TargetSettings(twin=True)
+    problem = Problem(name="slide", scene=scene, parameters=parameters, observations=(settings,), target=target)
+    observation = settings.operator(scene)
+    forward = AdjointForward(problem, observation, simulate_many, precision="f64", threads=1)
+    exact = observation.observe(simulate(scene, precision="f64", threads=1))
+    rows = torch.autograd.functional.jacobian(forward.predict, torch.tensor(VALUES[:2])).numpy()
+    np.testing.assert_allclose(forward.observe([VALUES[:2]])[0], exact, rtol=1e-6)
+    for index, step in enumerate(CHANGES[:2]):
+        change = np.where(np.arange(2) == index, step, 0.0)
+        ahead, behind = forward.observe([VALUES[:2] + change, VALUES[:2] - change])
+        np.testing.assert_allclose(rows[:, index], (ahead - behind) / (2.0 * step), rtol=1e-4)
