@@ -13,6 +13,7 @@ from inverse.observations import KINDS
 from inverse.parameters import kind
 from inverse.problem import PROBLEMS
 from inverse.target import read_target
+from tests.inverse.parameters.test_prior import GOOD as STATED
 from tests.refusals import refused, refused_by
 from tests.scenes import flow_of
 
@@ -28,6 +29,9 @@ kind = "front"
 value = 0.55
 [target]
 """
+
+
+PAIR = '[[correlations]]\nbetween = ["cohesion", "friction_deg"]\ncoefficient = 0.1'
 
 
 def written(folder: Path, text: str) -> str:
@@ -92,13 +96,27 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
         ('kind = "front"', 'kind = "front"\nline = 0.5', "line: expected it with kind passed alone, not with front"),
         ('kind = "front"', 'kind = "toe"', "observations[0].value"),
         ("[target]", '[optimiser]\nmethod = "newton"\n[target]', "optimiser.method"),
+        ('"normal"', '"gaussian"', "unknowns[0].prior.kind"),
+        ("deviation = 2.0", "deviation = -2.0", "unknowns[0].prior.deviation"),
+        ("deviation = 2.0", "mode = 2.0", "unknowns[0].prior.deviation"),
+        ("deviation = 2.0", "deviation = 2.0, mode = 20.0", "unknowns[0].prior.mode"),
+        ("deviation = 2.0", "width = 2.0", "unknowns[0].prior.width"),
+        ("mean = 30.0", "mean = 90.0", "unknowns[0].prior.mean"),
+        ('"normal", mean = 30.0, deviation = 2.0', '"triangular", mode = 50.0', "unknowns[0].prior.mode"),
+        ("mean = 600.0", "mean = -600.0", "unknowns[1].prior.mean"),
+        ("upper = 45.0\nprior", "upper = 45.0\ninitial = 60.0\nprior", "unknowns[0].initial"),
+        ('prior = { kind = "normal", mean = 30.0, deviation = 2.0 }', "", "unknowns[0].initial"),
+        ("coefficient = -0.5", "coefficient = -1.0", "correlations[0].coefficient"),
+        ('["friction_deg", "cohesion"]', '["friction_deg", "young"]', "correlations[0].between"),
+        ('["friction_deg", "cohesion"]', '["cohesion", "cohesion"]', "correlations[0].between"),
+        ("coefficient = -0.5", f"coefficient = -0.5\n{PAIR}", "correlations[1].between"),
     ],
 )
 def test_a_wrong_problem_is_one_line_and_status_2(
     old: str, new: str, key: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert old in GOOD
-    path = written(tmp_path, GOOD.replace(old, new))
+    text = next(each for each in (GOOD, STATED) if old in each)
+    path = written(tmp_path, text.replace(old, new))
     assert key in refused_by(capfd, main, path, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

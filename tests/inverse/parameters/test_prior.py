@@ -173,34 +173,6 @@ def test_a_stated_prior_is_read_and_a_uniform_one_is_none(tmp_path: Path) -> Non
     assert dataclasses.replace(read, parameters=uniform, correlations=()).prior is None
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "key"),
-    [
-        ('"normal"', '"gaussian"', "unknowns[0].prior.kind"),
-        ("deviation = 2.0", "deviation = -2.0", "unknowns[0].prior.deviation"),
-        ("deviation = 2.0", "mode = 2.0", "unknowns[0].prior.deviation"),
-        ("deviation = 2.0", "deviation = 2.0, mode = 20.0", "unknowns[0].prior.mode"),
-        ("deviation = 2.0", "width = 2.0", "unknowns[0].prior.width"),
-        ("mean = 30.0", "mean = 90.0", "unknowns[0].prior.mean"),
-        ('"normal", mean = 30.0, deviation = 2.0', '"triangular", mode = 50.0', "unknowns[0].prior.mode"),
-        ("mean = 600.0", "mean = -600.0", "unknowns[1].prior.mean"),
-        ("upper = 45.0\nprior", "upper = 45.0\ninitial = 60.0\nprior", "unknowns[0].initial"),
-        ('prior = { kind = "normal", mean = 30.0, deviation = 2.0 }', "", "unknowns[0].initial"),
-        ("coefficient = -0.5", "coefficient = -1.0", "correlations[0].coefficient"),
-        ('["friction_deg", "cohesion"]', '["friction_deg", "young"]', "correlations[0].between"),
-        ('["friction_deg", "cohesion"]', '["cohesion", "cohesion"]', "correlations[0].between"),
-        (
-            "[[observations]]",
-            '[[correlations]]\nbetween = ["cohesion", "friction_deg"]\ncoefficient = 0.1\n[[observations]]',
-            "correlations[1].between",
-        ),
-    ],
-)
-def test_a_wrong_prior_is_named(old: str, new: str, key: str, tmp_path: Path) -> None:
-    assert old in GOOD
-    assert refused(stated, tmp_path, GOOD.replace(old, new)).key == key
-
-
 def test_a_lognormal_velocity_below_0_and_pairs_that_contradict_each_other_are_refused() -> None:
     assert refused(LOGNORMAL.check, -1.0, 5.0).key == "kind"
     numbers = {name: number(None, name).marginal for name in ("a", "b", "c")}
