@@ -49,9 +49,7 @@ def test_until_settled_and_at_rest_after_the_last_stage() -> None:
     assert first == pytest.approx(0.1)
     assert 0.1 < second < 0.5
     assert width[-1] > width[0] + 0.1
-
-
-def test_what_never_settles_is_remarked() -> None:
+    # What never settles is remarked.
     flow = simulate(staged(Stage(time="settled", **LOST), duration=0.05), threads=1)
     assert flow.summary["stage_time"] == [None]
     assert any(line.startswith("stages[0] did not begin: by t = 0.05 s") for line in flow.summary["remarks"])
