@@ -25,7 +25,6 @@ from gns.simulator import Simulator
 from tests.gns.conftest import NORMALISATION
 from tests.refusals import refused
 
-ROOT = Path(__file__).parents[2]
 SCALED = ModelSettings(body_length=0.08**0.5, history=2, width=8, layers=1, rounds=1, grid_channels=4, grid_layers=1)
 PROVENANCE = {"command": "python -m gns.train data/flow2d --out runs/a", "seed": 4, "log": {"updates": 3000}}
 

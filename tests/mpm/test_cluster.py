@@ -10,10 +10,8 @@ import pytest
 
 from datasets.errors import InputError, WorkFailed
 from mpm.cluster import Workers, connected
-from tests.mpm.test_generate import TINY
 
 distributed = pytest.importorskip("distributed")
-SCENES = [entry.scene for entry in TINY.entries(seed=3)]
 
 
 @pytest.fixture(scope="module")

@@ -236,17 +236,17 @@ def test_a_release_of_another_map_is_refused(tmp_path: Path, release: str, words
     assert refused(scene, tmp_path, text, said=words).key == "masses[0].thickness"
 
 
-@pytest.mark.parametrize(
-    ("name", "write", "words"),
-    [
-        ("dem.asc", holes, "expected a raster without holes in the box, got 2 cells without data"),
-        ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
-        ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:3857"), "metres are metres on the ground"),
-        ("dem.tif", lambda path: write_raster(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
-        ("dem.asc", lambda path: None, "there is none"),
-        ("dem.asc", lambda path: path.write_text("a,b\n1,2\n"), "expected a readable raster"),
-    ],
-)
+CASES: list[tuple[str, Callable[[Path], object], str]] = [
+    ("dem.asc", holes, "expected a raster without holes in the box, got 2 cells without data"),
+    ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:4326"), "in metres, got one in degrees"),
+    ("dem.tif", lambda path: write_raster(path, tilted(), "EPSG:3857"), "metres are metres on the ground"),
+    ("dem.tif", lambda path: write_raster(path, np.full((10, 5), 1.0)), "ground over the whole box, x from 0"),
+    ("dem.asc", lambda path: None, "there is none"),
+    ("dem.asc", lambda path: path.write_text("a,b\n1,2\n"), "expected a readable raster"),
+]
+
+
+@pytest.mark.parametrize(("name", "write", "words"), CASES)
 def test_files_that_are_refused(tmp_path: Path, name: str, write: Callable[[Path], object], words: str) -> None:
     write(tmp_path / name)
     found = refused(scene, tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n', said=words)

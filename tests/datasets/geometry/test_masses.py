@@ -108,37 +108,25 @@ OPEN = dataclasses.replace(BALL, triangles=(BALL.triangles or ())[1:])
 SWAPPED = dataclasses.replace(BALL, triangles=((BALL.triangles or ())[0][::-1], *(BALL.triangles or ())[1:]))
 LAYER_BESIDE = Mass(kind="layer", thickness=((0.1,),), origin=(3.0, 0.5), spacing=(0.5, 0.5))
 THIN = Solid(lower=(1.4, 0.3), size=(0.001, 0.1), turned_deg=10.0)
+REFUSED: list[tuple[int, list[Mass], list[Solid], str]] = [
+    (2, [polygon((0.1, 0.1), (0.5, 0.5), (0.5, 0.1), (0.1, 0.5))], [], "masses[0].vertices: expected a polygon that"),
+    (2, [polygon((0.1, 0.1), (2.5, 0.1), (0.5, 0.5))], [], "masses[0]: expected a polygon inside the domain"),
+    (2, [Mass(kind="layer", thickness=-1.0)], [], "masses[0].thickness: expected thicknesses in m of at least 0"),
+    (2, [Mass(lower=(0.1, 0.1))], [], "masses[0].size: expected a value, the key is missing"),
+    (3, [BALL, LAYER_BESIDE], [], "masses[1]: expected a layer that lies in the box"),
+    (3, [OPEN], [], "masses[0].triangles: expected a closed surface, got one with 3 open edges"),
+    (3, [SWAPPED], [], "masses[0].triangles: expected a closed surface whose triangles all face the same way"),
+    (2, [BOX], [SLOPE], "masses[0]: expected a body clear of solids[0]"),
+    (2, [Mass(lower=(1.2, 0.2), size=(0.4, 0.3))], [SLOPE, THIN], "masses[0]: expected a body clear of solids[1]"),
+    (2, [BOX], [Solid(lower=(2.5, 0.3), size=(0.3, 0.3))], "solids[0]: expected a solid that reaches into the domain"),
+    (2, [BOX, polygon((0.3, 0.5), (0.5, 0.5), (0.5, 0.7))], [], "masses[1]: expected a body clear of masses[0]"),
+    (2, [Mass(kind="layer", thickness=0.4), BOX], [], "masses[1]: expected a body clear of masses[0]"),
+    (3, [ball((1.0, 0.4, 0.5), 0.35)], [VALLEY], "masses[0]: expected a body clear of solids[0]"),
+    (3, [BALL, ball((1.1, 0.5, 0.5), 0.2)], [], "masses[1]: expected a body clear of masses[0]"),
+]
 
 
-@pytest.mark.parametrize(
-    ("dimension", "masses", "solids", "words"),
-    [
-        (
-            2,
-            [polygon((0.1, 0.1), (0.5, 0.5), (0.5, 0.1), (0.1, 0.5))],
-            [],
-            "masses[0].vertices: expected a polygon that",
-        ),
-        (2, [polygon((0.1, 0.1), (2.5, 0.1), (0.5, 0.5))], [], "masses[0]: expected a polygon inside the domain"),
-        (2, [Mass(kind="layer", thickness=-1.0)], [], "masses[0].thickness: expected thicknesses in m of at least 0"),
-        (2, [Mass(lower=(0.1, 0.1))], [], "masses[0].size: expected a value, the key is missing"),
-        (3, [BALL, LAYER_BESIDE], [], "masses[1]: expected a layer that lies in the box"),
-        (3, [OPEN], [], "masses[0].triangles: expected a closed surface, got one with 3 open edges"),
-        (3, [SWAPPED], [], "masses[0].triangles: expected a closed surface whose triangles all face the same way"),
-        (2, [BOX], [SLOPE], "masses[0]: expected a body clear of solids[0]"),
-        (2, [Mass(lower=(1.2, 0.2), size=(0.4, 0.3))], [SLOPE, THIN], "masses[0]: expected a body clear of solids[1]"),
-        (
-            2,
-            [BOX],
-            [Solid(lower=(2.5, 0.3), size=(0.3, 0.3))],
-            "solids[0]: expected a solid that reaches into the domain",
-        ),
-        (2, [BOX, polygon((0.3, 0.5), (0.5, 0.5), (0.5, 0.7))], [], "masses[1]: expected a body clear of masses[0]"),
-        (2, [Mass(kind="layer", thickness=0.4), BOX], [], "masses[1]: expected a body clear of masses[0]"),
-        (3, [ball((1.0, 0.4, 0.5), 0.35)], [VALLEY], "masses[0]: expected a body clear of solids[0]"),
-        (3, [BALL, ball((1.1, 0.5, 0.5), 0.2)], [], "masses[1]: expected a body clear of masses[0]"),
-    ],
-)
+@pytest.mark.parametrize(("dimension", "masses", "solids", "words"), REFUSED)
 def test_what_is_no_body_and_what_overlaps(dimension: int, masses: list[Mass], solids: list[Solid], words: str) -> None:
     refused(lambda: scene_of(*masses, solids=tuple(solids), dimension=dimension), said=words)
 

@@ -85,17 +85,16 @@ def steep(flow: Trajectory) -> Trajectory:
     return changed(flow, "positions", -1, np.stack([x, np.clip(0.4 - x, 0.0, None)], axis=1))
 
 
-@pytest.mark.parametrize(
-    "scene",
-    [
-        scene_of(),
-        scene_of(baffles=(BAFFLE,)),
-        scene_of(gravity=0.0),
-        scene_of(CUBE, size=(0.4, 0.2, 0.2)),
-        scene_of(slope_deg=60.0, floor_friction=2.0),
-    ],
-    ids=["bed", "baffle", "weightless", "3D", "slope"],
+SCENES = (
+    scene_of(),
+    scene_of(baffles=(BAFFLE,)),
+    scene_of(gravity=0.0),
+    scene_of(CUBE, size=(0.4, 0.2, 0.2)),
+    scene_of(slope_deg=60.0, floor_friction=2.0),
 )
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=["bed", "baffle", "weightless", "3D", "slope"])
 def test_sand_at_rest_passes(scene: Scene) -> None:
     for check in ALWAYS:
         finding = check(at_rest(scene))
