@@ -79,7 +79,7 @@ def test_the_most_reliable_design_is_found_where_nothing_has_a_cost() -> None:
     assert found.reliability.expected == pytest.approx(norm.cdf(0.05 / 0.03), abs=0.02)
 
 
-def test_a_limit_that_no_design_keeps_is_unreachable(tmp_path: Path) -> None:
+def test_a_limit_that_no_design_keeps_is_unreachable() -> None:
     problem = problem_of(limit=Limit(quantity="front", below=0.3), budget=Budget(runs=40, checks=40))
     found = designed(problem, Known(problem))
     assert found.verdict is Verdict.UNREACHABLE
