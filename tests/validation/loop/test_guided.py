@@ -23,7 +23,6 @@ from tests.inverse.flows import simulator_of
 from tests.refusals import refused
 from tests.validation.loop.flows import (
     Case,
-    Coarse,
     FakeMpm,
     Folded,
     FoldedFormula,
@@ -221,7 +220,7 @@ def test_a_surrogate_is_asked_where_a_run_of_the_mpm_is_dear(tmp_path: Path, mon
 
 
 def test_runs_on_larger_cells_lead_to_few_on_those_of_the_scene(tmp_path: Path) -> None:
-    case = wedge(tmp_path, truth=24.0, mpm=Coarse(scatter=0.001))
+    case = wedge(tmp_path, truth=24.0, mpm=FakeMpm(scatter=0.001, shortened=2.0))
     loop = LoopSettings(mpm_runs=6)
     case = replace(case, problem=replace(case.problem, loop=loop))
     result = run(task(case, tmp_path, Surrogate.COARSE))

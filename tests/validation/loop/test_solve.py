@@ -22,19 +22,7 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.search.inference import begun, narrowed
 from inverse.settings import Surrogate
 from tests.inverse.test_fields import files
-from tests.validation.loop.flows import (
-    FRONT,
-    WIDTH,
-    Case,
-    Coarse,
-    Folded,
-    Formula,
-    TwinAngles,
-    Uneven,
-    layers,
-    length,
-    wedge,
-)
+from tests.validation.loop.flows import FRONT, WIDTH, Case, FakeMpm, Folded, Formula, TwinAngles, layers, length, wedge
 from validation.loop import verdict
 from validation.loop.solve import print_outcome, solve
 
@@ -72,7 +60,7 @@ def test_half_widths_hold_the_truth_as_often_as_they_say(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_flows_that_scatter_more_elsewhere_do_not_widen_the_half_width(tmp_path: Path, seed: int) -> None:
-    case = wedge(tmp_path, mpm=Uneven(scatter=0.002), truth=22.0, seed=seed, noise=0.002)
+    case = wedge(tmp_path, mpm=FakeMpm(scatter=0.002, uneven=30.0), truth=22.0, seed=seed, noise=0.002)
     # Twenty runs from 20 to 24 degrees, nine over the whole box.
     state = begun(case.task(tmp_path).search()).ran(np.linspace(0.2, 0.3, 20)[:, None]).informed()
     whole, found = (each.knowledge.posterior for each in (state, narrowed(state)))
@@ -192,9 +180,9 @@ def test_result_report_and_runs_are_what_the_design_promises(tmp_path: Path, kin
 
 def test_the_error_of_the_cells_counts_for_what_was_measured(tmp_path: Path) -> None:
     """Cells of 10 mm shorten the deposit by 2 %; one that was measured was not made of cells."""
-    twin = wedge(tmp_path, truth=24.0, mpm=Coarse(scatter=0.001)).solve(tmp_path / "twin")
+    twin = wedge(tmp_path, truth=24.0, mpm=FakeMpm(scatter=0.001, shortened=2.0)).solve(tmp_path / "twin")
     true = length(24.0) * FRONT
-    measured = wedge(tmp_path, value=true, mpm=Coarse(scatter=0.001)).solve(tmp_path / "seen")
+    measured = wedge(tmp_path, value=true, mpm=FakeMpm(scatter=0.001, shortened=2.0)).solve(tmp_path / "seen")
     assert twin.certainty["friction_deg"] < 0.4
     assert abs(twin.unknowns["friction_deg"] - 24.0) < 0.5
     # 16 mm in a slope of 16 mm a degree.
