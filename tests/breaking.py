@@ -124,12 +124,6 @@ def answer(out: Path) -> Digest:
     return {key: json.dumps(timeless(result[key])) for key in ANSWER} | posterior
 
 
-def twins(out: Path) -> Digest:
-    """The twin experiments that a page kept."""
-    paths = sorted((out / "keep").rglob("[0-9]*.json"))
-    return {path.name: json.dumps(timeless(json.loads(path.read_text()))) for path in paths}
-
-
 def timeless(value: object) -> object:
     """`value` of a JSON file without its seconds, at any depth."""
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Another package of the name `datasets`, beside Talus or in its place, is stated."""
+"""Another package of the name of one of ours, beside Talus or in its place, is stated in a line."""
 
 import subprocess
 import sys
@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 import datasets
-
-ROOT = Path(__file__).parents[1]
+from tests.commands import ROOT
 
 
 def test_a_namesake_beside_us_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,15 +25,20 @@ def test_a_namesake_beside_us_is_stated(monkeypatch: pytest.MonkeyPatch) -> None
         datasets._warn_of_namesake()
 
 
-def test_a_namesake_instead_of_us_is_stated(tmp_path: Path) -> None:
-    (tmp_path / "datasets").mkdir()
-    (tmp_path / "datasets" / "__init__.py").write_text("class Dataset: ...\n")
-    code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]; import mpm"
-    ended = subprocess.run(
-        [sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert ended.returncode == 1
-    assert (
-        "Hugging Face's has the same name: install Talus in an environment of its own" in ended.stderr.splitlines()[-1]
-    )
-    assert str(tmp_path / "datasets") in ended.stderr.splitlines()[-1]
+@pytest.mark.parametrize(
+    ("hidden", "module", "said"),
+    [
+        ("datasets/__init__.py", "mpm", "has the same name: install Talus in an environment of its own"),
+        ("gns/__init__.py", "datasets", "hides Talus's package `gns` here: rename it"),
+        ("inverse.py", "datasets", "hides Talus's package `inverse` here: rename it"),
+    ],
+)
+def test_a_namesake_instead_of_ours_is_stated(tmp_path: Path, hidden: str, module: str, said: str) -> None:
+    (tmp_path / hidden).parent.mkdir(exist_ok=True)
+    (tmp_path / hidden).touch()
+    code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]; import {module}"
+    command = [sys.executable, "-P", "-c", code]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == (1 if module == "mpm" else 0)
+    assert said in ended.stderr
+    assert str(tmp_path / hidden.split("/")[0]) in ended.stderr

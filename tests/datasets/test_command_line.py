@@ -65,12 +65,6 @@ def test_a_mistake_of_ours_keeps_its_traceback(mistake: Exception) -> None:
         run(broken, "do", [])
 
 
-def test_sigterm_is_the_callers_again_afterwards() -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    assert run(command, "do", ["good", "--out", "x"]) == 0
-    assert signal.getsignal(signal.SIGTERM) == before
-
-
 ROOT = Path(__file__).parents[2]
 SPAWNED = """
 import sys, time

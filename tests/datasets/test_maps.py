@@ -149,13 +149,6 @@ def test_the_threshold_is_at_most_half_of_the_thinnest_layer(thickness: object, 
     assert outline(maps, maps.thickness).bounds[0] == pytest.approx(0.3, abs=0.05)
 
 
-def test_an_empty_map_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sliding(scene_of((1.0, 0.6, 0.4), ((0.1, 0.0, 0.0), (0.2, 0.1, 0.2)))).save(tmp_path / "trajectory.npz")
-    arguments = [str(tmp_path / "trajectory.npz"), "--out", str(tmp_path), "--threshold", "0.5"]
-    assert run(command, "maps", arguments) == 0
-    assert "no cell of 0.05 m is thicker than the threshold of 0.5 m" in capsys.readouterr().out
-
-
 def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     box = (1.0, 0.6, 0.4)
     for dimension, flags, words in (

@@ -14,7 +14,7 @@ import gns
 from datasets import command_line
 from datasets.flow import measures
 from gns import card, checkpoint
-from gns.score import Score, calibrated, evaluate, score, table, validation_score
+from gns.score import Score, calibrated, evaluate, score, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
 from gns.surroundings.state import Conditions, State
@@ -44,6 +44,10 @@ def test_bands_are_conformal_quantiles() -> None:
     assert found.flows == 19
     # Of fewer flows than the level asks for by Student's law, which is the normal law of many and 12.7 sigma of one.
     assert calibrated(scores_of(errors[:1])).front["0.95"] == pytest.approx(0.01 * 12.706, rel=1e-3)
+    # Fronts that a wall holds make no band narrower.
+    held = scored(front=0.02, at_wall=True)
+    assert calibrated([*scores_of(errors), *[held] * 40]) == found
+    assert calibrated([held]).flows == 1
 
 
 @pytest.mark.parametrize(("heavy", "count"), [(False, 60), (True, 60), (False, 8)])
@@ -135,25 +139,6 @@ def test_free_flight_is_scored_as_right_and_a_collapse_as_wrong(
     assert validation_score([wrong]) > validation_score([right])
 
 
-def test_the_table_keeps_kinds_of_start_apart() -> None:
-    common = {"profile": 0.25, "height": -0.2, "thickness": 0.15, "overlap": 0.9}
-    scores = [scored(front=error, **common) for error in (-0.01, 0.03, 0.08)]
-    # What a wall holds says nothing of fronts.
-    scores += [scored(front=0.0, at_wall=True, **common), scored(front=0.1, released=False)]
-    lines = table(scores).splitlines()
-    assert len(lines) == 4
-    cells = [cell.strip() for cell in lines[2].strip("|").split("|")]
-    fronts, others = ["4.0 %", "3.0 %", "+3.3 %", "+8.0 %"], ["25.0 %", "-20.0 %", "15.0 %", "90 %"]
-    assert cells == ["released at rest", "4", "1", *fronts, *others]
-    assert "| - " in table([scored(at_wall=True)])
-
-
-def test_fronts_that_a_wall_holds_make_no_band_narrower() -> None:
-    free = scores_of(0.01 * np.arange(1.0, 20.0))
-    assert calibrated([*free, *(scored(at_wall=True) for _ in range(40))]) == calibrated(free)
-    assert calibrated([scored(front=0.02, at_wall=True)]).flows == 1
-
-
 def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(
     simulator: Simulator, settings: ModelSettings, dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -178,4 +163,3 @@ def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(
     assert flat.height < -0.99
     assert flat.thickness > 0.4
     assert validation_score([flat]) > validation_score([right]) + 0.4
-    assert "-100.0 %" in table([flat])

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import InputError, Trajectory
+from datasets import Trajectory
 from datasets.definitions.definition import Split
 from gns import card, checkpoint
 from gns.checkpoint import Model
@@ -43,12 +43,16 @@ def adapted(weights: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_the_call_holds_beside_the_command() -> None:
+def test_the_call_holds_beside_the_command_and_refuses_what_no_surrogate_knows(tmp_path: Path, weights: Path) -> None:
     """`import inverse.adapt`, as for the command, binds the module over the function of the package."""
     import inverse
     import inverse.adapt
 
     refused(inverse.adapt, "friction-tall-42", "out", runs=1, said="at least 7 runs")
+    young = Parameter(name="young", initial=2e6, lower=1e6, upper=3e6)
+    problem = dataclasses.replace(problem_of(2, "friction_deg"), parameters=(young,))
+    said = "unknowns[0]: expected an input of the surrogate, young is none"
+    refused(adapt, problem, tmp_path, model=weights, said=said)
 
 
 def test_flows_fill_the_box_and_more_begin_with_the_fewer(tiny: Model) -> None:
@@ -98,14 +102,12 @@ def test_an_adapted_model_has_its_card_and_its_deposits(adapted: Path, weights: 
         np.testing.assert_allclose(values, [each.read(flow.scene) for each in problem.kinds])
     other = problem_of(2, "cohesion")
     assert deposits(adapted, other) == []
-    with pytest.raises(InputError, match=r"expected a new folder, or one of small on the same cells, it is of another"):
-        adapt(other, adapted, runs=7, model=weights)
+    said = "expected a new folder, or one of small on the same cells, it is of another"
+    refused(adapt, other, adapted, runs=7, model=weights, said=said)
 
 
 @pytest.mark.slow
-def test_the_same_call_again_makes_what_is_missing(
-    adapted: Path, weights: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_same_call_again_makes_what_is_missing(adapted: Path, weights: Path) -> None:
     before = model_path(adapted).read_bytes()
     lost = next((adapted / DATA / "train").glob("*.npz"))
     there = lost.read_bytes()
@@ -113,7 +115,6 @@ def test_the_same_call_again_makes_what_is_missing(
     adapt(problem_of(2, *NAMES), adapted, runs=7, minutes=0.01, model=weights, jobs=2)
     assert lost.read_bytes() == there
     assert model_path(adapted).read_bytes() == before
-    assert "1 runs of the MPM" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -128,10 +129,3 @@ def test_wrong_input_ends_in_a_line(
     arguments: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert expected in refused_by(capsys, main, *arguments, "--out", tmp_path / "run")
-
-
-def test_what_no_surrogate_knows_is_refused(tmp_path: Path, weights: Path) -> None:
-    young = Parameter(name="young", initial=2e6, lower=1e6, upper=3e6)
-    problem = dataclasses.replace(problem_of(2, "friction_deg"), parameters=(young,))
-    with pytest.raises(InputError, match=r"unknowns\[0\]: expected an input of the surrogate, young is none"):
-        adapt(problem, tmp_path, model=weights)

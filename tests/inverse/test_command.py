@@ -53,7 +53,6 @@ def test_an_inversion(tmp_path: Path, observed: str) -> None:
     assert 14 < len(result["iterations"]) < 60
     assert result["loss"]["surrogate"] <= result["loss"]["initial"]
     assert result["seconds"]["mpm"] < 0.1
-    assert "m/s" in (out / "report.md").read_text()
     assert (out / "deposit.png").exists()
 
 

@@ -28,15 +28,18 @@ step_fraction = 0.9
 domain = { size = [0.6, 0.2], cell = 0.02 }
 material = { friction_deg = 30.0, young = 1.0e5, cohesion = 200.0, tension_cutoff = 100.0 }
 masses = [{ lower = [0.1, 0.0], size = [0.12, 0.04], velocity = [0.5, 0.0] }]
-[[fields]]
-quantity = "velocity_x"
-origin = [0.1, 0.0]
-spacing = [0.12, 0.04]
-nodes = [2, 1]
-values = [0.4, 0.9]
+fields = [
+  { quantity = "velocity_x", origin = [0.1, 0.0], spacing = [0.12, 0.04], nodes = [2, 1], values = [0.4, 0.9] },
+]
 """
 PROBLEM = """
 scene = "scene.toml"
+observations = [
+  { kind = "profile", spacing = 0.01, times = [0.0525], noise = 0.0005 },
+  { kind = "height", x = [0.2, 0.24], times = [0.05, 0.1], noise = 0.0005 },
+]
+target = { twin = true, seed = 1000 }
+optimiser = { seeds = 2, ensemble = 6, max_iterations = 2 }
 [[unknowns]]
 name = "velocity_x"
 spacing = [0.02, 1.0]
@@ -48,23 +51,6 @@ name = "floor_friction"
 initial = 0.4
 lower = 0.1
 upper = 0.7
-[[observations]]
-kind = "profile"
-spacing = 0.01
-times = [0.0525]
-noise = 0.0005
-[[observations]]
-kind = "height"
-x = [0.2, 0.24]
-times = [0.05, 0.1]
-noise = 0.0005
-[target]
-twin = true
-seed = 1000
-[optimiser]
-seeds = 2
-ensemble = 6
-max_iterations = 2
 """
 FRICTION = """name = "friction_deg"
 spacing = [0.02, 0.02]
@@ -161,7 +147,7 @@ def test_a_step_is_halved_until_the_objective_falls() -> None:
 
 def test_nodes_cover_the_body_between_the_stated_band(tmp_path: Path) -> None:
     text = PROBLEM.replace('name = "floor_friction"\ninitial = 0.4\nlower = 0.1\nupper = 0.7\n', FRICTION)
-    problem = read_problem(files(tmp_path, text.replace("twin = true\nseed = 1000", 'trajectory = "seen.npz"')))
+    problem = read_problem(files(tmp_path, text.replace("twin = true, seed = 1000", 'trajectory = "seen.npz"')))
     velocity, friction = problem.fields
     assert (velocity.grid.nodes, friction.grid.nodes) == ((7, 1), (7, 3))
     np.testing.assert_allclose(friction.grid.positions[[0, -1]], [[0.1, 0.0], [0.22, 0.04]])
@@ -196,10 +182,7 @@ def test_nodes_cover_the_body_between_the_stated_band(tmp_path: Path) -> None:
 )
 def test_mistakes_are_named(tmp_path: Path, before: str, after: str, key: str) -> None:
     assert refused(read_problem, files(tmp_path, PROBLEM.replace(before, after, 1))).key.startswith(key)
-
-
-def test_a_twin_without_a_truth_is_refused(tmp_path: Path) -> None:
-    refused(read_problem, files(tmp_path, scene=SCENE.split("[[fields]]")[0]), said="as the truth")
+    refused(read_problem, files(tmp_path, scene=SCENE.split("fields")[0]), said="as the truth")
 
 
 def test_the_derivative_of_the_numbers(tmp_path: Path) -> None:
@@ -216,10 +199,9 @@ def test_the_derivative_of_the_numbers(tmp_path: Path) -> None:
     np.testing.assert_allclose(ours, found, atol=0.15 * np.abs(found).max())
 
 
-def test_the_command(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_command(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert run(main, "inverse", [files(tmp_path), "--out", str(out)]) == 0
-    assert "velocity_x: The observation removes" in capfd.readouterr().out
     result = json.loads((out / "result.json").read_text())
     (velocity,) = result["fields"]
     assert result["unknowns"].keys() == result["certainty"].keys() == {"velocity_x", "floor_friction"}

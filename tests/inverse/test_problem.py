@@ -13,6 +13,7 @@ from inverse.observations import KINDS
 from inverse.parameters import kind
 from inverse.problem import PROBLEMS
 from inverse.target import read_target
+from tests.inverse.parameters.test_prior import GOOD as STATED
 from tests.refusals import refused, refused_by
 from tests.scenes import flow_of
 
@@ -28,6 +29,9 @@ kind = "front"
 value = 0.55
 [target]
 """
+
+
+PAIR = '[[correlations]]\nbetween = ["cohesion", "friction_deg"]\ncoefficient = 0.1'
 
 
 def written(folder: Path, text: str) -> str:
@@ -56,13 +60,6 @@ def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
     np.testing.assert_allclose([kind(name).read(baffles.scene) for name in baffles.names], baffles.initial)
     true = [kind(name).read(baffles.twin_scene) for name in baffles.names]
     np.testing.assert_allclose(true, np.array([0.341, 0.812]) - 0.1)
-
-
-def test_a_twin_on_other_cells_is_the_flow_of_these() -> None:
-    problem = read_problem("friction-tall-42")
-    finer = dataclasses.replace(problem, target=dataclasses.replace(problem.target, cell=0.005))
-    assert finer.twin_scene == problem.twin_scene.with_cell(0.005)
-    assert finer.scene.domain.cell == 0.01
 
 
 def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> None:
@@ -99,21 +96,29 @@ def test_an_unknown_name_gets_suggestions_that_the_scene_has(tmp_path: Path) -> 
         ('kind = "front"', 'kind = "front"\nline = 0.5', "line: expected it with kind passed alone, not with front"),
         ('kind = "front"', 'kind = "toe"', "observations[0].value"),
         ("[target]", '[optimiser]\nmethod = "newton"\n[target]', "optimiser.method"),
+        ('"normal"', '"gaussian"', "unknowns[0].prior.kind"),
+        ("deviation = 2.0", "deviation = -2.0", "unknowns[0].prior.deviation"),
+        ("deviation = 2.0", "mode = 2.0", "unknowns[0].prior.deviation"),
+        ("deviation = 2.0", "deviation = 2.0, mode = 20.0", "unknowns[0].prior.mode"),
+        ("deviation = 2.0", "width = 2.0", "unknowns[0].prior.width"),
+        ("mean = 30.0", "mean = 90.0", "unknowns[0].prior.mean"),
+        ('"normal", mean = 30.0, deviation = 2.0', '"triangular", mode = 50.0', "unknowns[0].prior.mode"),
+        ("mean = 600.0", "mean = -600.0", "unknowns[1].prior.mean"),
+        ("upper = 45.0\nprior", "upper = 45.0\ninitial = 60.0\nprior", "unknowns[0].initial"),
+        ('prior = { kind = "normal", mean = 30.0, deviation = 2.0 }', "", "unknowns[0].initial"),
+        ("coefficient = -0.5", "coefficient = -1.0", "correlations[0].coefficient"),
+        ('["friction_deg", "cohesion"]', '["friction_deg", "young"]', "correlations[0].between"),
+        ('["friction_deg", "cohesion"]', '["cohesion", "cohesion"]', "correlations[0].between"),
+        ("coefficient = -0.5", f"coefficient = -0.5\n{PAIR}", "correlations[1].between"),
     ],
 )
 def test_a_wrong_problem_is_one_line_and_status_2(
     old: str, new: str, key: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert old in GOOD
-    path = written(tmp_path, GOOD.replace(old, new))
+    text = next(each for each in (GOOD, STATED) if old in each)
+    path = written(tmp_path, text.replace(old, new))
     assert key in refused_by(capfd, main, path, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_a_deposit_requires_the_particles_of_its_scene(tmp_path: Path) -> None:
-    problem = small("deposit", tmp_path, TargetSettings(trajectory="seen.npz"))
-    fall(problem.scene).save(tmp_path / "seen.npz")
-    refused(read_target, problem, fall, said="seen.npz: expected the 3200 particles")
 
 
 def small(kind: str, folder: Path, target: TargetSettings | None = None, **measured: str) -> Problem:
@@ -137,12 +142,18 @@ def test_a_twin_has_its_own_angle_and_jitter(tmp_path: Path) -> None:
     assert target.values == pytest.approx([target.front])
     unstated = small("front", tmp_path, TargetSettings(twin=True, seed=3))
     assert read_target(unstated, fall).truth == {"friction_deg": 42.0}
+    # On other cells it is the flow of these.
+    finer = dataclasses.replace(problem, target=dataclasses.replace(settings, cell=0.005))
+    assert finer.twin_scene == problem.twin_scene.with_cell(0.005)
+    assert finer.scene.domain.cell == 0.01
 
 
 def test_a_trajectory_is_a_target_without_a_truth(tmp_path: Path) -> None:
     problem = small("profile", tmp_path, TargetSettings(trajectory="seen.npz"))
     seen = fall(problem.scene)
     seen.save(tmp_path / "seen.npz")
+    whole = small("deposit", tmp_path, TargetSettings(trajectory="seen.npz"))
+    refused(read_target, whole, fall, said="seen.npz: expected the 3200 particles")
     observation = problem.operators[0]
     target = read_target(problem, fall)
     assert target.truth is None

@@ -10,10 +10,8 @@ import pytest
 
 from datasets.errors import InputError, WorkFailed
 from mpm.cluster import Workers, connected
-from tests.mpm.test_generate import TINY
 
 distributed = pytest.importorskip("distributed")
-SCENES = [entry.scene for entry in TINY.entries(seed=3)]
 
 
 @pytest.fixture(scope="module")
@@ -46,21 +44,18 @@ def test_tasks_of_a_killed_worker_are_made_by_others(cluster: Workers) -> None:
     assert found == {index: float(index) for index in range(12)}
 
 
-@pytest.mark.slow
-def test_no_workers_is_a_failure_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("workers", "threads", "error", "said"),
+    [(1, 2, InputError, "one thread each"), pytest.param(0, 1, WorkFailed, "no worker for", marks=pytest.mark.slow)],
+)
+def test_no_workers_and_workers_of_two_threads_are_refused(
+    workers: int, threads: int, error: type[Exception], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("mpm.cluster.PATIENCE", 0.5)
+    settings = {"threads_per_worker": threads, "processes": False, "dashboard_address": ":0"}
     with (
-        distributed.LocalCluster(n_workers=0, dashboard_address=":0") as local,
-        pytest.raises(WorkFailed, match="no worker for"),
+        distributed.LocalCluster(n_workers=workers, **settings) as local,
+        pytest.raises(error, match=said),
         connected(local.scheduler_address),
-    ):
-        pytest.fail("there is one")
-
-
-def test_workers_of_two_threads_are_refused() -> None:
-    with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0") as two,
-        pytest.raises(InputError, match="one thread each"),
-        connected(two.scheduler_address),
     ):
         pytest.fail("they are let in")

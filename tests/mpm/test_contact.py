@@ -1,4 +1,4 @@
-"""Contact with solids: exact statics at any offset, closed forms of sliding, no leaks, momentum."""
+"""Contact with solids: exact statics at any offset, closed forms of sliding, no leaks, momentum; whole flows."""
 
 import dataclasses
 from functools import partial
@@ -7,9 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets.errors import InputError
-from datasets.flow.measures import front
-from datasets.flow.trajectory import Trajectory
 from datasets.geometry.nearest import nearest
 from datasets.scene import NO_SLIP, Baffle, Domain, Mass, Scene, Solid
 from datasets.scene.material import Material
@@ -20,6 +17,8 @@ from mpm.arrays.properties import DRY_GRIP, roughest
 from mpm.kernel import Phase, kernel
 from mpm.solids.obstacles import covered_at
 from tests.datasets.geometry.solids import surface
+from tests.mpm.test_terrain import hill
+from tests.refusals import refused
 from tests.scenes import scene_of
 from validation.bench.stability.exact_solutions import (
     FreeFlight,
@@ -39,64 +38,39 @@ sand = partial(scene_of, material=SAND, frame_dt=0.01)
 def layer(offset: float, *, dimension: int = 2, terrain: bool = False, **changes: Any) -> Scene:
     """A layer on a level surface `offset` cells above a node, between smooth walls, unstressed at the start."""
     top, width = 5 * CELL + offset * CELL, 0.4 if dimension == 2 else 0.12
-    deep = (width,) * (dimension - 2)
-    solids: tuple[Solid, ...] = ()
-    if terrain:
-        solids = (Solid(kind="terrain", points=((0.0, top), (0.3 * width, top), (width, top)), friction=0.5),)
-    settings = {
-        "size": (width, 0.4, *deep),
-        "baffles": () if terrain else (Baffle(lower=(0.0, 0.0, *(0.0 for _ in deep)), size=(width, top, *deep)),),
-        "solids": solids,
+    near, deep = (0.0,) * (dimension - 2), (width,) * (dimension - 2)
+    ground: dict[str, Any] = {
+        "baffles": (Baffle(lower=(0.0, 0.0, *near), size=(width, top, *deep)),),
         "baffle_friction": 0.5,
-        "duration": 1.0,
-        "step_fraction": 0.9,
-    } | changes
-    body = Mass(lower=(0.0, top, *(0.0 for _ in deep)), size=(width, DEPTH, *deep))
-    return sand(body, **settings)
+    }
+    if terrain:
+        line = ((0.0, top), (0.3 * width, top), (width, top))
+        ground = {"solids": (Solid(kind="terrain", points=line, friction=0.5),)}
+    settings = {"size": (width, 0.4, *deep), "duration": 1.0, "step_fraction": 0.9} | ground | changes
+    return sand(Mass(lower=(0.0, top, *near), size=(width, DEPTH, *deep)), **settings)
 
 
-def slide(height: float, **changes: Any) -> Scene:
+def slide(height: float, kind: str) -> Scene:
     """A block that slides on rough ground at `height` [cells], in a box whose floor and walls are smooth."""
-    top, dimension = height * CELL, 3 if "heights" in changes else 2
-    deep = (0.12,) * (dimension - 2)
-    points: dict[str, Any] = {"points": ((0.0, top), (1.0, top))}
-    if dimension == 3:
-        points = {"heights": ((top, top),) * 2, "origin": (0.0, 0.0), "spacing": (1.0, 0.12)}
-    ground = Solid(kind="terrain", friction=0.4, **points)
-    if "box" in changes:
+    top, near, deep = height * CELL, (), ()
+    if kind == "line":
+        ground = Solid(kind="terrain", points=((0.0, top), (1.0, top)), friction=0.4)
+    elif kind == "box":
         ground = Solid(lower=(0.0, 0.0), size=(1.0, top), friction=0.4)
-    body = Mass(
-        lower=(0.1, top, *(0.0 for _ in deep)), size=(0.2, 0.1, *deep), velocity=(1.0, *(0.0,) * (dimension - 1))
-    )
+    else:
+        near, deep, rows = (0.0,), (0.12,), ((top, top),) * 2
+        ground = Solid(kind="terrain", heights=rows, origin=(0.0, 0.0), spacing=(1.0, 0.12), friction=0.4)
+    body = Mass(lower=(0.1, top, *near), size=(0.2, 0.1, *deep), velocity=(1.0, 0.0, *near))
     return sand(body, size=(1.0, 0.3, *deep), solids=(ground,), duration=0.3)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [pytest.param({}, marks=pytest.mark.slow), {"box": True}, pytest.param({"heights": True}, marks=pytest.mark.slow)],
-    ids=["line", "box", "raster"],
-)
-def test_under_ground_there_is_no_floor(changes: dict[str, Any]) -> None:
+@pytest.mark.parametrize("kind", ["box", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("line", "raster"))])
+def test_under_ground_there_is_no_floor(kind: str) -> None:
     """Ground on the floor brakes a slide like the same ground cells higher, though the floor itself is smooth."""
-    heights = (1.0, 3.0) if "box" in changes else (0.0, 1.0, 3.0)
-    flows = simulate_many([slide(height, **changes) for height in heights], record=LAST)
+    heights = (1.0, 3.0) if kind == "box" else (0.0, 1.0, 3.0)
+    flows = simulate_many([slide(height, kind) for height in heights], record=LAST)
     moved = [float((flow.positions[-1] - flow.positions[0])[:, 0].mean(dtype=np.float64)) for flow in flows]
     assert moved == pytest.approx([moved[-1]] * len(moved), rel=0.01)
-
-
-def test_a_front_is_one_at_any_height_of_its_terrain() -> None:
-    """33.3, 26.6, 24.5, 22.9 m while a smooth floor took part; half a cell moves it by 2.3 %, a seed by 0.6."""
-
-    def raised(height: float, seed: int) -> Scene:
-        points = ((0.0, 10.0 + height), (20.0, height), (80.0, height))
-        layer = Mass(kind="layer", thickness=2.0, outline=((2.0,), (8.0,)))
-        ground, soil = Solid(kind="terrain", points=points, friction=0.5), Material(friction_deg=40.0, young=5.0e6)
-        changes: dict[str, Any] = {"size": (80.0, 14.0), "cell": 0.5, "duration": 8.0, "frame_dt": 0.1, "seed": seed}
-        return scene_of(layer, material=soil, solids=(ground,), **changes)
-
-    flows = simulate_many([raised(height, seed) for height in (0.0, 0.25, 0.5, 1.0) for seed in range(3)], record=LAST)
-    fronts = np.reshape([front(flow.positions[-1], flow.volumes) for flow in flows], (4, 3)).mean(axis=1)
-    assert fronts == pytest.approx([22.2] * 4, rel=0.02)
 
 
 def test_only_a_covered_wall_takes_no_part() -> None:
@@ -131,7 +105,6 @@ def test_a_layer_rests_wherever_its_ground_cuts_the_cells(offset: float, changes
     assert height[since:].mean() - height[0] == pytest.approx(-2.0 / 3.0 * settlement(scene), abs=0.05 * CELL)
     energy = total_energy(flow)
     assert energy.max() - energy[0] <= 1.0e-3 * weight * 0.5 * DEPTH
-    assert flow.solid_impulse is not None
     given = flow.solid_impulse[-1, 0] - flow.solid_impulse[since, 0]
     force = given / (flow.time[-1] - flow.time[since])
     assert force[1] == pytest.approx(-weight, rel=0.01)
@@ -165,7 +138,7 @@ def test_a_block_holds_below_the_angle_of_its_base_and_slides_beyond_it_by_the_c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("thickness", "speed"), [(0.5, 50.0), (0.2, 20.0), (0.05, 5.0)])
+@pytest.mark.parametrize(("thickness", "speed"), [(0.2, 20.0), (0.05, 5.0)])
 def test_nothing_passes_a_thin_plate(thickness: float, speed: float) -> None:
     face = 0.8 + 0.3 * CELL
     plate = Baffle(lower=(face, 0.0), size=(thickness * CELL, 0.6))
@@ -200,39 +173,30 @@ def test_momentum_goes_into_walls_and_solids_alone() -> None:
     scene = sand(*masses, size=(1.0, 0.6), solids=(ground, turned), duration=0.6)
     flow = simulate(scene, record=WITH_FIELDS, precision="f64")
     found = momentum(flow)
-    assert found is not None
     assert found.value < 1.0e-5
-    assert flow.solid_impulse is not None
     assert flow.solid_impulse[-1, 1, 0] > 0.0
 
 
-@pytest.mark.slow
-def test_no_slip_holds_sand_that_coulomb_lets_slide() -> None:
-    def slope(**surface: object) -> Trajectory:
-        body, base = Mass(lower=(0.3, 0.087), size=(0.3, 0.06)), Solid(lower=(0.0, 0.0), size=(1.0, 0.087), **surface)
-        soil = dataclasses.replace(SAND, friction_deg=45.0, cohesion=2000.0)
-        return simulate(sand(body, size=(1.0, 0.4), material=soil, solids=(base,), slope_deg=25.0, duration=0.5))
-
-    slides, sticks = slope(friction=0.2), slope(contact="no-slip")
-    moved = [(flow.positions[-1] - flow.positions[0])[:, 0].mean() for flow in (slides, sticks)]
-    assert moved[0] == pytest.approx(SlidingBlock.on_incline(25.0, 0.2).displacement(0.5), rel=0.1)
-    assert abs(moved[1]) < 0.03 * moved[0]
+SLAB = Solid(lower=(0.0, 0.0), size=(0.6, 0.047), friction=0.3)
 
 
-def test_rough_surfaces_hold_what_touches_them() -> None:
-    """A block on a rough floor stands at 40 degrees; a rough baffle has no slip; other words are refused."""
+@pytest.mark.parametrize(
+    ("top", "stuck", "smooth"),
+    [
+        (0.0, {"floor_friction": "rough"}, {"floor_friction": 0.3}),
+        (0.047, {"solids": (dataclasses.replace(SLAB, contact="no-slip"),)}, {"solids": (SLAB,)}),
+    ],
+    ids=["floor", "solid"],
+)
+def test_rough_surfaces_hold_what_touches_them(top: float, stuck: dict[str, Any], smooth: dict[str, Any]) -> None:
+    """A block on a rough floor, or on a solid without slip, stands at 40 degrees."""
     strong = Material(friction_deg=45.0, cohesion=1.0e9, tension_cutoff=1.0e9, young=1.0e7)
-    body = Mass(lower=(0.1, 0.0), size=(0.2, 0.02))
-    scene = sand(body, size=(0.6, 0.4), material=strong, slope_deg=40.0, floor_friction="rough", duration=0.2)
-    moved = [
-        float((flow.positions[-1] - flow.positions[0])[:, 0].mean())
-        for flow in (simulate(scene), simulate(dataclasses.replace(scene, floor_friction=0.3)))
-    ]
-    assert abs(moved[0]) < 0.01 * moved[1]
-    baffle = Baffle(lower=(0.4, 0.0), size=(0.1, 0.1), friction="rough")
-    assert np.isinf(surface(dataclasses.replace(scene, baffles=(baffle,))).friction).all()
-    with pytest.raises(InputError, match="'rough', got 'glued'"):
-        dataclasses.replace(scene, wall_friction="glued")
+    scene = sand(
+        Mass(lower=(0.1, top), size=(0.2, 0.02)), size=(0.6, 0.4), material=strong, slope_deg=40.0, duration=0.2
+    )
+    flows = [simulate(dataclasses.replace(scene, **changes)) for changes in (stuck, smooth)]
+    held, slid = (float((flow.positions[-1] - flow.positions[0])[:, 0].mean()) for flow in flows)
+    assert abs(held) < 0.01 * slid
 
 
 @pytest.mark.slow
@@ -262,10 +226,8 @@ def test_sand_that_strikes_ground_at_the_foot_of_an_open_box_stays_in_it(raised:
     assert flow.positions[-1, :, 1].mean() > raised + 0.03
 
 
-@pytest.mark.double
-@pytest.mark.parametrize("dimension", [2, 3])
-def test_the_face_that_is_followed_is_the_nearest(dimension: int) -> None:
-    """Sand thrown through a slot between two baffles, over a step in it: the distance is that of a search of all."""
+def through_a_slot(dimension: int) -> Scene:
+    """Sand thrown through a slot between two baffles, over a step in it."""
     deep = (0.0,) * (dimension - 2)
     size = (0.4, 0.24, *(0.08 for _ in deep))
     boxes = (((0.16, 0.0), (0.2, 0.05)), ((0.16, 0.09), (0.2, 0.06)), ((0.24, 0.05), (0.03, 0.013)))
@@ -273,17 +235,31 @@ def test_the_face_that_is_followed_is_the_nearest(dimension: int) -> None:
     baffles = tuple(Baffle(lower=(*low, *deep), size=(*span, *size[2:])) for low, span in boxes)
     # In 3D without gaps, by the kernel of the next test.
     settings = {"volume_correction": None if dimension == 2 else False, "duration": 0.06, "step_fraction": 0.9}
-    scene = sand(body, size=size, baffles=baffles, **settings)
+    return sand(body, size=size, baffles=baffles, **settings)
+
+
+ON_HILL = hill(baffles=(Baffle(lower=(0.62, 0.0, 0.2), size=(0.05, 0.6, 0.2)),))
+
+
+@pytest.mark.double
+@pytest.mark.parametrize(
+    "scene",
+    [through_a_slot(2), through_a_slot(3), pytest.param(ON_HILL, marks=pytest.mark.slow)],
+    ids=["2D", "3D", "beside a baffle on rough ground"],
+)
+def test_the_face_that_is_followed_is_the_nearest(scene: Scene) -> None:
+    """The distance is that of a search of all faces; nothing is in a solid."""
     runtime.start("f64", enough=1)
-    batch = Batch([scene], precision="f64", record=LAST)
+    batch, cell = Batch([scene], precision="f64", record=LAST), scene.domain.cell
     for frame in range(1, scene.frames):
         kernel(batch.features)(*batch.arguments.values(), frame, frame + 1, Phase.FRAMES)
-        positions = batch.numbers(0, 0, dimension).T
-        exact = np.clip(nearest(surface(scene), positions).distance, 0.0, None)
+        distance = nearest(surface(scene), batch.numbers(0, 0, scene.dimension).T).distance
+        assert distance.min() > -1.0e-5 * cell
+        exact = np.clip(distance, 0.0, None)
         found = batch.numbers(0, batch.features.state.contacts, len(Contact))[Contact.DISTANCE]
-        assert (found <= exact + 1.0e-9 * CELL).all()
-        assert np.abs(found - exact)[exact < CELL].max(initial=0.0) < 1.0e-9 * CELL
-    assert (exact < CELL).sum() > 20
+        assert (found <= exact + 1.0e-9 * cell).all()
+        assert np.abs(found - exact)[exact < cell].max(initial=0.0) < 1.0e-9 * cell
+    assert (exact < cell).sum() > 20
 
 
 @pytest.mark.double
@@ -328,8 +304,40 @@ def test_a_rough_wall_does_not_hold_dry_sand_that_falls_beside_it(wall: str, cel
     assert centre_displacement(flow)[-1, 1] == pytest.approx(fall, rel=0.01)
 
 
-def test_what_is_rough_is_so_for_clay_alone() -> None:
+def test_what_is_rough_has_no_slip_for_clay_alone() -> None:
     clay = Material(friction_deg=30.0, cohesion=1.0e4, tension_cutoff=1.0e4)
     scene = sand(Mass(lower=(0.0, 0.3), size=(0.2, 0.2)), size=(0.6, 0.6), material=clay, wall_friction="rough")
     assert roughest(scene) == NO_SLIP
     assert roughest(dataclasses.replace(scene, material=SAND)) == DRY_GRIP
+    baffle = Baffle(lower=(0.4, 0.0), size=(0.1, 0.1), friction="rough")
+    assert np.isinf(surface(dataclasses.replace(scene, baffles=(baffle,))).friction).all()
+    refused(dataclasses.replace, scene, wall_friction="glued", said="'rough', got 'glued'")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("corrected", "spread"), [(False, 0.015), (None, 0.035)])
+def test_a_bed_presses_on_a_smooth_baffle_alike_wherever_its_face_cuts_the_cells(
+    corrected: bool | None, spread: float
+) -> None:
+    """356 to 358 N/m by contact alone, 359 to 368 with the gaps that are remembered by default."""
+
+    def bed(offset: float) -> Scene:
+        length = 0.4 + offset * CELL
+        return scene_of(
+            Mass(lower=(0.0, 0.0), size=(length, 0.3)),
+            size=(1.0, 0.6),
+            cell=CELL,
+            baffles=(Baffle(lower=(length, 0.0), size=(0.2, 0.5)),),
+            damping=0.05,
+            step_fraction=0.9,
+            frame_dt=0.01,
+            volume_correction=corrected,
+        )
+
+    impulses = [flow.solid_impulse for flow in simulate_many([bed(0.1 * tenth) for tenth in range(10)])]
+    found = [float(each[-1, 0, 0] - each[-31, 0, 0]) / 0.3 for each in impulses if each is not None]
+    assert max(found) == pytest.approx(min(found), rel=spread)
+    # At least as much as the confined elastic bed, nu / (1 - nu) of its weight; yielding adds to it.
+    nu = 0.3
+    elastic = 0.5 * nu / (1.0 - nu) * 1800.0 * 9.81 * 0.3**2
+    assert min(found) == pytest.approx(elastic, rel=0.15)

@@ -1,21 +1,18 @@
 """`python -m mpm.generate`: the same files whatever the jobs, resumable, and nothing of another dataset overwritten."""
 
 import json
-import os
-import signal
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from datasets import Domain, InputError, Mass, Scene, Trajectory
+from datasets import Domain, Mass, Scene, Trajectory
 from datasets.definitions import read_definition
 from datasets.definitions.definition import Definition, Split, Storage
 from datasets.errors import WorkFailed
 from mpm.generate import command, generate, thinned
-from tests.breaking import BLOCKS, dataset_files, orphans, start, unfinished
+from tests.breaking import dataset_files
 from tests.pool import pool
 from tests.refusals import refused, refused_by
 
@@ -89,8 +86,8 @@ def test_what_is_stored_of_finer_truth_is_the_same_for_any_jobs(dataset: Path, t
 def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("mpm.cluster.CONNECT", 0.5)
-    with pytest.raises(InputError, match="expected the address of a Dask scheduler"):
-        generate(TINY, tmp_path, seed=7, count=None, jobs=1, scheduler="tcp://127.0.0.1:1")
+    nowhere = {"seed": 7, "count": None, "jobs": 1, "scheduler": "tcp://127.0.0.1:1"}
+    refused(generate, TINY, tmp_path, **nowhere, said="expected the address of a Dask scheduler")
 
 
 @pytest.fixture
@@ -159,25 +156,3 @@ def test_wrong_input_is_one_line_and_status_2(
 ) -> None:
     assert line in refused_by(capsys, command, *arguments, "--out", tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_interrupt_keeps_what_is_finished_of_a_definition_in_toml(tmp_path: Path) -> None:
-    """In a session of its own, where a terminal sends Ctrl-C to all, once it has left its first trajectory."""
-    (tmp_path / "blocks.toml").write_text(BLOCKS.replace("count = 10", "count = 1000"))
-    process = start(["-m", "mpm.generate", str(tmp_path / "blocks.toml"), "--out", str(tmp_path), "--jobs", "1"])
-    deadline = time.monotonic() + 240.0
-    while not list(tmp_path.rglob("[!.]*.npz")):
-        assert time.monotonic() < deadline
-        assert process.poll() is None, process.communicate()[1]
-        time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGINT)
-    _, error = process.communicate(timeout=240.0)
-    assert process.returncode == 128 + signal.SIGINT
-    # Python's own process that watches over semaphores may say something after it.
-    assert "talus: interrupted; what was finished is kept" in error.splitlines()
-    assert "Traceback" not in error
-    assert orphans(process.pid) == []
-    assert unfinished(tmp_path) == []
-    scenes = {entry.name: entry.scene for entry in read_definition(str(tmp_path / "blocks.toml")).entries(seed=0)}
-    for path in tmp_path.rglob("[!.]*.npz"):
-        assert Trajectory.load(path).scene == scenes[path.stem]

@@ -175,11 +175,11 @@ CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))
 BLOCK = [(0.3 + 0.2 * along + 0.1 * up * FALL, 0.55 - FALL * (0.3 + 0.2 * along) + 0.1 * up) for along, up in CORNERS]
 
 
-def on_incline(how: str, friction: float) -> Scene:
-    """A cohesive body on 25 degrees, by gravity or by terrain."""
+def on_incline(how: str, friction: float, angle_deg: float = 25.0) -> Scene:
+    """A cohesive body on an incline, by gravity or, of 25 degrees, by terrain."""
     if how == "slope_deg":
         block = Mass(lower=(0.3, 0.0), size=(0.2, 0.1), k0="elastic")
-        return scene_of(block, size=(1.0, 0.6), material=CLAY, floor_friction=friction, slope_deg=25.0)
+        return scene_of(block, size=(1.0, 0.6), material=CLAY, floor_friction=friction, slope_deg=angle_deg)
     masses = {
         "block": Mass(kind="polygon", vertices=tuple(BLOCK), k0="elastic"),
         "layer": Mass(kind="layer", thickness=0.1, outline=((0.3,), (0.6,)), k0="elastic"),
@@ -188,27 +188,22 @@ def on_incline(how: str, friction: float) -> Scene:
     return scene_of(masses[how], size=(1.0, 0.8), material=CLAY, solids=(ground,))
 
 
-@pytest.mark.parametrize("how", ["slope_deg", "block", "layer"])
-@pytest.mark.parametrize("friction", [0.0, 0.2])
-def test_what_is_unbalanced_on_an_incline_is_what_friction_does_not_bear(how: str, friction: float) -> None:
-    with pytest.warns(UserWarning, match="of the weight is unbalanced") as caught:
-        stress_of(on_incline(how, friction))
-    said = re.search(r"gravity: (\S+) of the weight", str(caught[0].message))
-    assert float(said[1]) == pytest.approx(SlidingBlock.on_incline(25.0, friction, 1.0).acceleration, abs=0.015)
-
-
-@pytest.mark.parametrize(("angle_deg", "friction"), [(10.0, 0.1), (5.0, 0.05), (25.0, 0.5), (10.0, 0.3), (0.0, 0.05)])
-def test_a_floor_bears_no_more_than_its_friction(angle_deg: float, friction: float) -> None:
+@pytest.mark.parametrize(
+    ("how", "angle_deg", "friction"),
+    [
+        *((how, 25.0, friction) for how in ("slope_deg", "block", "layer") for friction in (0.0, 0.2)),
+        *(("slope_deg", *each) for each in ((10.0, 0.1), (5.0, 0.05), (25.0, 0.5), (10.0, 0.3), (0.0, 0.05))),
+    ],
+)
+def test_what_is_unbalanced_is_what_friction_does_not_bear(how: str, angle_deg: float, friction: float) -> None:
     """Nodes at which an elastic body would be held by more slip: 0.12 for 0.075 before, 0.079 on a level floor."""
-    block = Mass(lower=(0.3, 0.0), size=(0.2, 0.1), k0="elastic")
-    settings = {"slope_deg": angle_deg, "floor_friction": friction, "material": CLAY}
-    scene = scene_of(block, size=(1.0, 0.6), **settings)
     exact = max(0.0, SlidingBlock.on_incline(angle_deg, friction, 1.0).acceleration)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        stress_of(scene)
+        stress_of(on_incline(how, friction, angle_deg))
     said = [re.search(r"gravity: (\S+) of the weight", str(each.message)) for each in caught]
-    assert [float(each[1]) for each in said if each] == ([pytest.approx(exact, abs=0.005)] if exact > 0.0 else [])
+    close = pytest.approx(exact, abs=0.015 if angle_deg == 25.0 else 0.005)
+    assert [float(each[1]) for each in said if each] == ([close] if exact > 0.0 else [])
 
 
 @pytest.mark.parametrize(("k0", "cohesion"), [(0.32, 0.0), (3.1, 0.0), (0.19, 100.0)])
@@ -232,10 +227,7 @@ def test_a_thrust_that_no_stress_has_is_said() -> None:
 
 @pytest.mark.parametrize(
     ("k0", "face", "dimension"),
-    [
-        (2.9, 0.6, 2),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.36, 0.6, 2), (0.34, 0.6125, 2), (0.36, 0.6, 3))),
-    ],
+    [(2.9, 0.6, 2), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.34, 0.6125, 2), (0.36, 0.6, 3)))],
 )
 def test_a_bed_presses_on_a_baffle_with_its_ratio_up_to_the_limits_of_yield(
     k0: float, face: float, dimension: int

@@ -22,13 +22,9 @@ WALLED = Baffle(lower=(0.3, 0.0), size=(0.1, 0.1))
     [("all", [*range(7)]), ("last", [6]), (1, [*range(7)]), (4, [0, 4, 6]), (6, [0, 6]), (9, [0, 6])],
 )
 def test_the_frames_that_are_kept(frames: object, kept: list[int]) -> None:
-    record = Recording(frames=frames)
-    assert record.kept(7) == kept
-
-
-def test_a_recording_that_cannot_be() -> None:
-    refused(Recording, frames=0, said="frames: expected")
-    refused(Recording, frames="first", said="frames: expected all, last or every how many")
+    assert Recording(frames=frames).kept(7) == kept
+    for wrong, said in ((0, "frames: expected"), ("first", "frames: expected all, last or every how many")):
+        refused(Recording, frames=wrong, said=said)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from datasets import InputError, Mass, Material, write_scene
+from datasets import Mass, Material, write_scene
 from datasets.scene.grid_field import Field
 from mpm import safety_factor
 from mpm.run import command
@@ -34,8 +34,8 @@ def test_the_command_writes_what_it_says(tmp_path: Path, capsys: pytest.CaptureF
     found = json.loads((tmp_path / "safety.json").read_text())
     assert found["factor"] == pytest.approx(2.0, rel=0.1)
     assert f"factor of safety {found['factor']:.3f}: stands at" in capsys.readouterr().out
-    with pytest.raises(InputError, match=r"--vtk: expected none beside --safety"):
-        command(str(tmp_path / "slope.toml"), out=tmp_path, safety=True, vtk=True)
+    wrong = {"out": tmp_path, "safety": True, "vtk": True}
+    refused(command, str(tmp_path / "slope.toml"), **wrong, said="--vtk: expected none beside --safety")
 
 
 def test_all_strength_is_reduced_and_nothing_else() -> None:

@@ -49,9 +49,7 @@ def test_until_settled_and_at_rest_after_the_last_stage() -> None:
     assert first == pytest.approx(0.1)
     assert 0.1 < second < 0.5
     assert width[-1] > width[0] + 0.1
-
-
-def test_what_never_settles_is_remarked() -> None:
+    # What never settles is remarked.
     flow = simulate(staged(Stage(time="settled", **LOST), duration=0.05), threads=1)
     assert flow.summary["stage_time"] == [None]
     assert any(line.startswith("stages[0] did not begin: by t = 0.05 s") for line in flow.summary["remarks"])
@@ -85,9 +83,7 @@ def test_only_what_began_in_the_region_changes() -> None:
     cohesion = np.where(x < 0.05, 7.0, np.where(particles.mass == 1, 100.0, CLAY.cohesion))
     np.testing.assert_array_equal(after.cohesion, cohesion.astype(np.float32))
     np.testing.assert_array_equal(after.friction_deg, np.where((x >= 0.1) & (x <= 0.5) & (y <= 0.1), 10.0, 25.0))
-
-
-def test_in_plan_in_3d() -> None:
+    # In 3D an outline is one in plan.
     corner = Stage(time=0.01, outline=((0.0, 0.0), (0.2, 0.0), (0.0, 0.2)), cohesion=1.0)
     scene = room(Mass(lower=(0.0, 0.0, 0.0), size=(0.2, 0.2, 0.2)), material=CLAY, stages=(corner,))
     particles = initial_particles(scene)

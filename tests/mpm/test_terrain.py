@@ -1,18 +1,18 @@
-"""Contact with a height field is that with its triangles."""
+"""Contact with a height field, and lists that hold every face that a particle of a cell can need."""
 
+import dataclasses
 from time import process_time
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from datasets.geometry.nearest import nearest
-from datasets.scene import Baffle, Mass, Scene, Solid
+from datasets.geometry.nearest import feet, nearest
+from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.scene.material import Material
-from mpm import LAST, runtime, simulate
-from mpm.arrays.batch import Batch
-from mpm.arrays.layout import Contact, Offset, node_shape
-from mpm.kernel import Phase, kernel
-from mpm.solids.obstacles import obstacles_in
+from mpm import simulate
+from mpm.arrays.layout import PADDING, node_shape
+from mpm.solids.obstacles import BLEND, FADE, Window, faces_near, holds_of, obstacles_in
 from tests.datasets.geometry.solids import surface
 from tests.scenes import scene_of
 
@@ -20,7 +20,7 @@ CELL = 0.05
 
 
 def hill(**changes: object) -> Scene:
-    """A layer on a rough incline, posts two cells apart."""
+    """A layer on a rough incline, posts two cells apart; changes: to the scene."""
     rng = np.random.default_rng(0)
     heights = 0.45 - 0.02 * np.arange(13)[:, None] + 0.04 * rng.random((13, 7))
     rows = tuple(map(tuple, heights.tolist()))
@@ -29,24 +29,6 @@ def hill(**changes: object) -> Scene:
     soil = Material(friction_deg=30.0, young=1.0e6, density=1500.0)
     settings = {"size": (1.2, 0.8, 0.6), "cell": CELL, "duration": 0.1, "frame_dt": 0.02} | changes
     return scene_of(layer, material=soil, solids=(ground,), **settings)
-
-
-@pytest.mark.double
-@pytest.mark.slow
-def test_the_distance_is_that_from_the_nearest_of_all_faces() -> None:
-    """On rough ground and beside a baffle that stands in it; nothing is in a solid."""
-    scene = hill(baffles=(Baffle(lower=(0.62, 0.0, 0.2), size=(0.05, 0.6, 0.2)),))
-    runtime.start("f64", enough=1)
-    batch = Batch([scene], precision="f64", record=LAST)
-    for frame in range(1, scene.frames):
-        kernel(batch.features)(*batch.arguments.values(), frame, frame + 1, Phase.FRAMES)
-        exact = nearest(surface(scene), batch.numbers(0, 0, 3).T)
-        found = batch.numbers(0, batch.features.state.contacts, len(Contact))[Contact.DISTANCE]
-        assert exact.distance.min() > -1.0e-5 * CELL
-        apart = np.clip(exact.distance, 0.0, None)
-        assert (found <= apart + 1.0e-9 * CELL).all()
-        assert np.abs(found - apart)[apart < CELL].max() < 1.0e-9 * CELL
-    assert (apart < CELL).sum() > 100
 
 
 def test_a_raster_of_300_000_posts_is_set_up_at_once() -> None:
@@ -62,19 +44,8 @@ def test_a_raster_of_300_000_posts_is_set_up_at_once() -> None:
     solids = obstacles_in(scene_of(layer, solids=(ground,), **settings))
     assert process_time() - started < 5.0
     assert len(solids.faces) < 1000
-
-
-def test_nothing_of_a_height_field_is_listed() -> None:
-    scene = hill()
-    solids = obstacles_in(scene)
-    assert len(solids.faces) == len(solids.near_faces) == len(solids.holds) == 0
-    assert len(solids.cell_faces) == len(solids.covered) == 1
-    batch = Batch([scene], precision="f32", record=LAST)
-    posts = 13 * 7
-    assert posts < len(batch.terrain) < 2 * posts + 50
-    assert batch.offsets[0, Offset.POSTS_X] >= 13
-    assert batch.offsets[0, Offset.POSTS_Z] >= 7
-    assert batch.column_heights.size == 1 + np.prod(node_shape(scene.domain)[::2])
+    alone = obstacles_in(hill())
+    assert len(alone.faces) == len(alone.near_faces) == len(alone.holds) == 0
 
 
 def test_sand_that_flies_away_from_a_terrain_keeps_its_parabola_beside_sand_that_lies_there() -> None:
@@ -89,3 +60,100 @@ def test_sand_that_flies_away_from_a_terrain_keeps_its_parabola_beside_sand_that
     moved = (flow.positions[-1] - flow.positions[0])[flying].mean(axis=0)
     # A step of 5 ms takes g t dt / 2 off a parabola.
     assert moved == pytest.approx([0.3, 1.2 - 0.5 * 9.81 * 0.09, 0.0], abs=0.01)
+
+
+WAVES = tuple(
+    tuple(0.1 + 0.05 * np.sin(3.0 * x) + 0.1 * abs(z - 0.5) for z in np.linspace(0.0, 1.0, 11))
+    for x in np.linspace(0.0, 1.0, 14)
+)
+SCENES = {
+    2: (
+        Solid(kind="terrain", points=((0.0, 0.5), (0.43, 0.2), (1.0, 0.22)), friction=(0.1, 0.3, 0.4)),
+        Solid(kind="polygon", vertices=((0.6, 0.4), (0.9, 0.42), (0.7, 0.45), (0.72, 0.8))),
+        Solid(lower=(0.2, 0.6), size=(0.013, 0.2), turned_deg=25.0, contact="no-slip"),
+    ),
+    3: (
+        Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0 / 13.0, 0.1), heights=WAVES, friction=0.3),
+        Solid(lower=(0.5, 0.0, 0.3), size=(0.02, 0.7, 0.3), turned_deg=30.0, friction=0.5),
+    ),
+}
+
+
+def mixed(dimension: int) -> Scene:
+    """A scene with solids of several kinds and a baffle."""
+    return scene_of(
+        Mass(lower=(0.9,) * dimension, size=(0.1,) * dimension),
+        size=(1.0,) * dimension,
+        cell=CELL,
+        baffles=(Baffle(lower=(0.8, 0.0, 0.8)[:dimension], size=(0.1, 0.6, 0.2)[:dimension]),),
+        solids=SCENES[dimension],
+    )
+
+
+def whole_box(domain: Domain) -> Window:
+    """All cells of a box and its padding."""
+    return Window(low=(0,) * domain.dimension, shape=node_shape(domain), cell=domain.cell)
+
+
+def box_cells(scene: Scene, points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The cell of each point, by the number of its lowest node."""
+    index = np.floor(points / CELL).astype(np.int64) + PADDING
+    return np.ravel_multi_index(tuple(index.T), node_shape(scene.domain))
+
+
+@pytest.mark.parametrize("cutoff", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_cell_lists_what_its_points_need(dimension: int, cutoff: float) -> None:
+    scene = mixed(dimension)
+    whole = surface(scene)
+    first, near_faces = faces_near(whole_box(scene.domain), whole, cutoff=cutoff)
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-2.9 * CELL, 1.0 + 2.9 * CELL, (150, dimension))
+    cells = box_cells(scene, points)
+    seen = nearest(whole, points)
+    directions = rng.normal(size=points.shape)
+    ends = points + CELL * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    ways = points + np.linspace(0.0, 1.0, 17)[:, None, None] * (ends - points)
+    near = 0
+    for number, cell in enumerate(cells.tolist()):
+        faces = set(near_faces[first[cell] : first[cell + 1]].tolist())
+        if abs(seen.distance[number]) <= cutoff * CELL:
+            near += 1
+            assert int(seen.face[number]) in faces
+        # A face that is met on the way comes closer to a sample than the samples lie apart.
+        corners = np.broadcast_to(whole.corners, (17, *whole.corners.shape))
+        flat = np.repeat(ways[:, number], len(whole.corners), axis=0)
+        distance = feet(corners.reshape(-1, dimension, dimension), flat)[1].reshape(17, -1).min(axis=0)
+        assert set(np.flatnonzero(distance < 1e-3 * CELL).tolist()) <= faces
+    assert near > 8
+    lengths = np.diff(first)
+    assert lengths.max() < (25 if dimension == 2 else 120)
+    assert (lengths == 0).sum() > 0.2 * len(lengths)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_holds_of_nodes_are_continuous_in_the_place_of_the_solids(dimension: int) -> None:
+    """What all holds of a node take of any velocity into them, sum_k share_k N_k N_k^T."""
+    scene = mixed(dimension)
+    whole = surface(scene)
+    nodes = np.arange(np.prod(node_shape(scene.domain)))
+
+    def removed(shift: float) -> NDArray[np.float64]:
+        moved = dataclasses.replace(whole, corners=whole.corners + shift)
+        first, holds = holds_of(whole_box(scene.domain), moved, nodes, cutoff=2.0)
+        normal = moved.normals[holds[:, 0].astype(int)]
+        found = np.zeros((len(nodes), dimension, dimension))
+        node = np.repeat(nodes, np.diff(first))
+        np.add.at(found, node, holds[:, 2, None, None] * normal[:, :, None] * normal[:, None, :])
+        return found
+
+    here = removed(0.0)
+    depth = -nearest(whole, whole_box(scene.domain).positions(nodes)).distance / CELL
+    share = np.trace(here, axis1=1, axis2=2)
+    assert np.abs(share[depth <= 0.0]).max() == 0.0
+    held = (depth > FADE) & (depth < 2.0)
+    assert held.sum() > 10
+    np.testing.assert_allclose(share[held], 1.0, atol=1e-12)
+    # Shares fall from 1 to 0 over half a cell.
+    for shift in (1e-9, -1e-9):
+        assert np.abs(removed(shift) - here).max() < 20.0 * abs(shift) / (BLEND * CELL)

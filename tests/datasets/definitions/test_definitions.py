@@ -22,6 +22,7 @@ from datasets.definitions.paper_families import BAFFLES3D, COLUMNS2D
 from datasets.geometry.placement import overlaps
 from datasets.scene.particles import initial_particles
 from datasets.schema import changed
+from tests.commands import DOCS, blocks
 from tests.refusals import refused
 from tests.scenes import scaled, scene_of
 
@@ -145,9 +146,7 @@ def test_a_column_of_a_held_out_aspect_at_a_wall_is_held_out(aspect: float) -> N
     assert not is_held_out(column(0.2, 0.48))
 
 
-PAGE = (Path(__file__).parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
-(EXAMPLE,) = re.findall(r"```toml\n(.*?)```", PAGE.split("\n## Definition (TOML)\n")[1].split("\n## ")[0], re.DOTALL)
-
+(EXAMPLE,) = (text for text in blocks(DOCS / "formats.md", "toml") if "[scene]" in text)
 TEXT = """
 [scene]
 duration = 0.01
@@ -156,6 +155,9 @@ masses = [{ lower = [0.1, 0.0], size = [0.1, 0.1] }]
 [scene.material]
 friction_deg = {friction}
 """
+
+
+BODIES = "[[scene.baffles]]\ncount = 199\nlower = [{ uniform = [0.3, 0.5] }, 0.0]\nsize = [0.1, 0.1]"
 
 
 def definition(folder: Path, text: str = EXAMPLE, name: str = "steps.toml") -> Definition:
@@ -200,15 +202,10 @@ def test_the_definition_on_the_page(tmp_path: Path) -> None:
         ("{friction}", "{ variable = [30.0] }", "expected one of the variables [], got [30.0]"),
         ("{friction}", "{ variable = 'a', factor = 2 }\n[variables]\na = 'x'", "expected numbers, variable, factor"),
         ("[scene]", "count = 1000000000000\n[scene]", "count: expected at least 1, at most 1000000 scenes"),
+        # A draw of 200 bodies takes ten times as long as one of 20: 1000 of them would take minutes.
+        ("{friction}", f"30.0\n{BODIES}", "(in each of 100 draws)"),
     ],
 )
 def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = TEXT.replace(old, new).replace("{friction}", "30.0")
     assert refused(definition, tmp_path, text, said=expected).where == str(tmp_path / "steps.toml")
-
-
-def test_many_bodies_are_drawn_less_often(tmp_path: Path) -> None:
-    """A draw of 200 bodies takes ten times as long as one of 20: 1000 of them would take minutes."""
-    baffles = "[[scene.baffles]]\ncount = 199\nlower = [{ uniform = [0.3, 0.5] }, 0.0]\nsize = [0.1, 0.1]\n"
-    text = TEXT.replace("{friction}", "30.0") + baffles
-    refused(definition, tmp_path, text, said="(in each of 100 draws)")

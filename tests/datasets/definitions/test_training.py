@@ -65,7 +65,7 @@ def walk(seed: int, frames: int, points: int) -> np.ndarray:
     return np.cumsum(steps, axis=0)
 
 
-def test_statistics_of_moving_points_are_numpys() -> None:
+def test_statistics_of_moving_points_are_numpys_and_points_at_rest_do_not_count() -> None:
     sequences = [walk(0, 6, 40), walk(1, 9, 10)]
     joint = reduce(add, (motion_statistics(sequence, FRAME_DT) for sequence in sequences))
     velocities = np.concatenate([np.diff(sequence, axis=0).reshape(-1, 2) for sequence in sequences])
@@ -74,11 +74,7 @@ def test_statistics_of_moving_points_are_numpys() -> None:
         assert joint.count[index] == len(samples)
         np.testing.assert_allclose(joint.mean[index], samples.mean(axis=0), rtol=1e-12)
         np.testing.assert_allclose(joint.std[index], samples.std(axis=0), rtol=1e-12)
-
-
-def test_points_at_rest_do_not_count() -> None:
-    moving = walk(0, 6, 40)
-    resting = np.broadcast_to([0.5, 0.1], (6, 1000, 2)).copy()
+    moving, resting = sequences[0], np.broadcast_to([0.5, 0.1], (6, 1000, 2)).copy()
     resting[1:, :, 0] += 0.9 * MOVING_SPEED * FRAME_DT  # one step just below the threshold
     both = motion_statistics(np.concatenate([moving, resting], axis=1), FRAME_DT)
     alone = motion_statistics(moving, FRAME_DT)

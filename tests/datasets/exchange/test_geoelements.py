@@ -1,5 +1,6 @@
 """python -m datasets.exchange: there and back; nothing overwritten or executed."""
 
+import dataclasses
 import json
 import os
 import pickle
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from datasets import Material, write_scene
 from datasets.command_line import run
 from datasets.exchange import geoelements
 from datasets.exchange.__main__ import command
@@ -28,13 +30,9 @@ def exchange(*arguments: object) -> int:
 
 
 def scene_file(folder: Path, dimension: int) -> Path:
-    """A scene in the box of the toys, with one mass."""
-    domain, mass = toy_scene(dimension, 0).domain, toy_scene(dimension, 0).masses[0]
-    path = folder / f"scene-{dimension}.toml"
-    path.write_text(
-        f"duration = 1.0\n[domain]\nsize = {list(domain.size)}\ncell = {domain.cell}\n[material]\nfriction_deg = 25.0\n"
-        f"[[masses]]\nlower = {list(mass.lower)}\nsize = {list(mass.size)}\n"
-    )
+    """The scene of the toys without baffles, of other sand."""
+    toys, path = toy_scene(dimension, 0), folder / f"scene-{dimension}.toml"
+    write_scene(dataclasses.replace(toys, baffles=(), material=Material(friction_deg=25.0), duration=1.0), path)
     return path
 
 

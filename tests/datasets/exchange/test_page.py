@@ -68,14 +68,6 @@ def test_a_page_has_the_flow(tmp_path: Path, dimension: int) -> None:
     assert 0.1 <= heights[0].sum() * (head["stations"][1] - head["stations"][0]) / 0.08 <= 0.15
 
 
-def test_sand_on_the_floor_is_drawn_on_the_floor(tmp_path: Path) -> None:
-    flow, page = toy(2), tmp_path / "flow.html"
-    dataclasses.replace(flow, positions=flow.positions * np.array([1.0, 0.0], np.float32)).view(page)
-    head, data = parts(page)
-    heights = numbers(data, head["runs"][0]["heights"])
-    assert heights.max() == pytest.approx(0.5 * float(np.mean(flow.volumes)) ** 0.5, rel=1e-3)
-
-
 def test_it_is_the_same_file_again_and_fetches_nothing(tmp_path: Path) -> None:
     for name in ("one", "other"):
         write_view(tmp_path / name, toy(2))

@@ -33,18 +33,13 @@ def test_any_separator_and_end_of_line(tmp_path: Path, separator: str, end: str,
 
 @pytest.mark.filterwarnings("ignore:.*read with")
 def test_units_in_the_header(tmp_path: Path) -> None:
+    """What has its own unit is returned in that of the problem, whose factor makes metres of it."""
     path = tmp_path / "table.csv"
     path.write_text("sep=;\nTime;x [cm];height (mm);time [ms];;\n-;10,5;21;200;;\n-;1E1;0;400;;\n")
     table = read_columns(path, ("x", "height", "time"), others=True)
     np.testing.assert_allclose(table["x"], [0.105, 0.1])
     np.testing.assert_allclose(table["height"], [0.021, 0.0])
     np.testing.assert_allclose(table["time"], [0.2, 0.4])
-
-
-@pytest.mark.filterwarnings("ignore:.*read with")
-def test_a_unit_of_the_file_comes_before_that_of_the_problem(tmp_path: Path) -> None:
-    """What has its own unit is returned in that of the problem, whose factor makes metres of it."""
-    path = tmp_path / "table.csv"
     path.write_text("x [m],height\n1.0,20\n2.0,30\n")
     table = read_columns(path, ("x", "height"), metres=0.01)
     np.testing.assert_allclose(table["x"] * 0.01, [1.0, 2.0])

@@ -22,14 +22,6 @@ def block(length: float, height: float) -> np.ndarray:
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def test_one_point_moves_the_runout_but_not_the_front() -> None:
-    points = block(0.4, 0.2)
-    before = measures.front(points)
-    points[0, 0] = 0.9
-    assert measures.runout(points) == pytest.approx(0.9)
-    assert measures.front(points) == pytest.approx(before, abs=0.1 * SPACING)
-
-
 @pytest.mark.parametrize("power", [1.0, 2.0, 3.0])
 def test_of_few_particles_the_front_is_nearer_to_that_of_all_than_their_quantile(power: float) -> None:
     # Of deposits whose volume ahead of x falls with this power of the distance to the tip, at x = 1.
@@ -71,11 +63,6 @@ def test_the_front_moves_with_the_deposit_and_is_continuous() -> None:
     assert measures.front(points[:30]) == pytest.approx(measures.runout(points[:30]))
 
 
-def test_toe_of_a_uniform_block() -> None:
-    # The last tenth of a block 0.4 m long is centred at 0.38 m, and at half its height.
-    assert measures.toe(block(0.4, 0.2)) == pytest.approx((0.38, 0.1))
-
-
 def test_profile_conserves_volume() -> None:
     stream = np.random.default_rng(0)
     stations = np.linspace(0.0, 1.0, 21)
@@ -100,8 +87,10 @@ def test_the_distance_of_deposits_is_that_of_their_parts() -> None:
     assert measures.transport_distance(ahead, one, deposit, one) == pytest.approx(0.1, rel=0.02)
 
 
-def test_thickness_and_bulk_of_a_block_are_its_own() -> None:
+def test_toe_thickness_and_bulk_of_a_block_are_its_own() -> None:
     points = block(0.4, 0.2)
+    # The last tenth of a block 0.4 m long is centred at 0.38 m, and at half its height.
+    assert measures.toe(points) == pytest.approx((0.38, 0.1))
     heights = measures.thickness(points, SPACING, 0.02, (1.0,))
     np.testing.assert_allclose(heights, np.repeat([0.2, 0.0], [20, 30]), atol=1e-12)
     assert measures.bulk(points + np.array([0.3, 0.0]), SPACING, 0.08, 0.02) == pytest.approx(1.0)
@@ -145,20 +134,12 @@ def said(scene: Scene = SCENE, *, x: float = 0.0, energy: float = 0.0, outflow: 
     return "\n".join(caveats(scene, particles, deposit, kinetic=kinetic, end_time=1.0, outflow=outflow or {}))
 
 
-def test_of_a_deposit_at_rest_in_a_large_box_nothing_is_said() -> None:
-    assert said(x=0.1) == ""
-
-
-def test_a_flow_that_still_moves_is_said_with_its_speed() -> None:
+def test_what_is_said_of_motion_walls_and_open_sides() -> None:
+    """Of a wall that holds the front, not of the one that the column stood at; of rest in a large box nothing."""
+    assert said(x=0.1) == said(energy=1e-7) == ""
     assert "not at rest: at t = 1 s" in said(energy=1.0)
-    assert said(energy=1e-7) == ""
-
-
-def test_a_wall_that_holds_the_front_is_named_but_not_the_one_it_stood_at() -> None:
-    mass = SCENE.masses[0]
-    room = SCENE.domain.size[0] - mass.lower[0] - mass.size[0]
+    room = SCENE.domain.size[0] - SCENE.masses[0].lower[0] - SCENE.masses[0].size[0]
     assert "the side x+ of the box holds" in said(x=room)
-    assert "x-" not in said()
     opened = dataclasses.replace(SCENE, open_sides=("x+",))
     assert "x+" not in said(opened, x=room)
     assert "left the box through its open side x+" in said(opened, outflow={"x+": 1.0})

@@ -24,9 +24,7 @@ def scene_of(
 
 def surface(scene: Scene) -> Surface:
     """The surface of a scene that has one."""
-    found = surface_of(scene)
-    assert found is not None
-    return found
+    return surface_of(scene)
 
 
 def sphere(centre: tuple[float, ...], radius: float, segments: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

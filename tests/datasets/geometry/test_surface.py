@@ -1,4 +1,7 @@
-"""The union of solids is one solid, without inner walls, each face knows whose it is; signed distances from it."""
+"""The union of solids is one solid, without inner walls, each face knows whose it is; signed distances from it.
+
+Listed faces and a raster's triangles together are the surface of everything solid.
+"""
 
 import dataclasses
 import math
@@ -7,8 +10,10 @@ import numpy as np
 import pytest
 import shapely
 
+from datasets.geometry.contact_surface import contact_surface_in, has_faces, has_field
 from datasets.geometry.nearest import inside, nearest
-from datasets.scene import Baffle, Solid
+from datasets.geometry.surface import surface_in
+from datasets.scene import Baffle, Domain, Solid
 from datasets.scene.grid_field import Floats
 from tests.datasets.geometry.solids import as_rows, scene_of, sphere, surface
 
@@ -107,7 +112,7 @@ def consistent(points: Floats, found: object) -> None:
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_a_box(dimension: int, turned_deg: float) -> None:
     low, size = (0.8, 0.4, 0.3)[:dimension], (0.4, 0.2, 0.3)[:dimension]
-    scene = scene_of(Solid(lower=low, size=size, turned_deg=turned_deg), size=(2.0, 1.0, 1.0)[:dimension])
+    scene = scene_of(Solid(lower=low, size=size, turned_deg=turned_deg), size=SPACE[:dimension])
     points = random_positions(3000, (0.5, 0.1, 0.0)[:dimension], (1.5, 0.9, 0.9)[:dimension])
     centre, half = np.add(low, np.multiply(0.5, size)), np.multiply(0.5, size)
     plane = [0, 1] if dimension == 2 else [0, 2]
@@ -139,7 +144,7 @@ def test_a_valley_on_a_height_field() -> None:
     z = np.linspace(0.0, 1.0, 21)
     rows = tuple(tuple(0.1 + 0.6 * np.abs(z - 0.5)) for _ in range(41))
     solid = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.05, 0.05), heights=rows)
-    scene = scene_of(solid, size=(2.0, 1.0, 1.0), cell=0.05)
+    scene = scene_of(solid, size=SPACE, cell=0.05)
     points = random_positions(2000, (0.3, 0.0, 0.2), (1.7, 0.4, 0.8))
     found = nearest(surface(scene), points)
     # A plane on either side; above the valley's line the nearer of both, below it the line itself where that is nearer.
@@ -157,8 +162,46 @@ def test_a_sphere(flipped: bool) -> None:
     triangles = triangles[:, ::-1] if flipped else triangles
     solid = Solid(kind="mesh", vertices=as_rows(vertices), triangles=as_rows(triangles))
     points = random_positions(1000, (0.6, 0.1, 0.1), (1.4, 0.9, 0.9))
-    found = nearest(surface(scene_of(solid, size=(2.0, 1.0, 1.0))), points)
+    found = nearest(surface(scene_of(solid, size=SPACE)), points)
     expected = np.linalg.norm(points - [1.0, 0.5, 0.5], axis=1) - 0.3
     # Between a sphere and triangles on it lies h^2 / 8 r at most, for edges of h.
     assert np.abs(found.distance - expected).max() < 0.004
     consistent(points, found)
+
+
+BOX = Domain(size=SPACE, cell=0.05)
+SOLIDS = (
+    Solid(lower=(0.93, 0.0, 0.33), size=(0.1, 0.6, 0.27), friction=0.2),
+    Solid(lower=(1.5, 0.0, 0.0), size=(0.1, 0.7, 0.27), friction=0.2, turned_deg=20.0),
+)
+
+
+def terrain(roughness: float) -> Solid:
+    """An incline of 0.2 with posts 0.1 m apart, raised at random."""
+    heights = 0.5 - 0.02 * np.arange(21)[:, None] + roughness * np.random.default_rng(0).random((21, 11))
+    return Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.1, 0.1), heights=as_rows(heights))
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.06])
+def test_distances_by_faces_and_posts_are_those_of_the_whole_surface(roughness: float) -> None:
+    solids, keys = (SOLIDS[0], terrain(roughness), SOLIDS[1]), ("a", "b", "c")
+    whole, found = surface_in(BOX, solids, keys), contact_surface_in(BOX, solids, keys)
+    points = np.random.default_rng(1).uniform([-0.1, 0.1, -0.1], [2.1, 1.0, 1.1], (2000, 3))
+    near, numbers = found.around(points, 0.2)
+    ours, theirs = nearest(near, points), nearest(whole, points)
+    np.testing.assert_allclose(ours.distance, theirs.distance, atol=1.0e-12)
+    np.testing.assert_allclose(ours.foot, theirs.foot, atol=1.0e-12)
+    assert (near.solid[ours.face] == whole.solid[theirs.face]).all()
+    assert len(np.unique(numbers)) == len(numbers)
+    assert 0 < len(found.faces.corners) < 0.3 * len(whole.corners)
+
+
+def test_one_terrain_in_3d_is_a_height_field() -> None:
+    baffle, one, two = Baffle(lower=(1.0, 0.0, 0.4), size=(0.1, 0.6, 0.2)), terrain(0.0), terrain(0.01)
+    for solids, baffles, field, faces in (
+        ((one,), (), True, False),
+        ((one,), (baffle,), True, True),
+        ((one, two), (), False, True),
+    ):
+        scene = scene_of(*solids, size=BOX.size, cell=BOX.cell, baffles=baffles)
+        assert (has_field(scene), has_faces(scene)) == (field, faces)

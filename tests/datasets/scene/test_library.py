@@ -53,9 +53,12 @@ def test_a_mistake_names_file_key_and_what_was_expected(
     assert (found.where, found.key) == (str(path), key)
 
 
-def test_no_such_file_and_no_such_name(tmp_path: Path) -> None:
+def test_no_such_file_no_such_name_and_a_problem(tmp_path: Path) -> None:
     refused(read_scene, str(tmp_path / "absent.toml"), said="there is none")
     refused(read_scene, "colum-tall-21", said="did you mean 'column-tall-21'")
+    path = tmp_path / "problem.toml"
+    path.write_text('scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\n')
+    refused(read_scene, path, said="problem.toml: unknowns: expected a scene, got a problem: python")
 
 
 @pytest.mark.parametrize("name", [path.stem for path in sorted(SCENES.glob("*.toml"))])
@@ -99,9 +102,3 @@ SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=
 def test_numbers_of_another_unit_are_warned_of(changes: dict[str, float], message: str) -> None:
     with pytest.warns(UserWarning, match=message):
         warn_if_unlikely(dataclasses.replace(SCENE, material=dataclasses.replace(SAND, **changes)))
-
-
-def test_a_problem_is_no_scene(tmp_path: Path) -> None:
-    path = tmp_path / "problem.toml"
-    path.write_text('scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\n')
-    refused(read_scene, path, said="problem.toml: unknowns: expected a scene, got a problem: python")

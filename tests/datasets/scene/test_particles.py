@@ -108,15 +108,12 @@ def test_linear_fields_are_exact_inside_and_constant_beyond(grid: Grid) -> None:
     np.testing.assert_allclose(grid.weights(beyond) @ (grid.positions @ slope), moved @ slope, rtol=1e-12)
 
 
-def test_particles_have_it_at_their_positions() -> None:
+def test_particles_have_a_field_at_their_positions_and_one_of_a_mass_leaves_the_others() -> None:
     particles = initial_particles(dataclasses.replace(SCENE, fields=(FRICTION,)))
     x, y = particles.positions.T
     np.testing.assert_allclose(particles.friction_deg, 20.0 + 20.0 * x + 20.0 * y, rtol=1e-12)
     np.testing.assert_allclose(particles.friction, np.tan(np.radians(20.0 + 20.0 * x + 20.0 * y)), rtol=1e-6)
     assert np.unique(particles.velocities[:, 0]).tolist() == [0.0, 1.0]
-
-
-def test_a_field_of_one_mass_leaves_the_others() -> None:
     still = dataclasses.replace(FRICTION, quantity="velocity_y", values=(-1.0,) * 4, mass=1)
     particles = initial_particles(dataclasses.replace(SCENE, fields=(dataclasses.replace(FRICTION, mass=0), still)))
     assert set(particles.friction_deg[particles.mass == 1]) == {30.0}

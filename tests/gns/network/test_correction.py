@@ -42,13 +42,9 @@ def test_the_end_is_moved_and_the_way_to_it_stretched(corrected: Simulator, clou
     assert 0.0 < share[0] < 0.3
     size = conditions.size[0]
     assert ((found[1:] >= 0.0) & (found[1:] <= size)).all()
-
-
-def test_sand_that_has_not_moved_stays(corrected: Simulator, cloud: Cloud) -> None:
-    state, conditions = (each.to(dtype=torch.float64) for each in cloud())
+    # Sand that has not moved stays.
     still = state.positions.expand(4, -1, -1)
-    moved = stretched(still, torch.ones_like(state.positions), conditions)
-    torch.testing.assert_close(moved, still)
+    torch.testing.assert_close(stretched(still, torch.ones_like(state.positions), conditions), still)
 
 
 def test_samples_side_by_side_are_corrected_as_alone(corrected: Simulator, cloud: Cloud) -> None:

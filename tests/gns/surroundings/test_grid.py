@@ -41,7 +41,7 @@ def features(points: Stencil, count: int) -> torch.Tensor:
     return column_features(points, around).view(*points.shape, 4)[inside[0]][:, inside[1]]
 
 
-def test_a_level_bed_is_fully_packed_and_has_the_overburden_of_what_lies_above() -> None:
+def test_a_bed_is_fully_packed_and_has_its_slope_and_the_overburden_of_what_lies_above() -> None:
     positions = bed(0.4, 0.0)
     packing, overburden, height, slope = features(stencil_of(positions, BOX, 0.04, None), len(positions)).unbind(-1)
     assert len(packing) == 26
@@ -51,9 +51,6 @@ def test_a_level_bed_is_fully_packed_and_has_the_overburden_of_what_lies_above()
     torch.testing.assert_close(overburden[:, 1:9], expected[1:].expand(26, 8), atol=0.02, rtol=0.0)
     torch.testing.assert_close(height, torch.full_like(height, 4.0), atol=0.08, rtol=0.0)
     torch.testing.assert_close(slope[1:-1], torch.zeros_like(slope[1:-1]), atol=0.03, rtol=0.0)
-
-
-def test_the_slope_is_that_of_the_surface() -> None:
     positions = bed(0.2, 0.4)
     slope = features(stencil_of(positions, BOX, 0.04, None), len(positions))[2:-2, :, 3]
     torch.testing.assert_close(slope, torch.full_like(slope, 0.4), atol=0.05, rtol=0.0)

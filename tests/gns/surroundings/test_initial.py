@@ -58,6 +58,10 @@ def test_the_conditions_are_those_of_the_scene() -> None:
     corners = torch.tensor([[[[0.3, 0.0], [0.35, 0.1]], [[0.5, 0.02], [0.54, 0.22]]]])
     torch.testing.assert_close(conditions.baffles, corners)
     assert (initial.steps, len(initial.known)) == (25, 1)
+    np.testing.assert_array_equal(initial.mass, upper.astype(np.int32))
+    np.testing.assert_array_equal(initial.of_mass(1).numpy(), upper)
+    # The first mass alone is of the scene's shared material.
+    np.testing.assert_array_equal(initial.of_mass(None).numpy(), ~upper)
 
 
 def test_terrain_is_a_raster_as_fine_as_the_particles() -> None:
@@ -79,15 +83,6 @@ def test_a_model_of_bodies_of_one_size_gets_its_units_and_its_spacing() -> None:
     assert initial.times[-1] == pytest.approx(SCENE.duration)
     assert len(initial.indices) > 2 * len(initial_state(SCENE, SETTINGS).indices)
     assert float(initial.conditions.volume.sum()) == pytest.approx(0.1 * 0.16, rel=1e-5)
-
-
-def test_the_mass_of_each_particle() -> None:
-    initial = initial_state(SCENE, SETTINGS)
-    upper = initial.known[0, :, 1] > 0.1
-    np.testing.assert_array_equal(initial.mass, upper.astype(np.int32))
-    np.testing.assert_array_equal(initial.of_mass(1).numpy(), upper)
-    # The first mass alone is of the scene's shared material.
-    np.testing.assert_array_equal(initial.of_mass(None).numpy(), ~upper)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +154,3 @@ def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(du
     else:
         assert body == pytest.approx(0.28)
     assert units.stress == pytest.approx(scene.material.density / settings.density * 3.71 / GRAVITY * units.length)
-
-
-def test_without_a_body_length_a_scene_is_run_as_it_is() -> None:
-    assert Units.of_model(LEVEL, ModelSettings()) == Units()

@@ -6,16 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import InputError, Mass, Solid
+from datasets import Mass, Solid
 from datasets.flow.measures import height_profile
 from datasets.scene.particles import initial_particles
 from inverse import Problem, TargetSettings, read_problem
 from inverse.observations import ProfileSettings
 from inverse.observations.measured_profile import Heights
-from inverse.observations.profile import REPRESENTATION, Profile, SurfaceProfile
+from inverse.observations.profile import REPRESENTATION, Profile
 from inverse.observations.target import Target
 from inverse.target import read_target
-from tests.inverse.observations.test_joint import never
+from tests.inverse.observations.test_observations import never
+from tests.refusals import refused
 from tests.scenes import scene_of
 
 X = np.linspace(0.0, 0.48, 25)
@@ -63,19 +64,18 @@ def test_a_table_is_read_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("x", "height", "settings", "message"),
     [
-        (1000.0 * X, 1000.0 * HEIGHT, {}, r"expected x between the walls, 0 and .* got 480 m; unit says"),
-        (X, 2.0 * HEIGHT, {}, r"0.9 to 1.1 times .* 0.08 m\^2, for equivalent heights, got 0.168 m\^2, 2.1 times"),
-        (X, HEIGHT, {"datum": 1.0}, r"expected a height above the floor, got none"),
-        (X[:12], HEIGHT[:12], {}, r"wall at x = 1 m or the edge .* ends at x = 0.22 m"),
-        (np.array([0.0]), np.array([0.4]), {}, r"at least two rows"),
+        (1000.0 * X, 1000.0 * HEIGHT, {}, "got 480 m; unit says"),
+        (X, 2.0 * HEIGHT, {}, "0.08 m^2, for equivalent heights, got 0.168 m^2, 2.1 times"),
+        (X, HEIGHT, {"datum": 1.0}, "expected a height above the floor, got none"),
+        (X[:12], HEIGHT[:12], {}, "ends at x = 0.22 m"),
+        (np.array([0.0]), np.array([0.4]), {}, "at least two rows"),
     ],
 )
 def test_what_is_no_profile_of_this_flow_is_refused_with_the_reason(
     x: np.ndarray, height: np.ndarray, settings: dict[str, object], message: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=message) as caught:
-        target_of(measured(tmp_path, x, height, **settings))
-    assert caught.value.where.endswith("profile.csv")
+    found = refused(lambda: target_of(measured(tmp_path, x, height, **settings)), said=message)
+    assert found.where.endswith("profile.csv")
 
 
 def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> None:
@@ -97,7 +97,6 @@ def test_noise_on_the_heights_is_that_of_what_is_compared(tmp_path: Path) -> Non
 def test_a_surface_is_compared_with_the_deposits_surface(tmp_path: Path) -> None:
     """A deposit that lies looser where it is thin: its surface is not in proportion to its equivalent height."""
     observation = measured(tmp_path, heights=Heights.SURFACE).operators[0]
-    assert isinstance(observation, SurfaceProfile)
     rng = np.random.default_rng(6)
     x = 0.42 * (1.0 - np.sqrt(1.0 - rng.random(40_000)))
     surface = 0.4 * (1.0 - x / 0.42) * (1.0 + x / 0.42)

@@ -1,14 +1,31 @@
-"""Observations: the smooth forms against the exact ones, and their gradients against central differences."""
+"""Observations: the smooth forms against the exact ones; errors of measured numbers; multiple ones in one problem."""
+
+import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from datasets import Baffle, Mass, Scene, Trajectory
 from datasets.flow import measures
-from datasets.scene import Mass
-from inverse.observations import KINDS, Observation
-from inverse.observations.observation import fitted_tail
-from tests.scenes import scene_of
+from inverse import Problem, read_problem
+from inverse.observations import (
+    KINDS,
+    FrontSettings,
+    GaugesSettings,
+    Observation,
+    ObservationSettings,
+    ProfileSettings,
+    Rollout,
+)
+from inverse.observations.deposit import Outline
+from inverse.observations.errors import Covariance, Noise
+from inverse.observations.gauges import Gauges, Impulse
+from inverse.observations.observation import Joint, fitted_tail
+from inverse.target import read_target
+from tests.refusals import refused
+from tests.scenes import flow_of, scene_of
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=0.01)
 
@@ -23,17 +40,15 @@ def made(kind: str) -> Observation:
     return KINDS[kind](**({"line": 0.3} if kind == "passed" else {})).operator(SCENE)
 
 
-def test_the_fit_through_the_tail_is_that_of_arrays() -> None:
-    positions, volumes = deposit(300), np.random.default_rng(1).uniform(0.5, 1.5, 300)
-    ours = fitted_tail(torch.from_numpy(positions[:, 0]), torch.from_numpy(volumes)).item()
-    assert ours == pytest.approx(measures.front(positions, volumes), rel=1e-12)
-
-
 @pytest.mark.parametrize(("kind", "within"), [("front", 1e-12), ("runout", 0.01), ("toe", 0.003), ("passed", 0.005)])
 def test_the_smooth_form_of_all_points_is_near_the_exact_one(kind: str, within: float) -> None:
     positions = deposit(3200)
     smooth = made(kind).smooth(torch.from_numpy(positions), torch.ones(3200)).numpy()
     assert smooth == pytest.approx(made(kind).exact(positions), abs=within)
+    # The fit through the tail is that of arrays, whatever the volumes.
+    volumes = np.random.default_rng(1).uniform(0.5, 1.5, 3200)
+    tail = fitted_tail(torch.from_numpy(positions[:, 0]), torch.from_numpy(volumes)).item()
+    assert tail == pytest.approx(measures.front(positions, volumes), rel=1e-12)
 
 
 def test_a_profile_weighs_points_by_their_volume() -> None:
@@ -66,3 +81,186 @@ def test_the_loss_of_points_is_their_mean_squared_distance() -> None:
     toe = made("toe")
     apart = toe.exact(found) - toe.exact(required)
     assert toe.misfit(toe.exact(found), toe.exact(required)) == pytest.approx(float(apart @ apart))
+
+
+ROOT = np.random.default_rng(0).normal(size=(4, 4))
+FORMS = pytest.mark.parametrize("errors", [Covariance.of(ROOT @ ROOT.T), Covariance(np.array([0.5, 1.0, 0.0, 2.0]))])
+"""Dependent errors, and independent ones."""
+
+
+@FORMS
+def test_every_form_is_that_of_the_matrix(errors: Covariance) -> None:
+    index, scale = np.array([2, 0]), np.array([1.0, 2.0, 3.0, 4.0])
+    np.testing.assert_allclose(errors.deviation**2, np.diag(errors.matrix))
+    np.testing.assert_allclose(errors.combined(ROOT), ROOT.T @ errors.matrix @ ROOT)
+    np.testing.assert_allclose(errors.over(scale).matrix, errors.matrix / np.outer(scale, scale))
+    np.testing.assert_allclose(errors.some(index).matrix, errors.matrix[index][:, index])
+    both = Covariance.joined([errors, errors]).matrix
+    np.testing.assert_allclose(both[4:, 4:], errors.matrix)
+    assert not both[:4, 4:].any()
+
+
+@FORMS
+def test_errors_are_drawn_as_they_are_stated(errors: Covariance) -> None:
+    rng = np.random.default_rng(1)
+    drawn = np.stack([errors.drawn(rng) for _ in range(20_000)])
+    np.testing.assert_allclose(np.cov(drawn, rowvar=False), errors.matrix, atol=0.04 * errors.matrix.max())
+
+
+def test_a_stated_noise_is_a_share_or_a_deviation() -> None:
+    numbers = np.array([0.1, -2.0])
+    np.testing.assert_allclose(Noise.stated("3%").of(numbers), [0.003, 0.06])
+    np.testing.assert_allclose(Noise.stated(0.2).of(numbers), 0.2)
+
+
+HEAD = 'scene = "column-tall-42"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 12.0\nupper = 52.0\n'
+
+
+def written(folder: Path, text: str, scene: str = "column-tall-42") -> Problem:
+    path = folder / "problem.toml"
+    path.write_text(HEAD.replace("column-tall-42", scene) + text)
+    return read_problem(str(path))
+
+
+def joint(folder: Path, text: str) -> tuple[Joint, np.ndarray]:
+    """Operator and the target's values in their own units."""
+    target = read_target(written(folder, text), never)
+    return target.observation, target.observation.scale * target.values
+
+
+def never(scene: Scene) -> Trajectory:
+    raise AssertionError("measured numbers need no simulation")
+
+
+def flow(scene: Scene, frames: int = 11) -> Trajectory:
+    """400 particles that run 0.1 to 0.5 m, thin out, and push a baffle with 2 N s in all."""
+    rng = np.random.default_rng(1)
+    start = rng.random((400, scene.dimension)) * 0.2
+    time = np.linspace(0.0, scene.duration, frames)
+    positions = np.stack([start * ([1.0 + 2.0 * t] + [1.0] * (scene.dimension - 1)) for t in time / scene.duration])
+    impulse = np.zeros((frames, len(scene.baffles), scene.dimension))
+    impulse[:, :1, 0] = 2.0 * (time[:, None] / scene.duration) ** 2
+    return flow_of(scene, positions, time=time, solid_impulse=impulse)
+
+
+def test_each_brings_its_numbers_and_its_noise(tmp_path: Path) -> None:
+    (tmp_path / "camera.csv").write_text("time,front\n0.2,30\n0.4,52.5\n")
+    (tmp_path / "gauge.csv").write_text("x,height,time\n0.1,1.2,0.3\n0.3,1.1,1.0\n")
+    observation, values = joint(
+        tmp_path,
+        '[[observations]]\nkind = "front"\nvalue = 0.7\nnoise = 0.01\n'
+        '[[observations]]\nkind = "front"\ncsv = "camera.csv"\nunit = "cm"\nnoise = "4%"\n'
+        '[[observations]]\nkind = "height"\nname = "mast"\ncsv = "gauge.csv"\ndatum = 1.0\nnoise = 0.005\n'
+        '[[observations]]\nkind = "passed"\nline = 0.5\nvalue = 0.1\n',
+    )
+    np.testing.assert_allclose(values, [0.7, 0.3, 0.525, 0.2, 0.1, 0.1], rtol=1e-12)
+    assert [part.name for part in observation.parts] == ["front", "front 2", "mast", "passed"]
+    assert [part.numbers for part in observation.parts] == [slice(0, 1), slice(1, 3), slice(3, 5), slice(5, 6)]
+    chance = 0.25 * 0.01
+    expected = np.hypot([0.01, 0.012, 0.021, 0.005, 0.005, 0.0], [*[chance] * 5, 0.005])
+    np.testing.assert_allclose(observation.scale, expected)
+    assert observation.over_time
+    assert observation.of_positions
+
+
+def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
+    asked = written(
+        tmp_path,
+        "[target]\ntwin = true\ntruth = { friction_deg = 24.0 }\n"
+        '[[observations]]\nkind = "front"\ntimes = [0.25, 0.5, 1.0]\nnoise = "3%"\n'
+        '[[observations]]\nkind = "height"\nx = [0.05, 0.1]\ntimes = [0.5]\nnoise = "3%"\n'
+        '[[observations]]\nkind = "profile"\nnoise = "3%"\n',
+    )
+    target = read_target(asked, flow)
+    observation = target.observation
+    assert target.truth == {"friction_deg": 24.0}
+    assert len(target.values) == 3 + 2 + 21
+    # With the stated noise on them.
+    off = (observation.observe(flow(asked.scene)) - target.values) / target.deviation
+    assert 0.5 < np.sqrt(np.mean(off**2)) < 2.0
+    np.testing.assert_array_equal(read_target(asked, flow).values, target.values)
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "message"),
+    [
+        ('kind = "front"', "observations[0]", "expected what was measured for front: value"),
+        ('kind = "front"\nvalue = 0.7\nnoise = "3 per cent"', "observations[0].noise", "percentage"),
+        ('kind = "front"\nvalue = 0.7\nnoise = -1.0', "observations[0].noise", "at least 0"),
+        ('kind = "profile"\ntimes = [0.1, 0.2]', "observations[0].times", "one time"),
+        ('kind = "impulse"\nvalue = 1.0', "observations[0].solid", "the scene has no solids"),
+        ('kind = "outline"\nvalues = [1.0]', "observations[0].kind", "in 3D"),
+        ('kind = "height"\nvalues = [1.0]', "observations[0].x", "the x [m] of the gauges"),
+        ('kind = "front"\ntimes = [0.5, 1.5]\nvalues = [0.1, 0.2]', "observations[0].times", "got 1.5"),
+        ('kind = "deposit"\n[[observations]]\nkind = "front"', "observations[0].kind", "few numbers"),
+        ('kind = "front"\nvalue = 0.7\n[target]\ntwin = true', "observations[0]", "no numbers"),
+    ],
+)
+def test_what_is_wrong_names_its_key(tmp_path: Path, text: str, key: str, message: str) -> None:
+    text = f"[[observations]]\n{text}\n"
+    assert refused(lambda: read_target(written(tmp_path, text), flow), said=message).key == key
+
+
+BAFFLED = scene_of(
+    Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.4), baffles=(Baffle(lower=(0.8, 0.0), size=(0.1, 0.1)),)
+)
+
+IMPULSE = Impulse(BAFFLED)
+
+
+def rolled(run: Trajectory) -> Rollout:
+    volumes = torch.full((400,), 0.08 / 400, dtype=torch.float64)  # Of the masses, as the MPM's.
+    return Rollout(positions=torch.from_numpy(run.positions).double(), times=run.time, volumes=volumes)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        FrontSettings(times=(0.05, 0.33, 1.0)),
+        ProfileSettings(times=(0.33,)),
+        GaugesSettings(spacing=0.05, x=(0.0, 0.1, 0.3)),
+        GaugesSettings(spacing=0.05, x=(0.1, 0.3), times=(0.12, 0.5)),
+    ],
+)
+def test_the_smooth_form_is_the_exact_one(settings: ObservationSettings) -> None:
+    run, observation = flow(BAFFLED), settings.operator(BAFFLED)
+    assert observation.over_time == (settings.times is not None)
+    exact = observation.observe(run)
+    np.testing.assert_allclose(observation.predict(rolled(run)).numpy(), exact, atol=0.004)
+    assert len(exact) > 1
+
+
+def test_gauges_read_the_height_of_a_layer_up_to_the_walls() -> None:
+    rng = np.random.default_rng(2)
+    run = flow(BAFFLED, 2)
+    layer = rng.random((400, 2)) * [1.0, 0.08]
+    layer[:, 0] = (np.arange(400) + 0.5) / 400
+    run.positions[-1] = layer
+    gauges = Gauges(BAFFLED, (0.0, 0.5, 0.99), spacing=0.1)
+    np.testing.assert_allclose(gauges.observe(run), 0.08, rtol=0.01)
+    # A run of another release than the scene's has its own.
+    half = dataclasses.replace(run, volume=np.float32(0.5 * run.volumes))
+    np.testing.assert_allclose(gauges.observe(half), 0.04, rtol=0.01)
+
+
+def test_the_impulse_is_that_of_the_solid() -> None:
+    run = flow(BAFFLED, 101)
+    np.testing.assert_allclose(IMPULSE.observe(run), [2.0])
+    twice = Impulse(BAFFLED, times=(0.5, 0.123))
+    np.testing.assert_allclose(twice.observe(run)[0], 0.5)
+    for force in (IMPULSE, twice):
+        assert not force.of_positions
+        predicted = force.predict(dataclasses.replace(rolled(run), impulses=torch.from_numpy(run.solid_impulse)))
+        np.testing.assert_allclose(predicted.numpy(), force.observe(run))
+    refused(IMPULSE.observe, dataclasses.replace(run, solid_impulse=None), said="solid 0")
+
+
+def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
+    scene = scene_of(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)), size=(1.0, 0.5, 1.0), cell=0.05)
+    outline = Outline(scene, (0.0, 90.0, 180.0, 270.0))
+    angle = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
+    rim = np.stack([0.5 + 0.3 * np.cos(angle), np.zeros(4000), 0.5 + 0.2 * np.sin(angle)], axis=1)
+    np.testing.assert_allclose(outline.exact(rim), [0.3, 0.2, 0.3, 0.2], rtol=0.001)
+    np.testing.assert_allclose(outline.of_line(rim[::100, [0, 2]]), [0.3, 0.2, 0.3, 0.2], rtol=0.01)
+    smooth = outline.smooth(torch.from_numpy(rim), torch.ones(4000)).numpy()
+    np.testing.assert_allclose(smooth, outline.exact(rim), atol=0.001)

@@ -1,5 +1,7 @@
 """The emulator: exact where it has to be, honest about what it does not know, and one with the textbook's formulas."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -32,7 +34,7 @@ def test_a_linear_response_is_exact_and_its_scatter_is_found(unknowns: int) -> N
     assert np.mean((mean - 3.0 - where @ slopes) ** 2 / variance) < 3.0
 
 
-def test_it_is_the_textbooks_universal_kriging() -> None:
+def test_it_is_the_textbooks_universal_kriging(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rasmussen & Williams (2.41), (2.42), with a flat prior of the trend and a single nugget."""
     points, where, lengths, nugget = spread(14, 2), spread(6, 2, 1), np.array([0.5, 0.9]), 0.01
     numbers = bent(points)
@@ -48,18 +50,12 @@ def test_it_is_the_textbooks_universal_kriging() -> None:
     residual = numbers - basis @ coefficients
     scale = np.einsum("nr,nm,mr->r", residual, inverse, residual) / (14 - 3)
 
-    class OneNugget:
-        scatter_spread, length_scale, length_spread = 1e6, 0.7, 0.8
-
-    patch = pytest.MonkeyPatch()
-    patch.setattr("inverse.posterior.emulator.CONSTANTS", OneNugget)
-    patch.setattr("inverse.posterior.emulator.NUGGETS", np.array([nugget]))
-    try:
-        own_mean, own_variance = made.predict(where)
-        covariance, scatter = made.covariance(where, 0)
-        left_out, left_out_variance = made.left_out
-    finally:
-        patch.undo()
+    constants = SimpleNamespace(scatter_spread=1e6, length_scale=0.7, length_spread=0.8)
+    monkeypatch.setattr("inverse.posterior.emulator.CONSTANTS", constants)
+    monkeypatch.setattr("inverse.posterior.emulator.NUGGETS", np.array([nugget]))
+    own_mean, own_variance = made.predict(where)
+    covariance, scatter = made.covariance(where, 0)
+    left_out, left_out_variance = made.left_out
     np.testing.assert_allclose(own_mean, mean, atol=1e-8)
     np.testing.assert_allclose(own_variance, prior[:, None] * scale, rtol=1e-6)
     np.testing.assert_allclose(np.diag(covariance), own_variance[:, 0], rtol=1e-6)

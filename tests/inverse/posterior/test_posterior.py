@@ -1,4 +1,7 @@
-"""The posterior of responses that are known: exact where they are linear; reduction, information; what jumps."""
+"""The posterior of responses that are known: exact where they are linear; reduction, information; what jumps.
+
+Samples of densities that are known exactly, and their separate parts.
+"""
 
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ from inverse.observations import FrontSettings
 from inverse.observations.errors import Covariance
 from inverse.observations.target import Target
 from inverse.posterior import Matrix
+from inverse.posterior.answers import parts, quantiles
 from inverse.posterior.emulator import linear
 from inverse.posterior.information import information
 from inverse.posterior.posterior import Posterior, Regime, Region, next_points, posterior, regime_of, repeated_scatter
@@ -71,6 +75,11 @@ def test_a_posterior_wider_than_its_region_leaves_it() -> None:
     assert np.all(np.sqrt(np.diag(found.samples.covariance)) > 0.8 * deviation)
     assert np.all(found.region.low < narrow.low)
     assert np.all(found.region.high > narrow.high)
+    # Samples of many parameters lie beyond their runs.
+    for unknowns, edge in ((6, 0.6), (7, 0.62)):
+        region = Region(low=np.full(unknowns, 0.4), high=np.full(unknowns, 0.6))
+        np.testing.assert_allclose(region.sampled.high, edge)
+        assert not Region.whole(unknowns).sampled.inside(np.full((1, unknowns), 1.01))[0]
 
 
 def test_a_weak_parameter_has_a_direction_of_its_own() -> None:
@@ -182,15 +191,12 @@ def test_a_column_that_stands_may_have_all_parameters_at_which_it_does(seed: int
     assert np.mean(samples.points[:, 0] < EDGE + 0.1) > 0.95
 
 
-def test_the_nearest_runs_decide() -> None:
+def test_the_nearest_runs_decide_and_a_steady_response_is_one_regime() -> None:
     regime = Regime(inside=np.array([[0.2, 0.5], [0.1, 0.4]]), outside=np.array([[0.8, 0.5]]))
     inside, between, outside = np.exp(regime(np.array([[0.21, 0.5], [0.5, 0.5], [0.79, 0.5]])))
     assert inside > 0.999
     assert 0.4 < between < 0.7
     assert outside < 0.001
-
-
-def test_a_steady_response_is_one_regime() -> None:
     points = np.linspace(0.0, 1.0, 20)[:, None]
     near = np.ones(20, bool)
     assert regime_of(50.0 * points, points, near, np.array([25.3])) is None
@@ -200,8 +206,70 @@ def test_a_steady_response_is_one_regime() -> None:
     assert np.array_equal(regime_of(values, points, near, np.array([0.2])), points[:, 0] < 0.5)
 
 
-@pytest.mark.parametrize(("unknowns", "edge"), [(6, 0.6), (7, 0.62)])
-def test_samples_of_many_parameters_lie_beyond_their_runs(unknowns: int, edge: float) -> None:
-    region = Region(low=np.full(unknowns, 0.4), high=np.full(unknowns, 0.6))
-    np.testing.assert_allclose(region.sampled.high, edge)
-    assert not Region.whole(unknowns).sampled.inside(np.full((1, unknowns), 1.01))[0]
+def whole(unknowns: int) -> dict[str, Matrix]:
+    """The bounds of the unit box."""
+    return {"low": np.zeros(unknowns), "high": np.ones(unknowns)}
+
+
+def gaussian(points: Matrix, centre: Matrix, deviation: float) -> Matrix:
+    return np.asarray(-0.5 * np.sum((points - centre) ** 2, axis=1) / deviation**2)
+
+
+@pytest.mark.parametrize("unknowns", [1, 2, 10])
+def test_a_gaussian_has_its_moments_and_its_evidence(unknowns: int) -> None:
+    centre, deviation = np.linspace(0.4, 0.6, unknowns), 0.02
+    found = sample(lambda points: gaussian(points, centre, deviation), np.random.default_rng(0), **whole(unknowns))
+    np.testing.assert_allclose(found.mean, centre, atol=0.15 * deviation)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), deviation, rtol=0.12)
+    assert found.evidence == pytest.approx(unknowns * np.log(deviation * np.sqrt(2.0 * np.pi)), abs=0.15 * unknowns)
+    assert found.difference < 0.25
+    assert found.acceptance > 0.05
+    (part,) = parts(found, lambda points: gaussian(points, centre, deviation), np.random.default_rng(1))
+    np.testing.assert_allclose(part.half_widths, 1.96 * deviation, rtol=0.15)
+    assert part.weight == pytest.approx(1.0)
+
+
+def test_two_maxima_keep_their_shares() -> None:
+    """One three times as heavy as the other, forty standard deviations apart."""
+    one, other = np.array([0.2, 0.3]), np.array([0.8, 0.7])
+
+    def density(points: Matrix) -> Matrix:
+        return np.logaddexp(np.log(3.0) + gaussian(points, one, 0.015), gaussian(points, other, 0.015))
+
+    found = sample(density, np.random.default_rng(0), **whole(2))
+    heavy, light = parts(found, density, np.random.default_rng(1))
+    np.testing.assert_allclose(heavy.point, one, atol=0.003)
+    np.testing.assert_allclose(light.point, other, atol=0.003)
+    assert heavy.weight == pytest.approx(0.75, abs=0.08)
+
+
+def test_a_curved_ridge_is_one_part_and_a_ring_has_no_answer_in_its_middle() -> None:
+    def ring(points: Matrix) -> Matrix:
+        return np.asarray(-0.5 * ((np.linalg.norm(points - 0.5, axis=1) - 0.3) / 0.02) ** 2)
+
+    found = sample(ring, np.random.default_rng(0), **whole(2))
+    (part,) = parts(found, ring, np.random.default_rng(1))
+    assert np.linalg.norm(part.point - 0.5) == pytest.approx(0.3, abs=0.05)
+    assert min(part.half_widths) > 0.3
+
+
+def test_what_is_not_constrained_has_the_prior() -> None:
+    found = sample(lambda points: gaussian(points[:, :1], np.array([0.5]), 0.05), np.random.default_rng(0), **whole(2))
+    assert np.sqrt(found.covariance[1, 1]) == pytest.approx(np.sqrt(1.0 / 12.0), rel=0.05)
+
+
+def test_a_ridge_that_ends_at_a_bound_has_its_quantiles() -> None:
+    """Steps along a ridge that are mirrored at a face, and not those back, would draw samples towards it."""
+
+    def ridge(points: Matrix) -> Matrix:
+        along, across = points[:, 0] - 0.7, points[:, 1] - 0.6 - 1.1 * (points[:, 0] - 0.7)
+        return np.asarray(-0.5 * ((along / 0.3) ** 2 + (across / 0.05) ** 2))
+
+    middles = (np.arange(500) + 0.5) / 500
+    cells = np.stack(np.meshgrid(middles, middles, indexing="ij"), axis=-1).reshape(-1, 2)
+    exact = quantiles(cells, np.exp(ridge(cells)) / np.exp(ridge(cells)).sum())
+    shown = []
+    for seed in range(4):
+        found = sample(ridge, np.random.default_rng(seed), **whole(2))
+        shown.append(quantiles(found.points, found.weights))
+    np.testing.assert_allclose(np.mean(shown, axis=0), exact, atol=0.01)

@@ -1,6 +1,7 @@
-"""The inversion by one forward model, on one that is a formula: with its gradient, and without."""
+"""Searches by formulas: the inversion by one forward model, with its gradient and without; waves of runs."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from datasets.scene.grid_field import Floats
 from inverse.observations import ToeSettings
 from inverse.observations.errors import Covariance
 from inverse.observations.target import Target
+from inverse.posterior import Matrix
 from inverse.problem import Problem
 from inverse.search.descent import inverted
 from inverse.search.inference import Inversion
+from inverse.search.waves import ModelRun, WaveSearch, filling
 from tests.inverse.flows import problem_of
 
 NAMES = ("friction_deg", "masses[0].velocity_x")
@@ -95,3 +98,32 @@ def test_parameters_beyond_the_bounds_end_on_them() -> None:
     found = inversion(problem, forward, problem.box.upper + 0.2 * problem.box.range)
     best = found.minima[int(np.argmin(found.misfits(found.minima)))]
     assert best.max() == pytest.approx(1.0, abs=0.01)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Count:
+    """How many runs there are."""
+
+    runs: int = 0
+
+    def updated(self, search: WaveSearch[ModelRun, "Count"]) -> "Count":
+        return Count(runs=len(search.every))
+
+
+def squared(points: Matrix, first: int) -> list[ModelRun]:
+    """The squares of the parameters, and the number of the run."""
+    return [ModelRun(point=each, numbers=np.append(each**2, first + row)) for row, each in enumerate(points)]
+
+
+def test_waves_follow_until_there_is_no_next_one_or_the_budget_is_spent() -> None:
+    known = tuple(squared(np.full((3, 2), 0.5), 100))
+    search = WaveSearch(model=squared, knowledge=Count(), seed=1, budget=10, known=known)
+    search = search.ran(filling(2, 3, search.generator(0), repeats=1))
+    found = search.in_waves(lambda state: state.generator().random((4, 2)) if state.left else None)
+    # Of the third wave two runs are left over; the known ones are no part of the budget.
+    assert [each.runs for each in found.waves] == [7, 11, 13]
+    assert found.left == 0
+    np.testing.assert_array_equal(found.numbers[:, 2], [100, 101, 102, *range(10)])
+    np.testing.assert_array_equal(found.numbers[:, :2], found.points**2)
+    again = search.in_waves(lambda state: state.generator().random((4, 2)) if state.left else None)
+    np.testing.assert_array_equal(again.points, found.points)

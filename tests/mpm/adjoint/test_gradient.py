@@ -28,6 +28,7 @@ SOFTENING = Material(
     residual_cohesion=100.0,
     residual_tension_cutoff=20.0,
 )
+CLAY = Material(law="von-mises", friction_deg=0.0, constants={"strength": 500.0, "hardening": 300.0}, young=2.0e5)
 FAST_SHEAR = {"friction_limit_deg": 45.0, "grain_diameter": 5.0e-3, "inertial_number": 0.2}
 LEAVING = (
     Mass(lower=(0.785, 0.0), size=(0.2, 0.2), velocity=(2.0, 0.0)),
@@ -81,6 +82,7 @@ SCENES = {
     "barriers": plane(masses=HELD, duration=0.03),
     "3D": room(),
     "3D softening": room(SOFTENING),
+    "von Mises": plane(CLAY, duration=0.04),
     "sand": plane(SAND, masses=FALLING, duration=0.04),
     "dilating sand": plane(dataclasses.replace(SAND, dilation_deg=10.0), masses=FALLING, duration=0.04),
     "weak soil": plane(WEAK, masses=FALLING, duration=0.03),
@@ -118,51 +120,55 @@ MATERIAL = {
     **{"friction_limit_deg": 1e-2, "inertial_number": 1e-4, "grain_diameter": 1e-6, "grain_density": 1.0},
 }
 SETTINGS = {"floor_friction": 1e-3, "wall_friction": 1e-3, "gravity": 1e-2, "slope_deg": 1e-2, "damping": 1e-4}
+Way = tuple[str | int, ...]
+"""Keys and indices from a scene to a number."""
+STEPS: dict[Way, float] = {
+    **{("material", name): step for name, step in MATERIAL.items()},
+    **{("material", "constants", name): 1.0 for name in ("strength", "hardening")},
+    **{(name,): step for name, step in SETTINGS.items()},
+    ("channel", "width"): 1e-4,
+    ("baffles", 0, "lower", 0): 1e-5,
+    ("baffles", 0, "size", 1): 1e-5,
+    ("baffles", 0, "turned_deg"): 1e-2,
+    ("baffles", 0, "turbulence"): 1.0,
+    ("baffle_friction",): 1e-3,
+    ("solids", 0, "points", 1, 0): 1e-6,
+    ("solids", 0, "points", 1, 1): 1e-6,
+    ("solids", 0, "friction"): 1e-3,
+    ("solids", 0, "turbulence"): 1.0,
+}
+"""Of a number, the largest of its differences."""
 
 
-def paths_of(scene: Scene) -> dict[str, tuple[Callable[[float], Scene], float]]:
-    """Paths of scenes through this one that change its solids, and a step along each."""
+def value_at(record: Any, way: Way) -> Any:
+    """What stands at the end of a way of keys and indices; None where there is nothing."""
+    for key in way:
+        if isinstance(key, int):
+            record = record[key] if record and len(record) > key else None
+        else:
+            record = record.get(key) if isinstance(record, dict) else getattr(record, key, None)
+    return record
 
-    def baffle(**changes: Any) -> Scene:
-        return dataclasses.replace(scene, baffles=(dataclasses.replace(scene.baffles[0], **changes),))
 
-    def ground(**changes: Any) -> Scene:
-        return dataclasses.replace(scene, solids=(dataclasses.replace(GROUND, **changes),))
+def raised(record: Any, way: Way, h: float) -> Any:
+    """A record with the number at the end of a way raised by h, or all numbers of a table there."""
+    if not way:
+        return tuple(raised(each, way, h) for each in record) if isinstance(record, tuple) else record + h
+    key, rest = way[0], way[1:]
+    if isinstance(key, int):
+        return (*record[:key], raised(record[key], rest, h), *record[key + 1 :])
+    if isinstance(record, dict):
+        return {**record, key: raised(record[key], rest, h)}
+    return dataclasses.replace(record, **{key: raised(getattr(record, key), rest, h)})
 
-    def channel(h: float) -> Scene:
-        return dataclasses.replace(scene, channel=dataclasses.replace(scene.channel, width=0.1 + h))
 
-    def rough(h: float, name: str) -> Scene:
-        solid = scene.solids[0]
-        return dataclasses.replace(
-            scene, solids=(dataclasses.replace(solid, **{name: shifted(getattr(solid, name), h)}),)
-        )
-
-    def shifted(values: Any, h: float) -> Any:
-        return tuple(shifted(each, h) for each in values) if isinstance(values, tuple) else values + h
-
-    if scene.solids and scene.solids[0].turbulence:
-        return {
-            name: (lambda h, name=name: rough(h, name), step)
-            for name, step in (("turbulence", 1.0), ("friction", 1e-3))
-        }
-    if scene.channel:
-        return {"width": (channel, 1e-4)}
-    if scene.baffles:
-        lower, size, turned = scene.baffles[0].lower, scene.baffles[0].size, scene.baffles[0].turned_deg
-        return {
-            "x": (lambda h: baffle(lower=(lower[0] + h, *lower[1:])), 1e-5),
-            "height": (lambda h: baffle(size=(size[0], size[1] + h, *size[2:])), 1e-5),
-            "turn": (lambda h: baffle(turned_deg=turned + h), 1e-2),
-            "friction": (lambda h: dataclasses.replace(scene, baffle_friction=scene.baffle_friction + h), 1e-3),
-        } | ({"turbulence": (lambda h: baffle(turbulence=20.0 + h), 1.0)} if scene.baffles[0].turbulence else {})
-    if scene.solids == (GROUND,):
-        return {
-            "height": (lambda h: ground(points=((0.0, 0.02), (0.25, 0.03 + h), (1.0, 0.013))), 1e-6),
-            "place": (lambda h: ground(points=((0.0, 0.02), (0.25 + h, 0.03), (1.0, 0.013))), 1e-6),
-            "friction": (lambda h: ground(friction=(0.1, 0.7 + h, 0.3)), 1e-3),
-        }
-    return {}
+def paths_of(scene: Scene) -> Iterator[tuple[Way, float]]:
+    """Ways to the numbers that a scene has, and a step of each."""
+    absent = {"young"} if any(each.release for each in scene.masses) else set()
+    absent |= set() if scene.material.friction_limit_deg else {"inertial_number", "grain_density"}
+    for way, step in STEPS.items():
+        if value_at(scene, way) and way[-1] not in absent and ("points" not in way or scene.solids == (GROUND,)):
+            yield way, step
 
 
 def derivatives(
@@ -174,28 +180,19 @@ def derivatives(
         direction = np.random.default_rng(1).normal(size=ours.shape)
         change = moved(name, direction)
         yield name, float((ours * direction).sum()), lambda h, change=change: value(scene, change(h)), step
-    for name, step in MATERIAL.items():
-        inertial = name in ("inertial_number", "grain_density") and not scene.material.friction_limit_deg
-        if (
-            getattr(scene.material, name)
-            and not inertial
-            and not (name == "young" and any(each.release for each in scene.masses))
-        ):
+    for way, step in paths_of(scene):
 
-            def with_material(h: float, name: str = name) -> float:
-                material = dataclasses.replace(scene.material, **{name: getattr(scene.material, name) + h})
-                return value(dataclasses.replace(scene, material=material))
+        def path(h: float, way: Way = way) -> Scene:
+            return raised(scene, way, h)
 
-            yield name, float(slope.material(name).sum()), with_material, step
-    for name, step in SETTINGS.items():
-        if getattr(scene, name):
-
-            def with_setting(h: float, name: str = name) -> float:
-                return value(dataclasses.replace(scene, **{name: getattr(scene, name) + h}))
-
-            yield name, slope.setting(name), with_setting, step
-    for name, (path, step) in paths_of(scene).items():
-        yield name, slope.along(path, 0.0, 1e-7), lambda h, path=path: value(path(h)), step
+        match way:
+            case ("material", *_, str(name)):
+                by_adjoint = float(slope.material(name).sum())
+            case (str(name),) if name in SETTINGS:
+                by_adjoint = slope.setting(name)
+            case _:
+                by_adjoint = slope.along(path, 0.0, 1e-7)
+        yield str(way), by_adjoint, lambda h, path=path: value(path(h)), step
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n not in FAST else []) for n in SCENES])

@@ -33,7 +33,6 @@ HEIGHTS = tuple(Parameter(name=f"baffles[{index}].height", lower=0.04, upper=0.2
 FRICTION = Parameter(name="friction_deg", lower=18.0, upper=42.0, prior=Prior(kind="normal", mean=30.0, deviation=3.0))
 FLOOR = Parameter(name="floor_friction", lower=0.3, upper=0.5)
 SCATTER, PRICES = 0.005, {"baffles[0].height": 1.0, "baffles[1].height": 2.0}
-SEEDS = range(3)
 
 
 def problem_of(**changes: object) -> DesignProblem:
@@ -54,7 +53,7 @@ class Known:
         return np.asarray(0.9 - one - 1.5 * other - 0.01 * (angle - 30.0) + scatter)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", range(3))
 def test_the_cheapest_design_of_a_known_response_is_found(seed: int) -> None:
     problem = problem_of(budget=Budget(runs=50, seed=seed))
     found = designed(problem, Known(problem))
@@ -80,7 +79,7 @@ def test_the_most_reliable_design_is_found_where_nothing_has_a_cost() -> None:
     assert found.reliability.expected == pytest.approx(norm.cdf(0.05 / 0.03), abs=0.02)
 
 
-def test_a_limit_that_no_design_keeps_is_unreachable(tmp_path: Path) -> None:
+def test_a_limit_that_no_design_keeps_is_unreachable() -> None:
     problem = problem_of(limit=Limit(quantity="front", below=0.3), budget=Budget(runs=40, checks=40))
     found = designed(problem, Known(problem))
     assert found.verdict is Verdict.UNREACHABLE
@@ -208,12 +207,11 @@ def test_a_force_is_that_of_the_solid() -> None:
 
 
 @pytest.mark.slow
-def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path) -> None:
     force = 'quantity = "impact_force"\nsolid = "baffles[1]"\nwindow = 0.04\nbelow = 700.0'
     file.write_text(PROBLEM.replace('quantity = "front"\nbelow = 0.7', force))
     out = file.parent / "out"
     main(str(file), out=out)
-    assert "problem: confirmed" in capsys.readouterr().out
     found = json.loads((out / "design.json").read_text())
     # A low barrier lets through what strikes the second one, a higher one than needed costs more.
     assert 0.06 < found["design"]["baffles[0].height"] < 0.2

@@ -1,4 +1,4 @@
-"""Experiments that ship can be run, wrong ones are refused by name; a page of a made-up one follows its numbers."""
+"""Experiments that ship can be run, wrong ones are refused by name; quantities of known deposits are exact."""
 
 import math
 from collections.abc import Sequence
@@ -6,13 +6,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from datasets import Mass, Trajectory, write_scene
-from datasets.scene.particles import particle_count
+from datasets.scene.particles import initial_particles, particle_count
 from tests.refusals import refused
 from tests.scenes import flow_of, scene_of
 from validation.bench.experiments import compute, crossing
-from validation.experiments.experiment import Experiment, Quantity, Reading, read_experiment, read_experiments
+from validation.experiments.experiment import (
+    Experiment,
+    Measured,
+    Quantity,
+    Reading,
+    edge,
+    quantity,
+    read_experiment,
+    read_experiments,
+)
 from validation.runs import Run
 
 SHIPPED = read_experiments()
@@ -23,18 +33,11 @@ what = "Its front falls by 10 mm a degree."
 source = "this test"
 licence = "MIT"
 cells = [0.02, 0.01]
-[[angles]]
-name = "avalanche"
-lower_deg = 24.5
-upper_deg = 25.5
-status = "read"
-source = "this test"
-[[angles]]
-name = "repose"
-lower_deg = 20.0
-upper_deg = 20.0
-status = "worked out"
-source = "this test"
+angles = [
+  { name = "avalanche", lower_deg = 24.5, upper_deg = 25.5, status = "read", source = "this test" },
+  { name = "repose", lower_deg = 20.0, upper_deg = 20.0, status = "worked out", source = "this test" },
+]
+assumptions = [{ what = "everything", choice = "nothing", reason = "a test" }]
 [grains]
 friction_growth = 0.26
 inertial_number = 0.3
@@ -52,10 +55,6 @@ spread_from = "this test"
 status = "read"
 source = "this test"
 explanation = "The wedge is imaginary."
-[[assumptions]]
-what = "everything"
-choice = "nothing"
-reason = "a test"
 """
 
 PARTICLES = 2000
@@ -109,15 +108,6 @@ def test_scenes_are_undamped_and_hold_what_was_measured(experiment: Experiment) 
                 assert measured.value + 3.0 * measured.spread < scene.domain.size[0]
 
 
-def changed(shelf: Path, old: str, new: str) -> Path:
-    """The experiment of the shelf with a text of its file replaced."""
-    path = shelf / "wedge" / "experiment.toml"
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
-    return path.parent
-
-
 @pytest.mark.parametrize(
     ("old", "new", "key"),
     [
@@ -132,9 +122,11 @@ def changed(shelf: Path, old: str, new: str) -> Path:
     ],
 )
 def test_a_wrong_experiment_is_refused_by_file_and_key(shelf: Path, old: str, new: str, key: str) -> None:
-    folder = changed(shelf, old, new)
-    found = refused(read_experiment, folder)
-    assert found.where == str(folder / "experiment.toml")
+    path = shelf / "wedge" / "experiment.toml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    found = refused(read_experiment, path.parent)
+    assert found.where == str(path)
     assert key in found.key
 
 
@@ -159,10 +151,50 @@ def test_the_angle_of_a_front_lies_between_runs(target: float) -> None:
     angle, slope = crossing(fronts, target)
     assert angle == pytest.approx(12.5 / target, abs=0.3)
     assert slope == pytest.approx(-(target**2) / 12.5, rel=0.2)
-
-
-def test_a_front_that_no_angle_gives_has_a_slope_alone() -> None:
+    # A front that no angle gives has a slope alone.
     fronts = {20.0: 0.6, 28.0: 0.5, 36.0: 0.45}
     assert math.isnan(crossing(fronts, 0.7)[0])
-    assert crossing(fronts, 0.7)[1] == pytest.approx(-0.0125)
-    assert crossing(fronts, 0.3)[1] == pytest.approx(-0.00625)
+    assert (crossing(fronts, 0.7)[1], crossing(fronts, 0.3)[1]) == pytest.approx((-0.0125, -0.00625))
+
+
+BLOCK = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.1)), size=(1.0, 0.2), cell=0.01, jitter=0.0)
+AT_START = initial_particles(BLOCK).positions
+
+
+def flow(*positions: NDArray[np.floating]) -> Trajectory:
+    """A trajectory of BLOCK with these frames, a second from one to the next."""
+    return flow_of(BLOCK, positions, time=np.arange(len(positions), dtype=np.float64))
+
+
+def number(kind: Quantity, **other: object) -> Measured:
+    """A measured number of a kind."""
+    return Measured(quantity=kind, value=0.1, spread=0.01, status="read", source="", **other)
+
+
+def test_edge_is_linear_between_stations_and_ends_with_the_deposit() -> None:
+    stations = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    assert edge(stations, np.array([0.3, 0.3, 0.1, 0.0, 0.0]), 0.05) == pytest.approx(0.25)
+    # A crumb beyond a gap does not belong to the deposit.
+    assert edge(stations, np.array([0.3, 0.3, 0.1, 0.0, 0.2]), 0.05) == pytest.approx(0.25)
+    assert edge(stations, np.array([0.3, 0.3, 0.3, 0.3, 0.3]), 0.05) == 0.4
+    assert edge(stations, np.array([0.0, 0.0, 0.01, 0.0, 0.0]), 0.05) == pytest.approx(0.2)
+
+
+def test_radius_is_about_the_vertical_axis() -> None:
+    angles = np.linspace(0.0, np.pi / 2.0, 1001)
+    circle = np.stack([0.3 * np.cos(angles), np.zeros(1001), 0.3 * np.sin(angles)], axis=1)
+    assert quantity(number(Quantity.RADIUS), flow(circle)) == pytest.approx(0.3)
+    # From 0.3 to 0.6 m within a second; one radius of two is 50 mm off.
+    measured = number(Quantity.RADII, times=(0.5, 1.0), radii=(0.4, 0.6))
+    assert quantity(measured, flow(circle, 2.0 * circle)) == pytest.approx(0.05 / np.sqrt(2.0))
+
+
+def test_height_front_and_profile_of_a_block() -> None:
+    assert quantity(number(Quantity.HEIGHT, within=0.05), flow(AT_START)) == pytest.approx(0.1)
+    for front in (number(Quantity.FRONT), number(Quantity.FRONT, thicker_than=0.05)):
+        assert quantity(front, flow(AT_START)) == pytest.approx(0.4, abs=0.006)
+    measured = number(Quantity.PROFILE, x=(0.1, 0.2, 0.3, 0.6), heights=(0.1, 0.12, 0.1, 0.0))
+    # One row of four is 20 mm off.
+    assert quantity(measured, flow(AT_START)) == pytest.approx(0.01, rel=1e-3)
+    for x, heights in (((0.1,), (0.1,)), ((0.1, 0.2), (0.1,)), ((0.2, 0.1), (0.1, 0.1))):
+        refused(number, Quantity.PROFILE, x=x, heights=heights)

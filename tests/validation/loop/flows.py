@@ -56,6 +56,10 @@ class FakeMpm:
 
     scatter: float = 0.0
     """[m]."""
+    uneven: float = 1.0
+    """The scatter above 30 degrees over that below."""
+    shortened: float = 0.0
+    """By what share of its length per metre of a cell, a deposit is shorter [1/m]."""
     killed_after: int = 10**6
     scenes: list[Scene] = field(default_factory=list)
     """All that was simulated."""
@@ -75,24 +79,9 @@ class FakeMpm:
         return at_rest(self.x(scene), scene)
 
     def x(self, scene: Scene) -> NDArray[np.float64]:
-        angle = scene.material.friction_deg
-        return np.asarray((length(angle) + scatter_of(scene.seed, angle) * self.scatter) * SHAPE)
-
-
-class Uneven(FakeMpm):
-    """Deposits that scatter thirty times as much above 30 degrees."""
-
-    def x(self, scene: Scene) -> NDArray[np.float64]:
-        angle = scene.material.friction_deg
-        scatter = self.scatter * (30.0 if angle > 30.0 else 1.0)
-        return np.asarray((length(angle) + scatter_of(scene.seed, angle) * scatter) * SHAPE)
-
-
-class Coarse(FakeMpm):
-    """Deposits that the cells shorten."""
-
-    def x(self, scene: Scene) -> NDArray[np.float64]:
-        return np.asarray(super().x(scene) * (1.0 - 2.0 * scene.domain.cell))
+        angle, share = scene.material.friction_deg, 1.0 - self.shortened * scene.domain.cell
+        scatter = self.scatter * (self.uneven if angle > 30.0 else 1.0)
+        return np.asarray((length(angle) + scatter_of(scene.seed, angle) * scatter) * share * SHAPE)
 
 
 class Folded(FakeMpm):
