@@ -36,7 +36,8 @@ OUTLINE = 0.1
 COLUMN = 3.0
 """Width of the columns in which two deposits are compared, over the larger distance between their particles [-]."""
 
-Positions = Volumes = NDArray[np.floating]
+Positions = NDArray[np.floating]
+Volumes = NDArray[np.floating]
 Floats = NDArray[np.float64]
 Ground = Callable[[Floats], Floats]
 """Elevation [m], shape [N], at places in plan [m], shape [N, D - 1]."""

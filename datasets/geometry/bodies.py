@@ -138,7 +138,7 @@ def mesh(mass: Mass, share: float, key: str) -> Filling:
     buried = ndimage.binary_erosion(within.reshape(counts), np.ones((3, 3, 3)), border_value=False).ravel()[within]
 
     def contains(places: Floats) -> NDArray[np.bool_]:
-        found = buried.copy()
+        found: NDArray[np.bool_] = buried.copy()
         found[~buried] = inside(boundary([body], 0.0), places[~buried])
         return found
 
