@@ -142,14 +142,15 @@ def feet(corners: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
 
     In a triangle where the point projects into it, else on its nearest edge.
     """
-    count = 1 if corners.shape[-1] == 2 else 3
-    along, offset = (np.roll(corners, -1, axis=1) - corners)[:, :count], (points[:, None] - corners)[:, :count]
+    after = [1] if corners.shape[-1] == 2 else [1, 2, 0]
+    first = corners[:, : len(after)]
+    along, offset = corners[:, after] - first, points[:, None] - first
     share = np.clip((offset * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
     edge = ((offset - share[..., None] * along) ** 2).sum(-1).argmin(axis=1)
     rows, weights = np.arange(len(points)), np.zeros(points.shape)
     weights[rows, edge] = 1.0 - share[rows, edge]
     weights[rows, (edge + 1) % corners.shape[1]] = share[rows, edge]
-    if count == 3:
+    if len(after) == 3:
         # Twice the area between each edge and the point, over the plane: the share of the corner across from it.
         areas = np.einsum("nkd, nd -> nk", np.cross(along, offset), np.cross(along[:, 0], along[:, 1]))
         beside = (areas > 0.0).all(axis=1)
