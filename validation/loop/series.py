@@ -91,8 +91,7 @@ def read_deposits(problem: Problem, folder: Path) -> dict[str, Problem]:
 def of_deposit(problem: Problem, path: Path) -> Problem:
     """The problem with the deposit in a file as its target, and jitter seeds of its own."""
     target, observations = TargetSettings(trajectory=str(path.absolute())), problem.observations
-    nothing: list[dict[str, Any]] = [dict.fromkeys(each.sources) for each in observations]
-    unmeasured = [replace(each, **none) for each, none in zip(observations, nothing, strict=True)]
+    unmeasured = [replace(each, **dict[str, Any](dict.fromkeys(each.sources))) for each in observations]
     if path.suffix == ".csv":
         (settings, *others) = unmeasured
         if others or not isinstance(settings, TabulatedSettings):
