@@ -60,12 +60,12 @@ def state_before(step, block, arrays: ti.template()):
 
 @ti.func
 def replay(worker, first, last, arrays: ti.template()):
-    """Compute the frames [first, last) as `mpm.kernel.advance_worker`, keeping every state, while grids have room."""
+    """Compute the frames [first, last) as `mpm.kernel.advance_thread`, keeping every state, while grids have room."""
     scene = arrays.workers[worker, Worker.SCENE]
     step, moved = 0, 0.0 * arrays.settings[scene, Setting.CELL] + OUTDATED
     for _frame in range(first, last):
         substeps = steps_of_frame(scene, arrays)
-        synchronise(arrays)
+        synchronise(worker, arrays)
         dt = arrays.settings[scene, Setting.FRAME_DT] / substeps
         kappa = relaxation_factor(scene, dt, arrays)
         for _step in range(substeps):
@@ -75,7 +75,7 @@ def replay(worker, first, last, arrays: ti.template()):
             if moved < 0.0:
                 break
             step += 1
-        synchronise(arrays)
+        synchronise(worker, arrays)
         if moved < 0.0:
             break
     copy_state(worker, step, True, arrays)
@@ -92,12 +92,12 @@ def reverse(worker, arrays: ti.template()):
     remaining = arrays.step_counts[scene]
     while remaining > 0:
         make_grid(worker, scene, remaining - 1, arrays)
-        synchronise(arrays)
+        synchronise(worker, arrays)
         if not has_room(worker, arrays):
             break
         remaining -= 1
         reverse_step(worker, scene, remaining, arrays)
-    synchronise(arrays)
+    synchronise(worker, arrays)
     arrays.step_counts[scene] = remaining
 
 
@@ -119,13 +119,13 @@ def reverse_step(worker, scene, step, arrays: ti.template()):
     kappa = relaxation_factor(scene, dt, arrays)
     keep_nodes(worker, arrays)
     update_grid(worker, scene, dt, kappa, arrays)
-    synchronise(arrays)
+    synchronise(worker, arrays)
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         after = state_before(step + 1, block, arrays)
         update_block_reverse(worker, table, scene, block, scratch, after, dt, kappa, arrays)
-    synchronise(arrays)
+    synchronise(worker, arrays)
     update_grid_reverse(worker, scene, dt, kappa, arrays)
-    synchronise(arrays)
+    synchronise(worker, arrays)
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays)
 

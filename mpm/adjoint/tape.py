@@ -283,6 +283,7 @@ class Tape:
 
         def call(own: dict[str, Array], first: int, last: int, direction: Pass) -> bool:
             """Whether the call came to its end: else grids had no room, which they have now."""
+            batch.arrivals = np.zeros(len(batch.workers), np.int32)
             walk(*arguments(STEP | ADJOINT, vars(batch) | shared | own, lanes).values(), first, last, direction)
             grown = batch.grow_grid()
             if grown:
