@@ -138,23 +138,45 @@ def normals_at(surface: Surface, face: Integers, weights: Floats) -> Floats:
 
 
 def feet(corners: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Nearest places of faces [N, D, D] for points [N, D]: places [m], distances [m] and barycentric coordinates.
-
-    In a triangle where the point projects into it, else on its nearest edge.
-    """
-    after = [1] if corners.shape[-1] == 2 else [1, 2, 0]
-    first = corners[:, : len(after)]
-    along, offset = corners[:, after] - first, points[:, None] - first
-    share = np.clip((offset * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
-    edge = ((offset - share[..., None] * along) ** 2).sum(-1).argmin(axis=1)
-    rows, weights = np.arange(len(points)), np.zeros(points.shape)
-    weights[rows, edge] = 1.0 - share[rows, edge]
-    weights[rows, (edge + 1) % corners.shape[1]] = share[rows, edge]
-    if len(after) == 3:
-        # Twice the area between each edge and the point, over the plane: the share of the corner across from it.
-        areas = np.einsum("nkd, nd -> nk", np.cross(along, offset), np.cross(along[:, 0], along[:, 1]))
-        beside = (areas > 0.0).all(axis=1)
-        weights[beside] = np.roll(areas, -1, axis=1)[beside] / areas[beside].sum(axis=1, keepdims=True)
+    """Nearest places of faces [N, D, D] for points [N, D]: places [m], distances [m] and barycentric coordinates."""
+    if corners.shape[-1] == 2:
+        along = corners[:, 1] - corners[:, 0]
+        share = ((points - corners[:, 0]) * along).sum(-1) / (along * along).sum(-1)
+        share = np.clip(share, 0.0, 1.0)
+        weights = np.stack([1.0 - share, share], axis=-1)
+    else:
+        weights = triangle_weights(corners, points)
     foot = np.einsum("nk,nkd->nd", weights, corners)
     # An inexact weight must not make a corner or an edge nearer than it is: the foot is what is measured.
     return foot, np.linalg.norm(points - foot, axis=-1), weights
+
+
+def triangle_weights(corners: Floats, points: Floats) -> Floats:
+    """Barycentric coordinates [N, 3] of the nearest places of triangles [N, 3, 3] (Ericson 2005, section 5.1.5)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac = b - a, c - a
+    d1, d2 = ((points - a) * ab).sum(-1), ((points - a) * ac).sum(-1)
+    d3, d4 = ((points - b) * ab).sum(-1), ((points - b) * ac).sum(-1)
+    d5, d6 = ((points - c) * ab).sum(-1), ((points - c) * ac).sum(-1)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+
+    def quotient(top: Floats, bottom: Floats) -> Floats:
+        return np.asarray(np.divide(top, bottom, out=np.zeros_like(top), where=bottom != 0.0))
+
+    whole = va + vb + vc
+    zero, one = np.zeros_like(va), np.ones_like(va)
+    on_ab, on_ac = quotient(d1, d1 - d3), quotient(d2, d2 - d6)
+    on_bc = quotient(d4 - d3, (d4 - d3) + (d5 - d6))
+    v, w = quotient(vb, whole), quotient(vc, whole)
+    cases = [
+        ((d1 <= 0.0) & (d2 <= 0.0), (one, zero, zero)),
+        ((d3 >= 0.0) & (d4 <= d3), (zero, one, zero)),
+        ((d6 >= 0.0) & (d5 <= d6), (zero, zero, one)),
+        ((vc <= 0.0) & (d1 >= 0.0) & (d3 <= 0.0), (one - on_ab, on_ab, zero)),
+        ((vb <= 0.0) & (d2 >= 0.0) & (d6 <= 0.0), (one - on_ac, zero, on_ac)),
+        ((va <= 0.0) & (d4 - d3 >= 0.0) & (d5 - d6 >= 0.0), (zero, one - on_bc, on_bc)),
+    ]
+    inner = (one - v - w, v, w)
+    return np.stack(
+        [np.select([case for case, _ in cases], [value[k] for _, value in cases], inner[k]) for k in range(3)], axis=-1
+    )
