@@ -195,7 +195,7 @@ def test_fields_are_left_to_the_adjoint(tmp_path: Path, monkeypatch: pytest.Monk
     asked: list[Problem] = []
     monkeypatch.setattr("inverse.inversion.invert", asked.append)
     solve(files(tmp_path))
-    assert [each.name for each in asked[0].fields] == ["velocity_x"]
+    assert [each.settings.name for each in asked[0].fields] == ["velocity_x"]
 
 
 JOINT = (
