@@ -99,11 +99,14 @@ class Number:
     low: float
     high: float
     """Its 2.5 % and 97.5 % quantiles."""
+    others: tuple[tuple[float, float, float], ...] = ()
+    """The same three of the other separate answers."""
 
     @property
     def inside(self) -> bool:
-        """Whether the true value is known and lies within the interval."""
-        return self.truth is not None and self.low <= self.truth <= self.high
+        """Whether the true value is known and lies within the interval of a separate answer."""
+        intervals = [(self.low, self.high), *(each[1:] for each in self.others)]
+        return self.truth is not None and any(low <= self.truth <= high for low, high in intervals)
 
     def off(self, value: float | None) -> float:
         """A value less the true one; nan where one of them is not known."""
@@ -132,7 +135,7 @@ class Outcome:
     @cached_property
     def numbers(self) -> list[Number]:
         result, own, truth = self.result, self.surrogate.get("unknowns", {}), self.result.get("truth") or {}
-        known = dict(zip(self.problem.names, self.paper.values, strict=False))
+        known, others = dict(zip(self.problem.names, self.paper.values, strict=False)), result.get("answers", [])[1:]
         return [
             Number(
                 unknown=name,
@@ -143,6 +146,7 @@ class Outcome:
                 found=result["unknowns"][name],
                 low=result["interval"][name][0],
                 high=result["interval"][name][1],
+                others=tuple((each["unknowns"][name], *each["interval"][name]) for each in others),
             )
             for name, kind in zip(self.problem.names, self.problem.kinds, strict=True)
         ]
@@ -313,7 +317,8 @@ def rows(ways: Outcomes) -> list[Row]:
 def cell(outcome: Outcome, index: int, digits: int, *, many: bool) -> str:
     """A number that was found with its interval; of many how many true values are within theirs."""
     number, verdict = outcome.numbers[index], outcome.result["verdict"]
-    text = f"{number.found:.{digits}f} [{number.low:.{digits}f}, {number.high:.{digits}f}]"
+    answers = [(number.found, number.low, number.high), *number.others]
+    text = " or ".join(f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]" for value, low, high in answers)
     if many:
         text = f"{sum(each.inside for each in outcome.numbers)} of {len(outcome.numbers)} in their intervals"
     if index == 0 and verdict != Verdict.CONFIRMED.value:

@@ -105,6 +105,14 @@ def test_every_criterion_can_be_missed() -> None:
     # An interval beyond the criterion promises less than it.
     wide = found | {"certainty": {"friction_deg": 5.0}, "interval": {"friction_deg": [27.0, 47.0]}}
     assert Outcome(problem=problem, criteria=criteria, result=wide).missed == []
+    # A second answer that holds the true value counts, where the first does not.
+    low = {name: 0.9 * value for name, value in found["truth"].items()}
+    high = {name: 1.1 * value for name, value in found["truth"].items()}
+    second = {"unknowns": found["truth"], "interval": {name: [low[name], high[name]] for name in low}}
+    lax = Criteria(inside=True)
+    assert len(Outcome(problem=problem, criteria=lax, result=found).missed) == 1
+    both = found | {"answers": [{"unknowns": found["unknowns"], "interval": found["interval"]}, second]}
+    assert Outcome(problem=problem, criteria=lax, result=both).missed == []
 
 
 def test_every_shipped_problem_has_criteria() -> None:
