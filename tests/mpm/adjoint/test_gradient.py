@@ -206,11 +206,13 @@ def test_the_gradient_is_that_of_central_differences(name: str) -> None:
         return value_of(scene, objective, lambda particles: change(base(particles)))
 
     slope = exact_gradient(scene, objective, base)
+    # Weak soil yields and opens everywhere: only small steps stay on one piece of its flow.
+    finer = 0.01 if name == "weak soil" else 1.0
     for what, ours, along, step in derivatives(scene, slope, value):
         # A random direction may lie nearly across the gradient; of what has no effect differences are rounding.
         share = 1e-4 if what == "velocity_gradients" else 1e-6
         nearly = share * float(np.linalg.norm(getattr(slope, what))) if what in vars(slope) else 1e-10 / step
-        assert ours == pytest.approx(central(along, step), rel=2e-5, abs=nearly), what
+        assert ours == pytest.approx(central(along, finer * step), rel=2e-5, abs=nearly), what
     if scene.baffles:
         more = Solid(kind="box", lower=(0.6,) * scene.dimension, size=(0.1,) * scene.dimension)
         refused(slope.along, lambda h: dataclasses.replace(scene, solids=(more,)), 0.0, said="as many faces")
