@@ -82,6 +82,23 @@ def test_a_layer_slides_from_rest_as_a_block(name: str) -> None:
     assert moved.mean() == pytest.approx(exact, rel=0.05)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("foot", [0.0, 0.3])
+def test_between_smooth_solids_the_ground_rubs_nearly_whole(foot: float) -> None:
+    """A layer two cells wide on the floor between baffles, or on a slab between boxes; a layer's own error is 0.2 %."""
+    walls = [{"lower": (0.0, 0.0, z), "size": (60.0, 3.0, 0.5)} for z in (0.0, 1.0)]
+    solids: dict[str, Any] = {"baffles": tuple(Baffle(**wall) for wall in walls), "floor_friction": MU}
+    if foot:
+        slab = Solid(lower=(0.0, 0.0, 0.0), size=(60.0, foot, 1.5), friction=MU)
+        solids = {"solids": (slab, *(Solid(**wall) for wall in walls))}
+    mass = Mass(lower=(10.0, foot, 0.5), size=(40.0, 1.0, 0.5))
+    settings = {"cell": 0.25, "material": SOIL, "duration": 2.0, "frame_dt": 0.25, "open_sides": ("x-", "x+")}
+    scene = scene_of(mass, size=(60.0, 3.0, 1.5), slope_deg=22.0, **solids, **settings)
+    moved = float((middle_displacement(simulate(scene, threads=1)) @ downhill(scene)).mean())
+    friction = (math.sin(SLOPE) - 2.0 * moved / (9.81 * scene.duration**2)) / math.cos(SLOPE)
+    assert 0.955 * MU < friction < 1.005 * MU
+
+
 @pytest.mark.parametrize("how", ["slope_deg", pytest.param("terrain", marks=pytest.mark.slow)])
 def test_a_layer_that_friction_holds_stays_at_rest(how: str) -> None:
     flow = simulate(layer(how, friction=0.6), threads=1)

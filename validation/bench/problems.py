@@ -101,12 +101,8 @@ class Number:
     """Its 2.5 % and 97.5 % quantiles."""
     others: tuple[tuple[float, float, float], ...] = ()
     """The same three of the other separate answers."""
-
-    @property
-    def inside(self) -> bool:
-        """Whether the true value is known and lies within the interval of a separate answer."""
-        intervals = [(self.low, self.high), *(each[1:] for each in self.others)]
-        return self.truth is not None and any(low <= self.truth <= high for low, high in intervals)
+    inside: bool
+    """Whether the true value is known and lies within the interval of the answer that holds most true values."""
 
     def off(self, value: float | None) -> float:
         """A value less the true one; nan where one of them is not known."""
@@ -136,6 +132,14 @@ class Outcome:
     def numbers(self) -> list[Number]:
         result, own, truth = self.result, self.surrogate.get("unknowns", {}), self.result.get("truth") or {}
         known, others = dict(zip(self.problem.names, self.paper.values, strict=False)), result.get("answers", [])[1:]
+
+        def held(answer: Mapping[str, Any]) -> set[str]:
+            """The unknowns whose true values lie within the intervals of an answer."""
+            intervals = answer["interval"].items()
+            return {name for name, (low, high) in intervals if name in truth and low <= truth[name] <= high}
+
+        # Of one answer for all: values of two layouts are no layout.
+        inside = max(map(held, (result, *others)), key=len)
         return [
             Number(
                 unknown=name,
@@ -147,6 +151,7 @@ class Outcome:
                 low=result["interval"][name][0],
                 high=result["interval"][name][1],
                 others=tuple((each["unknowns"][name], *each["interval"][name]) for each in others),
+                inside=name in inside,
             )
             for name, kind in zip(self.problem.names, self.problem.kinds, strict=True)
         ]
