@@ -147,7 +147,10 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
 
 
 def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], list[float]]:
-    """Relief [m], friction, steepest angle along an axis [deg] of the terrain, if any; spacing: of its raster [m]."""
+    """Relief [m], friction, and the steepest angle along an axis [deg] of the terrain, where there is one.
+
+    spacing: of its raster [m].
+    """
     if not scene.solids:
         return [], [], []
     elevation, friction, _ = ground_raster(scene, spacing)

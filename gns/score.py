@@ -78,7 +78,10 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
 
 
 def validation_score(scores: Sequence[Score]) -> float:
-    """Mean of |front| + profile + thickness [-], the smaller the better: without thickness flat sand would be best."""
+    """Mean of |front| + profile + thickness [-]; the smaller, the better.
+
+    Without the thickness a network would be best whose sand lies flat on the floor.
+    """
     return float(np.mean([abs(score.front) + score.profile + score.thickness for score in scores]))
 
 

@@ -138,7 +138,10 @@ def unroll(
 
 
 def step_activation_bytes(simulator: Simulator, state: State, conditions: Conditions) -> int:
-    """Memory of a step's activations until the backward pass [bytes]: what autograd saves but weights and inputs."""
+    """Memory that the activations of a step take until the backward pass [bytes].
+
+    Every storage that autograd saves is counted once, without weights and inputs.
+    """
     given = [*simulator.parameters(), *simulator.buffers(), conditions.friction, conditions.cohesion, conditions.volume]
     known = {each.untyped_storage().data_ptr() for each in given}
     # By address, with the storage itself: that of one which is freed could be another's.

@@ -39,7 +39,7 @@ PARTICLE_STEPS_PER_CALL = 5.0e6
 SHORT = 0.02
 """Seconds of a call that says too little of how busy the processors are."""
 PATIENCE = 16
-"""Calls after which a large scene tries all its threads again, at most: the first time after one, then two, four."""
+"""A large scene tries all its threads again after one call, then after two, four and so on, up to this many."""
 
 
 class Options(TypedDict, total=False):
@@ -255,7 +255,10 @@ class Crew:
         self.calls, self.patience = 0, 1
 
     def choose(self, wall: float, used: float) -> None:
-        """Choose the threads of the next call; of this one its seconds `wall`, and those of its processors `used`."""
+        """Choose the number of threads of the next call from the last one.
+
+        wall: seconds that it took; used: seconds of all processors together.
+        """
         if self.shared and self.threads > 1 and wall > SHORT and self.threads - used / wall > 0.5:
             self.threads, self.calls = self.threads // 2, self.patience
             self.patience = min(2 * self.patience, PATIENCE)

@@ -23,7 +23,8 @@ ROUGHNESS = (0.45, 0.27)
 INCLINED = 4.0
 """Factor that brings gravity along the floor to the size of the other features [-]."""
 REFERENCE_COHESION = 50.0
-"""Scale of the logarithm of the cohesion [Pa], the weight of 3 mm of sand: a thin front with any runs less far."""
+"""Scale of the logarithm of the cohesion [Pa], about the weight of 3 mm of sand: a thin front that has any cohesion
+does not run as far as a dry one."""
 SQUARE_FLOOR = 1.0e-12
 """Added to d^2: particles that the floor or a corner stopped can coincide, where the root has no finite slope."""
 

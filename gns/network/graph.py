@@ -67,7 +67,10 @@ def radius_graph(positions: Tensor, radius: float, batch: Tensor | None = None) 
 
 
 def mean_envelope_sum(radius: float, particle_volume: float, dimension: int) -> float:
-    """Sum of the envelope over the neighbours in a dense packing [-]: its mean over a ball times how many are in it."""
+    """Sum of the envelope over the neighbours of a particle inside a dense packing [-].
+
+    The mean of (1 - r^2)^2 over the unit ball, times the number of particles in a ball of the radius.
+    """
     mean = 1.0 - 2.0 * dimension / (dimension + 2.0) + dimension / (dimension + 4.0)
     ball = math.pi ** (dimension / 2.0) / math.gamma(dimension / 2.0 + 1.0) * radius**dimension
     return float(mean * ball / particle_volume)

@@ -67,7 +67,10 @@ class Boxes:
 
 
 def rotated(vectors: Tensor, cosine: Tensor, sine: Tensor, *, symmetric: bool = False) -> Tensor:
-    """Vectors [..., D] turned from first axis to last, by angles [...]; symmetric: as extents, both sines positive."""
+    """Vectors [..., D] turned from the first axis to the last; cosine, sine: of the angle, shape [...].
+
+    symmetric: both terms with the sine are positive, as of extents.
+    """
     first, last = vectors[..., 0], vectors[..., -1]
     turned = cosine * first + sine * last if symmetric else cosine * first - sine * last
     between = [vectors[..., axis].expand_as(turned) for axis in range(1, vectors.shape[-1] - 1)]

@@ -92,7 +92,10 @@ class Ground(Tensors):
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions(Tensors):
-    """What is constant during a rollout of B samples side by side: tensors, each of which may require a gradient."""
+    """What is constant during a rollout of B samples side by side: material, volumes, box, gravity and solids.
+
+    All that is a tensor may require a gradient.
+    """
 
     friction: Tensor
     """tan(phi) of each particle [-], shape [N]."""

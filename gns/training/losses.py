@@ -56,7 +56,11 @@ class UnrolledLoss(nn.Module):
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
-    """The loss of a model's positions [K + 1, N, D] [m] beside targets after each step [K, N, D] [m]; scale: s [m]."""
+    """The loss of a rollout.
+
+    positions: of the model at the start and after each step [m], shape [K + 1, N, D]; targets: [m], [K, N, D];
+    scale: s [m].
+    """
     steps = torch.arange(1, len(targets) + 1, device=targets.device).view(-1, 1, 1)
     error = (positions[1:] - targets) / scale
     before = torch.cat((torch.zeros_like(error[:1]), error[:-1]))

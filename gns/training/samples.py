@@ -318,7 +318,10 @@ def reflected(sample: Batch, axis: int | None) -> Batch:
 
 
 def statistics(datasets: Sequence[Sequence[Flow]]) -> Normalisation:
-    """Normalisation over random times at which flows move, the same each time, `SAMPLED_TIMES` or two a flow."""
+    """Normalisation constants, over random times at which the flows move; always the same times.
+
+    Of each flow as many times are read as make `SAMPLED_TIMES` in all, at least two.
+    """
     squares, count, friction = np.zeros(2), 0, []
     share = max(2, -(-SAMPLED_TIMES // sum(map(len, datasets))))
     rng = np.random.default_rng(0)

@@ -166,7 +166,10 @@ class Parameter(Record):
 
 
 def check_parameters(scene: Scene, parameters: Mapping[str, Parameter], key: str) -> None:
-    """Raise InputError, under a parameter's key or `key` of all, unless flows at all their bounds can be simulated."""
+    """Raise InputError for parameters that the scene has not, or with bounds at which it could not be simulated.
+
+    parameters: by their keys; key: of all together.
+    """
     names = [each.name for each in parameters.values()]
     for place, parameter in parameters.items():
         with keyed(place):

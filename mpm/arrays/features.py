@@ -69,7 +69,10 @@ class Processor:
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """What the scenes of a batch need; `state`, `face`, `node` and `scratch` are addresses of numbers in memory."""
+    """What the scenes of a batch need; nothing else is in their kernels.
+
+    `state`, `face`, `node` and `scratch` are addresses of numbers, in the order of memory.
+    """
 
     dimension: int
     precision: Precision

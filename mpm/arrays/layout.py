@@ -57,7 +57,10 @@ class Setting(Column):
 
 
 class Property(Column):
-    """First columns of `properties`, real, shape [scenes, columns], or of each particle; those of its law follow."""
+    """First columns of `properties`, real, shape [scenes, columns]; of each particle where scenes are heterogeneous.
+
+    Those of the material's law follow (`mpm.laws`).
+    """
 
     VOLUME = auto()  # initial [m^D]
     DENSITY = auto()  # [kg/m^3]

@@ -107,7 +107,10 @@ def in_precision(
 
 
 def properties_row(material: Material, volume: float) -> Array:
-    """One line of `properties`, where strength grows with depth that of the top; `volume` of a particle [m^D]."""
+    """One line of `properties`; `volume` of a particle [m^D].
+
+    Of a material whose strength grows with depth, the strength at its top.
+    """
     return np.asarray(properties_at(material, np.zeros(1), volume=volume)[0])
 
 

@@ -174,7 +174,10 @@ class Equilibrium:
         return bool(new.any() or back.any())
 
     def warn(self, stress: Floats) -> None:
-        """Say how much of the weight is unbalanced: forces, what no wall takes, pull and shear beyond friction."""
+        """Say how much of the weight a solution leaves unbalanced, where that is more than single particles.
+
+        It counts unbalanced nodal forces and what no wall takes: pull, and shear beyond friction.
+        """
         force = self.unbalanced(stress, self.contact.traction)
         held = (self.walls != 0) | self.behind_barriers | self.rough[:, None]
         loose = np.abs(force[self.free]).sum()
@@ -226,7 +229,10 @@ class Equilibrium:
         return np.where(self.free, force + self.inertia * displacements, 0.0)
 
     def admitted(self, stress: Floats, inside: float = 1.0) -> Floats:
-        """`stress` without tension beyond the limit, then scaled to its mean, to `inside` of yield where beyond it."""
+        """`stress` without tension beyond the limit, then scaled towards its mean until its law admits it.
+
+        Where that was needed, by a factor `inside` further.
+        """
         beyond = np.linalg.eigvalsh(stress)[:, 2] > self.limit
         principal, axes = np.linalg.eigh(stress[beyond])
         stress = stress.copy()

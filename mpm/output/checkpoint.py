@@ -51,7 +51,10 @@ class Checkpoint:
         )
 
     def restore(self, batch: "Batch") -> None:
-        """Bring a batch of one scene from its start to where this run ended. Raises InputError for another run's."""
+        """Bring a batch of one scene, as it is at its start, to where this run ended.
+
+        Raises InputError where the run is one of another scene, recording or precision.
+        """
         if self.run != described(batch.scenes[0], batch.recording, batch.features.precision):
             raise InputError("expected the run of the checkpoint, got another scene, recording or precision")
         for key, part in arrays_of(batch, self.frame).items():
