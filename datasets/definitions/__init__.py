@@ -1,27 +1,26 @@
-"""What datasets consist of: families of kinds of scenes in Python, distributions in TOML; by name or from a file."""
+"""What datasets consist of, in TOML: families of kinds of scenes, or one scene of distributions; by name or path."""
 
-from importlib import import_module
 from pathlib import Path
 
 from datasets.definitions.definition import Definition
+from datasets.definitions.distributions import definition_from_file
 from datasets.errors import InputError
 
-MODULES = {"flow2d": "flow2d", "columns2d": "paper_families", "obstacle3d": "obstacle3d", "baffles3d": "paper_families"}
-"""Those that define the families, by their names."""
-FILES = {path.stem: path for path in sorted(Path(__file__).parent.glob("*.toml"))}
-NAMES = (*MODULES, *FILES)
+FAMILIES = ("flow2d", "columns2d", "obstacle3d", "baffles3d")
+NAMES = (*FAMILIES, "paper2d", "paper3d")
 """Of the definitions that ship."""
 
 
 def read_definition(name: str) -> Definition:
     """The definition of a shipped name, or in the TOML file at a path. Raises InputError."""
-    from datasets.definitions.distributions import definition_from_file
+    shipped = Path(__file__).parent / f"{name}.toml"
+    if name in FAMILIES:
+        # With the libraries of geometry, which tell what a scene must not resemble.
+        from datasets.definitions.families import family
 
-    if name in MODULES:
-        found: Definition = getattr(import_module(f"datasets.definitions.{MODULES[name]}"), name.upper())
-        return found
-    if name in FILES:
-        return definition_from_file(FILES[name])
+        return family(shipped)
+    if name in NAMES:
+        return definition_from_file(shipped)
     if name.endswith(".toml") or "/" in name:
         return definition_from_file(Path(name))
     raise InputError(f"expected one of {', '.join(NAMES)}, or a TOML file, got {name!r}", key="definition")

@@ -30,8 +30,10 @@ MANY = 20
 MOST_SCENES = 1_000_000
 """Of a dataset."""
 NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
-ALONE = ("log_uniform", "normal", "integer", "choice")
-OPTIONS = {"uniform": {"step"}, "variable": {"factor", "offset"}} | {name: set[str]() for name in ALONE}
+ALONE = ("log_uniform", "normal", "integer")
+OPTIONS = {"uniform": {"step"}, "choice": {"weights"}, "variable": {"factor", "offset"}} | {
+    name: set[str]() for name in ALONE
+}
 """Distributions and the keys that may stand beside them."""
 
 
@@ -125,7 +127,13 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
     require(not extra, where, f"no other key beside it than {sorted(OPTIONS[kind]) or 'it'}", ", ".join(sorted(extra)))
     if kind == "choice":
         require(isinstance(given, list) and len(given) > 0, where, "a list of values", value)
-        return drawn(given[int(stream.integers(len(given)))], stream, variables, key)
+        weights = value.get("weights", [1] * len(given))
+        fit = (
+            isinstance(weights, list) and len(weights) == len(given) and all(type(w) is int and w > 0 for w in weights)
+        )
+        require(fit, where, "weights, a positive whole number for each value", value)
+        chosen = int(np.searchsorted(np.cumsum(weights), stream.integers(sum(weights)), side="right"))
+        return drawn(given[chosen], stream, variables, key)
     if kind == "variable":
         known = isinstance(given, str) and given in variables
         require(known, where, f"one of the variables {sorted(variables)}", repr(given))

@@ -51,7 +51,10 @@ def nearest(surface: Surface, points: Floats, within: float = np.inf) -> Nearest
 
 def inside(surface: Surface, points: Floats) -> NDArray[np.bool_]:
     """Which `points` [m], shape [N, D], lie in the solid, shape [N]."""
-    return np.asarray(nearest(surface, points).distance < 0.0)
+    flat = surface.corners.reshape(-1, surface.dimension)
+    found = np.asarray(((points >= flat.min(axis=0)) & (points <= flat.max(axis=0))).all(axis=1))
+    found[found] = nearest(surface, points[found]).distance < 0.0
+    return found
 
 
 class Search:

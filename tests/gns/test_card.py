@@ -14,8 +14,8 @@ import torch
 from safetensors.torch import save_file
 
 from datasets import Baffle, Channel, Domain, Mass, Scene, Solid, read_scene
+from datasets.definitions import read_definition
 from datasets.definitions.definition import Split
-from datasets.definitions.flow2d import FLOW2D
 from gns import card, checkpoint
 from gns.card import Calibration
 from gns.library import models, shipped
@@ -35,7 +35,9 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("card") / "own.safetensors"
     torch.manual_seed(0)
     simulator = Simulator(SCALED, NORMALISATION)
-    scenes = [each.scene for each in FLOW2D.entries(seed=0, count=300) if each.split is Split.TRAIN][:200]
+    scenes = [each.scene for each in read_definition("flow2d").entries(seed=0, count=300) if each.split is Split.TRAIN][
+        :200
+    ]
     card.write(path, card.describe(simulator, PROVENANCE, {"flow2d": scenes}))
     checkpoint.save(path, simulator, PROVENANCE)
     return path
@@ -176,7 +178,7 @@ def test_every_model_that_ships_has_a_card(weights: Path) -> None:
 
 @pytest.mark.skipif(not shipped(2).exists(), reason="no 2D model ships")
 def test_scenes_of_the_definition_are_within_the_shipped_card() -> None:
-    scenes = [each.scene for each in FLOW2D.entries(seed=1, count=40) if each.split is Split.TRAIN]
+    scenes = [each.scene for each in read_definition("flow2d").entries(seed=1, count=40) if each.split is Split.TRAIN]
     assert [outside(scene, card.read(shipped(2)).ranges) for scene in scenes] == [[]] * len(scenes)
 
 

@@ -15,7 +15,7 @@ import torch
 from tqdm import tqdm
 
 import gns
-from datasets.definitions import flow2d, obstacle3d, paper_families
+from datasets.definitions import read_definition
 from datasets.errors import InputError
 from datasets.flow import measures
 from datasets.flow.measures import Errors
@@ -32,13 +32,6 @@ from validation.runs import Run, RunStore, kept
 
 SEED = 1
 """Of the held-out scenes; the training data have 0."""
-FAMILIES = {
-    "columns2d": (paper_families.COLUMNS, paper_families.COLUMNS2D),
-    "flow2d": (flow2d.KINDS, flow2d.FLOW2D),
-    "baffles3d": (paper_families.BAFFLES, paper_families.BAFFLES3D),
-    "obstacle3d": (obstacle3d.KINDS, obstacle3d.OBSTACLE3D),
-}
-"""Kinds of flows and definition of the training data, by its name."""
 CREST = ((0.3, 0.0), (1.1, 0.0), (0.7, 0.2))
 MOUNDS: dict[str, tuple[float, float]] = {
     "45° on 12°": (45.0, 12.0),
@@ -278,8 +271,8 @@ def draw(path: Path, found: Sequence[Model]) -> None:
 
 def held_out(family: str, number: int) -> list[tuple[str, Scene]]:
     """So many scenes that no training data have, with their kinds: the first of every kind, then the second, ..."""
-    drawn, definition = FAMILIES[family]
-    kinds = [each.__name__.replace("_", " ") for each in drawn]
+    definition = read_definition(family)
+    kinds = definition.kinds
     found: dict[str, list[tuple[str, Scene]]] = {kind: [] for kind in kinds}
     rounds, streams = math.ceil(number / len(found)), set[int]()
     for index in count():
