@@ -18,6 +18,7 @@ from pathlib import Path
 
 from datasets.errors import InputError
 from datasets.flow.trajectory import Trajectory, read_trajectory
+from datasets.lazy import lazily as lazily
 from datasets.scene import Baffle, Channel, Domain, Gate, Mass, Scene, Solid, Stage
 from datasets.scene.library import read_scene, write_scene
 from datasets.scene.material import Material

@@ -6,8 +6,7 @@ prediction = gns.predict("column-tall-42")  # with its band
 """
 
 import os
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 # Torch reads both when it is loaded, so they must precede it.
 # Huge pages for large tensors: page faults dominate otherwise (2.5 times the time of a step).
@@ -17,7 +16,7 @@ os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 try:
-    from datasets import Scene as _Scene  # noqa: F401
+    from datasets import lazily
 except ImportError as error:
     raise ImportError(
         f"expected Talus's package datasets ({error}); Hugging Face's has the same name: install Talus in an "
@@ -29,13 +28,4 @@ if TYPE_CHECKING:
 
 __all__ = ["load", "predict", "simulate"]
 
-
-def __getattr__(name: str) -> Any:
-    """Import on first use: torch takes seconds, which no `--help` should."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("gns.inference"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__ = lazily("gns", dict.fromkeys(__all__, "gns.inference"))

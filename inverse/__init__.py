@@ -8,10 +8,10 @@
 A problem is a TOML file (docs/formats.md) or a `Problem` built in Python; its unknowns are numbers or fields.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import gns  # noqa: F401  (sets what torch reads when it is loaded, before a module here loads torch)
+from datasets import lazily
 
 if TYPE_CHECKING:
     from inverse.adaptation import adapt as adapt
@@ -42,13 +42,4 @@ _MODULES = {
 
 __all__ = [*_MODULES]
 
-
-def __getattr__(name: str) -> Any:
-    """Import on first use: the forward models need neither the MPM's kernels nor plots, a hundred MiB."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULES[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *_MODULES])
+__getattr__, __dir__ = lazily("inverse", _MODULES)

@@ -9,14 +9,13 @@ runs = simulate_many([scene.with_friction_deg(angle) for angle in (20.0, 30.0, 4
 """
 
 import os
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 # Commands of Talus print what they found, not which libraries they found it with.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
 
 try:
-    from datasets import Scene as _Scene  # noqa: F401
+    from datasets import lazily
 except ImportError as error:
     raise ImportError(
         f"expected Talus's package datasets ({error}); Hugging Face's has the same name: install Talus in an "
@@ -31,15 +30,11 @@ if TYPE_CHECKING:
 __all__ = ["ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording", "ScenesFailed"]
 __all__ += ["safety_factor", "simulate", "simulate_each", "simulate_many"]
 
-
-def __getattr__(name: str) -> Any:
-    """Import on first use: processes that only read scenes or resolutions need no Taichi."""
-    if name not in __all__:
-        raise AttributeError(f"module 'mpm' has no attribute {name!r}")
-    solves = name.startswith(("simulate", "Scenes"))
-    home = "simulation" if solves else "safety" if name == "safety_factor" else "output.request"
-    return getattr(import_module(f"mpm.{home}"), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+__getattr__, __dir__ = lazily(
+    "mpm",
+    {
+        **dict.fromkeys(("ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording"), "mpm.output.request"),
+        **dict.fromkeys(("ScenesFailed", "simulate", "simulate_each", "simulate_many"), "mpm.simulation"),
+        "safety_factor": "mpm.safety",
+    },
+)

@@ -8,10 +8,10 @@ print(result.verdict, result.unknowns, result.interval)
 plot(result).savefig("found.png")
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mpm  # noqa: F401  (which knows whether the package datasets is Talus's)
+from datasets import lazily
 
 if TYPE_CHECKING:
     from inverse.result import Result
@@ -30,13 +30,4 @@ _MODULES = {
 
 __all__ = ["Result", "find_design", "forecast_scene", "solve", "solve_series"]
 
-
-def __getattr__(name: str) -> Any:
-    """Import on first use: benchmarks import this package too, and torch and matplotlib take seconds."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULES[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__ = lazily("validation", _MODULES)
