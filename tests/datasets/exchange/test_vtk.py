@@ -8,7 +8,6 @@ import pytest
 import pyvista
 
 from datasets import Baffle, Mass, Material, Solid, Trajectory
-from datasets.errors import WorkFailed
 from datasets.exchange import vtk
 from datasets.exchange.vtk import write_vtk
 from datasets.scene.particles import initial_particles
@@ -143,11 +142,3 @@ def test_a_break_leaves_the_older_series(tmp_path: Path, flow: Trajectory, monke
     with pytest.raises(KeyboardInterrupt):
         write_vtk(toy(2), tmp_path)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-def test_a_full_disk_is_one_line(tmp_path: Path, flow: Trajectory) -> None:
-    path = tmp_path / "particles-0000.vtp"
-    path.symlink_to("/dev/full")
-    with pytest.raises(WorkFailed, match=r"particles-0000\.vtp could not be written"):
-        vtk._write(vtk.Meshes(flow).part("particles", 0, 0), path)
