@@ -8,20 +8,14 @@ prediction = gns.predict("column-tall-42")  # with its band
 import os
 from typing import TYPE_CHECKING
 
+from datasets import lazily
+
 # Torch reads both when it is loaded, so they must precede it.
 # Huge pages for large tensors: page faults dominate otherwise (2.5 times the time of a step).
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 # One thread: on a thousand particles a second one gains a fifth where its core is free, and where it is busy a step
 # took 200 times longer, threads spinning at their barriers.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-try:
-    from datasets import lazily
-except ImportError as error:
-    raise ImportError(
-        f"expected Talus's package datasets ({error}); Hugging Face's has the same name: install Talus in an "
-        "environment of its own"
-    ) from None
 
 if TYPE_CHECKING:
     from gns.inference import load, predict, simulate

@@ -5,7 +5,7 @@
 | `settings`          | `gns.settings.ModelSettings`                              |
 | `provenance`        | command, seed, datasets, minutes and scores that made the weights |
 
-A file may be anybody's, so no more layers are built than it has tensors, and without memory of their own.
+A network is built without memory of its own: what it has is that of the tensors in the file.
 """
 
 import json
@@ -66,10 +66,6 @@ def load(path: Path) -> Model:
         settings = from_mapping(ModelSettings, described)
         for name, tensor in tensors.items():
             require(bool(torch.isfinite(tensor).all()), name, "finite numbers", "others")
-        layers = settings.layers * (settings.mlp_layers + 1) + settings.rounds * (settings.grid_layers + 1)
-        expected = f"at most {len(tensors)} layers, from the tensors in the file"
-        require(layers <= len(tensors), "settings", expected, layers)
-    # Built without memory: what it has is that of the tensors in the file.
     with reading(path, "weights of a model of these settings"), torch.device("meta"):
         simulator = Simulator(settings, BLANK, corrected=any(name.startswith("correction.") for name in tensors))
         simulator.load_state_dict(tensors, assign=True)

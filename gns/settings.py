@@ -13,7 +13,8 @@ UP = 1
 Positive = Annotated[float, Bounds("a positive number", gt=0.0)]
 NotNegative = Annotated[float, Bounds("a number of at least 0", ge=0.0)]
 Count = Annotated[int, Bounds("an integer of at least 1", ge=1)]
-Layers = Annotated[int, Bounds("a number of at least 0", ge=0)]
+Steps = Annotated[int, Bounds("an integer of 1 to 100", ge=1, le=100)]
+Layers = Annotated[int, Bounds("a number of 0 to 100", ge=0, le=100)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,11 +44,11 @@ class ModelSettings(Record):
     """Speed [m/s] below which a displacement fades, as static friction; without it (0) deposits creep for ever."""
     width: Count = 64
     """Width of every latent vector."""
-    layers: Count = 4
+    layers: Steps = 4
     """Message-passing steps, shared equally between the rounds."""
     mlp_layers: Layers = 1
     """Hidden layers of every perceptron of nodes."""
-    rounds: Count = 2
+    rounds: Steps = 2
     """Rounds of grid context, then message passing."""
     grid_cell: Positive = 0.02
     """Edge of a cell of the background grid [m]."""
