@@ -1,7 +1,7 @@
 """A user's own definition: a scene in TOML in which any number may be a distribution, those of docs/formats.md."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
@@ -19,8 +19,8 @@ from datasets.schema import Bounds, Record, dotted, from_mapping
 Key = tuple[int | str, ...]
 Draws = dict[str, Any]
 
-LARGEST = 1.0e15
-"""Of a bound of a distribution."""
+LARGEST, LEAST_STEP = 1.0e15, 1.0e-15
+"""Of a number of a distribution; of a step over the range."""
 MOST_COPIES = 4096
 """Of a mass or a baffle."""
 TRIES = 1000
@@ -30,10 +30,15 @@ MANY = 20
 MOST_SCENES = 1_000_000
 """Of a dataset."""
 NAME = re.compile(r"[A-Za-z][\w-]{0,60}", re.ASCII)
-ALONE = ("log_uniform", "normal", "integer")
-OPTIONS = {"uniform": {"step"}, "choice": {"weights"}, "variable": {"factor", "offset"}} | {
-    name: set[str]() for name in ALONE
+PAIRS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
+    "uniform": ("two numbers, the smaller first", lambda low, high: low <= high),
+    "log_uniform": ("two numbers above 0, the smaller first", lambda low, high: 0 < low <= high),
+    "normal": ("two numbers, the mean and a deviation of at least 0", lambda _, deviation: deviation >= 0),
+    "integer": ("two whole numbers, the smaller first", lambda a, b: type(a) is type(b) is int and a <= b),
 }
+"""Distributions of two numbers: what these must be."""
+OPTIONS = {name: set[str]() for name in PAIRS}
+OPTIONS |= {"uniform": {"step"}, "choice": {"weights"}, "variable": {"factor", "offset"}}
 """Distributions and the keys that may stand beside them."""
 
 
@@ -128,10 +133,8 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
     if kind == "choice":
         require(isinstance(given, list) and len(given) > 0, where, "a list of values", value)
         weights = value.get("weights", [1] * len(given))
-        fit = (
-            isinstance(weights, list) and len(weights) == len(given) and all(type(w) is int and w > 0 for w in weights)
-        )
-        require(fit, where, "weights, a positive whole number for each value", value)
+        fit = isinstance(weights, list) and len(weights) == len(given) and all(type(each) is int for each in weights)
+        require(fit and min(weights) > 0, where, "weights, a positive whole number for each value", value)
         chosen = int(np.searchsorted(np.cumsum(weights), stream.integers(sum(weights)), side="right"))
         return drawn(given[chosen], stream, variables, key)
     if kind == "variable":
@@ -139,27 +142,28 @@ def draw_value(value: Mapping[str, Any], kind: str, stream: np.random.Generator,
         require(known, where, f"one of the variables {sorted(variables)}", repr(given))
         if not OPTIONS[kind] & value.keys():
             return variables[given]
-        factor, offset = value.get("factor", 1.0), value.get("offset", 0.0)
-        usable = all(type(each) in (int, float) and abs(each) <= LARGEST for each in (variables[given], factor, offset))
-        require(usable, where, "numbers, variable, factor and offset", [variables[given], factor, offset])
-        return rounded(variables[given] * factor + offset)
-    numbers = isinstance(given, list) and len(given) == 2 and all(type(each) in (int, float) for each in given)
-    require(numbers, where, "two numbers", value)
+        terms = [variables[given], value.get("factor", 1.0), value.get("offset", 0.0)]
+        require(all(map(usable, terms)), where, "numbers, variable, factor and offset", terms)
+        return rounded(terms[0] * terms[1] + terms[2])
+    expected, hold = PAIRS[kind]
+    fit = isinstance(given, list) and len(given) == 2 and all(map(usable, given)) and hold(*given)
+    require(fit, where, expected, value)
     low, high = given
-    require(kind == "normal" or low <= high, where, "the smaller number first", value)
-    require(kind != "log_uniform" or low > 0, where, "positive numbers", value)
-    require(kind != "integer" or all(type(each) is int for each in given), where, "two whole numbers", value)
-    require(all(abs(each) <= LARGEST for each in given), where, f"numbers within {LARGEST:g}", value)
     if kind == "integer":
         return int(stream.integers(low, high, endpoint=True))
     if "step" in value:
-        require(type(value["step"]) in (int, float) and value["step"] > 0.0, where, "a positive step", value)
-        require((high - low) / value["step"] <= LARGEST, where, "a step that is no smaller beside the range", value)
+        fit = usable(value["step"]) and value["step"] > LEAST_STEP * (high - low)
+        require(fit, where, "a positive step that is not too small beside the range", value)
         steps = int((high - low) / value["step"] + 1e-9)
         return rounded(low + value["step"] * int(stream.integers(steps, endpoint=True)))
     if kind == "log_uniform":
         return float(np.exp(stream.uniform(*np.log(given))))
     return float(stream.normal(low, high) if kind == "normal" else stream.uniform(low, high))
+
+
+def usable(number: Any) -> bool:
+    """Whether a value of a TOML is a number that a distribution may have."""
+    return type(number) in (int, float) and abs(number) <= LARGEST
 
 
 def rounded(value: float) -> float:

@@ -5,7 +5,7 @@ terrain, the cells of the raster around them are cut out of it, and their triang
 like others. Together they are the surface of `datasets.geometry.surface`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from datasets.geometry.closed import Body, pseudonormals
 from datasets.geometry.ground import BEYOND, CLOSING, TOUCHING, Floats, Integers, first_diagonal, grid_triangles
 from datasets.geometry.ground import ground_grid as grid_of
-from datasets.geometry.surface import Surface, body_of, boundary, near_box, raster_body, solids_of, surface_in
+from datasets.geometry.surface import (
+    Surface,
+    body_of,
+    boundary,
+    near_box,
+    raster_body,
+    solids_of,
+    surface_in,
+    without_slip,
+)
 from datasets.scene.parts import Domain, SceneLayout, Solid
 
 Rectangle = tuple[int, int, int, int]
@@ -193,5 +202,4 @@ def united(
         kept |= (found.solid == len(bodies) + index) & inner
     found = found.chosen(kept & near_box(found, domain))
     owners = np.array([*bodies, *(field.solid for _ in cores)], np.int32)[found.solid]
-    stuck = np.array([solid.contact == "no-slip" for solid in solids])[owners]
-    return Surface(**(vars(found) | {"solid": owners, "friction": np.where(stuck[:, None], np.inf, found.friction)}))
+    return without_slip(replace(found, solid=owners), solids)

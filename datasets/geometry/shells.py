@@ -118,8 +118,7 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
             raise InputError("expected a closed surface that does not cross itself", key=body.key)
         parts.append(part)
         numbers[part.original_id()] = number
-    check_lines(parts, [body.key for body in bodies], gap)
-    check_near_lines(bodies, parts, gap)
+    check_lines(bodies, parts, gap)
     mesh = manifold3d.Manifold.batch_boolean(parts, manifold3d.OpType.Add).to_mesh64()
     values, triangles = np.array(mesh.vert_properties), np.array(mesh.tri_verts, np.int64)
     owner = np.zeros(len(triangles), np.int32)
@@ -133,32 +132,24 @@ def union_of_surfaces(bodies: list[Body], gap: float) -> tuple[Floats, Integers,
     return values[:, :3], same[triangles], friction, owner
 
 
-def check_lines(parts: list[manifold3d.Manifold], keys: list[str], gap: float) -> None:
+def check_lines(bodies: list[Body], parts: list[manifold3d.Manifold], gap: float) -> None:
     """Raise InputError where solids in 3D meet in a point or along a line alone, which no third solid covers.
 
-    parts: the solids, each grown by `gap` [m].
+    parts: the solids, each grown by `gap` [m]. Those that do not touch but come within NEARLY gaps of each other, as
+    with rounded vertices, are looked at when they have grown by half of that.
     """
-    for first, second in near_pairs(parts, 0.0):
-        others = [part for number, part in enumerate(parts) if number not in (first, second)]
-        where = line_shared(parts[first], parts[second], others, gap, NARROW)
-        if where:
-            raise meet(keys[first], keys[second], "a face", where)
-
-
-def check_near_lines(bodies: list[Body], parts: list[manifold3d.Manifold], gap: float) -> None:
-    """The same of solids that come within NEARLY gaps of each other without touching, as with rounded vertices."""
     near = NEARLY * gap
     for first, second in near_pairs(parts, near):
-        chosen = bodies[first], bodies[second]
-        if not all(body.grows for body in chosen) or not (parts[first] ^ parts[second]).is_empty():
-            continue
-        one, other = (manifold(grown(body, 0.5 * near), body.faces) for body in chosen)
-        if one.status() == other.status() == manifold3d.Error.NoError:
-            others = [part for number, part in enumerate(parts) if number not in (first, second)]
-            where = line_shared(one, other, others, 0.5 * near, 2.0 * POINTED)
-            if where:
-                apart = f"{where} but for {parts[first].min_gap(parts[second], near):.2g} m"
-                raise meet(chosen[0].key, chosen[1].key, "a face", apart)
+        pair, wide, narrow, apart = [parts[first], parts[second]], gap, NARROW, ""
+        if (pair[0] ^ pair[1]).is_empty():
+            wide, narrow, chosen = 0.5 * near, 2.0 * POINTED, (bodies[first], bodies[second])
+            pair = [manifold(grown(body, wide), body.faces) for body in chosen if body.grows]
+            if len(pair) < 2 or any(each.status() != manifold3d.Error.NoError for each in pair):
+                continue
+            apart = f" but for {parts[first].min_gap(parts[second], near):.2g} m"
+        others = [part for number, part in enumerate(parts) if number not in (first, second)]
+        if where := line_shared(pair[0], pair[1], others, wide, narrow):
+            raise meet(bodies[first].key, bodies[second].key, "a face", where + apart)
 
 
 def line_shared(

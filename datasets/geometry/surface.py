@@ -96,9 +96,13 @@ def surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[str, ...])
     """The surface of `solids` in a box; errors name the keys."""
     bodies = [body_of(*each, domain) for each in zip(solids, keys, strict=True)]
     found = boundary(bodies, CLOSING * domain.cell)
-    stuck = np.array([solid.contact == "no-slip" for solid in solids])[found.solid]
-    found.friction[stuck] = np.inf
-    return found.chosen(near_box(found, domain))
+    return without_slip(found.chosen(near_box(found, domain)), solids)
+
+
+def without_slip(surface: Surface, solids: tuple[Solid, ...]) -> Surface:
+    """A surface whose faces have infinite friction where nothing slides on their solid."""
+    surface.friction[np.array([solid.contact == "no-slip" for solid in solids])[surface.solid]] = np.inf
+    return surface
 
 
 def near_box(surface: Surface, domain: Domain) -> NDArray[np.bool_]:
