@@ -12,7 +12,7 @@ which any value may be a distribution (docs/formats.md). Lengths are in metres, 
     motion            of the layers: at "rest"; "even", from the first one's speed to the last one's; each its "own"
     ground            falls by `fall`, or over a `run`, at `angle_deg` from a `plateau` to its foot, may rise by `rise`
                       beyond; least elevation `base`; slope of a `valley` and its place across, `middle`; `bumps` of
-                      Gauss's shape `at` places in the box, of a `radius` of two standard deviations and a `height`
+                      Gauss's shape `at` places in the box, of a `radius` of two standard deviations, `height` over that
     sheet             all material as a layer on the ground: its length is a `share` of the "plateau", of the "foot"'s x
                       or of 1 m; its width `across`, its `thickest`, its `velocity`
     left, place       of the material: least distance from the side of the box, place in the room beyond; `aside` in z
@@ -198,7 +198,7 @@ def terrain_of(ground: Numbers, plan: tuple[float, ...], friction: float) -> tup
     heights += ground.get("valley", 0.0) * np.abs(places[..., -1] - ground.get("middle", 0.0) * plan[-1])
     for bump in ground["bumps"]:
         off = ((places - np.multiply(bump["at"], plan)) ** 2).sum(axis=-1)
-        heights += bump["height"] * np.exp(-2.0 * off / bump["radius"] ** 2)
+        heights += bump["height"] * bump["radius"] * np.exp(-2.0 * off / bump["radius"] ** 2)
     heights += ground["base"] - heights.min()
     if not across:
         solid = Solid(kind="terrain", friction=friction, points=tuple(zip(x.tolist(), heights.tolist(), strict=True)))
@@ -217,7 +217,9 @@ def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[
         across = min(sheet["across"], plan[1] - 0.04)
         near = sketch["aside"] * (plan[1] - across)
         outline = ((left, near), (left + length, near), (left + length, near + across), (left, near + across))
-    thickness = min(sketch["volume"] / (length * across), sheet.get("thickest", 1.0))
+    thickness = sketch["volume"] / (length * across)
+    if thickness > sheet.get("thickest", 1.0):
+        raise InputError("expected a layer that is not thicker")
     velocity = tuple(sheet.get("velocity", ())) or None
     return (Mass(kind="layer", thickness=thickness, outline=outline, velocity=velocity),), thickness
 

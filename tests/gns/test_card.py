@@ -14,8 +14,7 @@ import torch
 from safetensors.torch import save_file
 
 from datasets import Baffle, Channel, Domain, Mass, Scene, Solid, read_scene
-from datasets.definitions import read_definition
-from datasets.definitions.definition import Split
+from datasets.definitions import FAMILIES, read_definition
 from gns import card, checkpoint
 from gns.card import Calibration
 from gns.library import models, shipped
@@ -176,10 +175,12 @@ def test_every_model_that_ships_has_a_card(weights: Path) -> None:
     assert all(each.calibration is not None for each in found.datasets.values())
 
 
-@pytest.mark.skipif(not shipped(2).exists(), reason="no 2D model ships")
-def test_scenes_of_the_definition_are_within_the_shipped_card() -> None:
-    scenes = [each.scene for each in read_definition("flow2d").entries(seed=1, count=40) if each.split is Split.TRAIN]
-    assert [outside(scene, card.read(shipped(2)).ranges) for scene in scenes] == [[]] * len(scenes)
+@pytest.mark.parametrize("name", FAMILIES)
+def test_scenes_of_a_definition_are_within_the_shipped_card(name: str) -> None:
+    """Its distributions are those of the flows that the weights saw; a rare one reaches farther than all of these."""
+    ranges = card.read(shipped(2 if name.endswith("2d") else 3)).ranges
+    beyond = [outside(each.scene, ranges) for each in read_definition(name).entries(seed=1, count=100)]
+    assert sum(map(bool, beyond)) <= 6
 
 
 LAST = "network.decoder.mlp.2.weight"

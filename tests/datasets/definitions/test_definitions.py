@@ -49,9 +49,9 @@ def test_seed_and_index_decide_and_a_smaller_dataset_is_a_prefix(definition: Def
 
 
 DRAWN = {
-    "flow2d": "74eaa365eb66c222",
+    "flow2d": "766fd32f07e7c27c",
     "columns2d": "7bf7332fa1d83a2e",
-    "obstacle3d": "be9d6986d1a2c131",
+    "obstacle3d": "d42b8c509573d962",
     "baffles3d": "f9959c593b5daeb9",
     "paper2d": "1b8d1079627b217c",
     "paper3d": "c62981929dceb48a",
