@@ -1,5 +1,6 @@
 """Meshes of triangles: read by pyvista, written by meshio."""
 
+import codecs
 import io
 import os
 import subprocess
@@ -20,7 +21,7 @@ from datasets.scene import Scene
 
 MESHES = (".stl", ".obj", ".ply", ".off", ".msh", ".vtk", ".vtu")
 """Endings of meshes: those that hold all they need and name no other file."""
-IN_PROCESS = (".stl",)
+IN_PROCESS = (".stl", ".obj")
 """Those whose readers survive any file."""
 REFUSED = 2
 """Exit status of a process that says what is wrong with a mesh."""
@@ -48,7 +49,7 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
     # Readers warn of normals that are none of a vertex's, and print what they leave out.
     with warnings.catch_warnings(), redirect_stdout(output), redirect_stderr(output), pyvista.vtk_verbosity("off"):
         warnings.simplefilter("ignore")
-        mesh = pyvista.read(path)
+        mesh = pyvista.PolyData(*read_obj(path)) if path.suffix.lower() == ".obj" else pyvista.read(path)
         require(isinstance(mesh, pyvista.DataSet), "", "one mesh", type(mesh).__name__)
         mesh.clear_data()
         require(bool(np.isfinite(mesh.points).all()), "", "vertices of finite coordinates", "others")
@@ -59,6 +60,30 @@ def triangles_in(path: Path) -> tuple[Floats, Integers]:
                 break
         require(merged.n_cells > 0, "", "a mesh with triangles", "none")
         return np.asarray(merged.points, np.float64), np.asarray(merged.regular_faces, np.int64)
+
+
+def read_obj(path: Path) -> tuple[Floats, Integers]:
+    """Vertices [V, 3] of a Wavefront OBJ, and its polygons end to end: how many corners each has, then these from 0.
+
+    Corners may name texture and normals, and count from the end.
+
+    Raises InputError for corners that are no vertices, ValueError for what is no number.
+    """
+    content = path.read_bytes()
+    encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    text = content.decode(encoding, errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
+    vertices, polygons = list[list[float]](), list[list[int]]()
+    for line in text.splitlines():
+        kind, *words = line.split("#", 1)[0].split() or [""]
+        if kind == "v":
+            vertices.append([float(word) for word in words[:3]])
+        elif kind == "f":
+            corners = [int(word.split("/", 1)[0]) for word in words]
+            polygons.append([corner - 1 if corner > 0 else len(vertices) + corner for corner in corners])
+    require(bool(polygons), "", "a mesh with faces", "none")
+    there = all(len(corners) >= 3 and 0 <= min(corners) <= max(corners) < len(vertices) for corners in polygons)
+    require(there, "", f"faces of three or more of the {len(vertices)} vertices", "others")
+    return np.array(vertices), np.array([number for corners in polygons for number in (len(corners), *corners)])
 
 
 def read_apart(path: Path) -> tuple[Floats, Integers]:

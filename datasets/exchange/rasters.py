@@ -1,7 +1,9 @@
 """Rasters by rasterio: elevations and thicknesses read, maps written."""
 
+import codecs
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +12,7 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
+from rasterio.io import MemoryFile
 from rasterio.warp import transform as reprojected
 
 from datasets.errors import WorkFailed, require, shortened
@@ -26,6 +29,8 @@ UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)
 """Values that stand for no data by custom, as they are in the file."""
 CLIFF, STEEP = 500.0, 10.0
 """Height of a step [m], and over the cell, beyond which values without any between are no ground: -999, 9999, 0."""
+MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+"""What text begins with that says how it is encoded."""
 NO_ELEVATION = 2.0e4
 """Elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38."""
 LENGTH, EARTH = 100.0, 6.371e6
@@ -98,13 +103,23 @@ def read_raster(path: Path) -> Raster:
     return Raster(x, z, np.ascontiguousarray(values.T), spacing, corner, crs.to_string() if crs else None)
 
 
-def opened(path: Path) -> Any:
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
     """A raster as rasterio has it, of one of two drivers: others open what a file names, here or elsewhere."""
     with path.open("rb") as raw:
-        is_text = raw.read(2) not in (b"II", b"MM")
+        head = raw.read(max(map(len, MARKS)))
     # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
+    is_text = head[:2] not in (b"II", b"MM")
     options = {"driver": "AAIGrid", "DATATYPE": "Float64"} if is_text else {"driver": "GTiff"}
-    return rasterio.open(path.resolve(), **options)
+    encoding = next((name for mark, name in MARKS.items() if head.startswith(mark)), None)
+    if encoding is not None:
+        # The driver knows plain text alone.
+        plain = path.read_bytes().decode(encoding).encode()
+        with MemoryFile(plain, ext=".asc") as memory, memory.open(**options) as file:
+            yield file
+    else:
+        with rasterio.open(path.resolve(), **options) as file:
+            yield file
 
 
 def beyond_cliffs(values: Floats, step: float) -> NDArray[np.bool_]:

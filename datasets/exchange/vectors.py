@@ -1,5 +1,6 @@
 """Polygons from the vector files of a GIS by pyogrio: shapefile, GeoPackage, GeoJSON, KML."""
 
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,10 +12,18 @@ from rasterio.warp import transform as reprojected
 from shapely import Polygon
 
 from datasets.errors import require
-from datasets.files import LARGEST_TEXT, file_size, reading
+from datasets.files import file_size, reading
 
-ENDINGS = (".shp", ".gpkg", ".geojson", ".json", ".kml")
-"""Of files that are read: other formats may name further files, and places elsewhere."""
+LARGEST = 2**28
+"""Bytes of a file."""
+BEGINNINGS = {
+    ".shp": rb"\x00\x00\x27\x0a",
+    ".gpkg": rb"SQLite format 3\x00",
+    ".geojson": rb"(\xef\xbb\xbf)?\s*\{",
+    ".json": rb"(\xef\xbb\xbf)?\s*\{",
+    ".kml": rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<kml",
+}
+"""How files of these endings begin: GDAL goes by what is in them, and some formats name other files."""
 MOST_DEGREES = 360.0
 """Coordinates beyond it are no degrees: GeoJSON without a reference system counts as degrees for GDAL."""
 
@@ -36,8 +45,12 @@ def read_polygons(path: Path, crs: str | None) -> list[Feature]:
     """
     import pyogrio
 
-    file_size(path, "polygons", most=LARGEST_TEXT)
-    require(path.suffix.lower() in ENDINGS, "", f"a file whose name ends in {' '.join(ENDINGS)}", repr(path.suffix))
+    file_size(path, "polygons", most=LARGEST)
+    pattern = BEGINNINGS.get(path.suffix.lower())
+    require(pattern is not None, "", f"a file whose name ends in {' '.join(BEGINNINGS)}", repr(path.suffix))
+    with path.open("rb") as raw:
+        known = re.match(pattern or b"", raw.read(4096), re.DOTALL) is not None
+    require(known, "", f"a file as its ending {path.suffix} says", "another one")
     with reading(path, "polygons"):
         described, _, shapes, values = pyogrio.raw.read(path.resolve(), force_2d=True)
         places = shapely.from_wkb(shapes)

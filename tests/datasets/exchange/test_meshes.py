@@ -1,4 +1,4 @@
-"""Meshes of any writer: corners with normals and texture, shells, damage."""
+"""Meshes of any writer: corners with normals and texture, marks of an encoding, shells, damage."""
 
 from contextlib import nullcontext
 from pathlib import Path
@@ -19,16 +19,24 @@ def volume_of(path: Path) -> float:
     return float(manifold(vertices, triangles).volume())
 
 
-def obj(corner: str = "{0}") -> str:
+def obj(corner: str = "{0}", ending: str = "\n") -> str:
     """A cube of 8 m^3 by quads whose corners are `corner`, of the number of a vertex and that from the end."""
     lines = ["mtllib cube.mtl", "o cube", *(f"v {x} {y} {z}" for x, y, z in 2.0 * CUBE), "vn 0 1 0", "vt 0 0", "s off"]
     lines += ["f " + " ".join(corner.format(number, number - 9) for number in quad) for quad in QUADS]
-    return "\n".join([*lines, ""])
+    return ending.join([*lines, ""])
 
 
-@pytest.mark.parametrize("corner", ["{0}", "{0}//1", "{0}/1", "{0}/1/1", "{1}", "{1}//-1"])
+@pytest.mark.parametrize("corner", ["{0}", "{0}//1", "{0}/1", "{0}/1/1", "{0}/", "{0}//", "{1}", "{1}//-1"])
 def test_an_obj_with_normals_and_texture(tmp_path: Path, corner: str) -> None:
     (tmp_path / "cube.obj").write_text(obj(corner))
+    assert volume_of(tmp_path / "cube.obj") == pytest.approx(8.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
+def test_an_obj_of_any_encoding_and_end_of_line(tmp_path: Path, encoding: str) -> None:
+    """Its first line a vertex, which must not be lost with the mark in front of it."""
+    text = obj(ending="\r\n").removeprefix("mtllib cube.mtl\r\no cube\r\n")
+    (tmp_path / "cube.obj").write_bytes(f"{text}# W\u00fcrfel\r\n".replace("f 1 2 ", "f 1 2 \\\r\n").encode(encoding))
     assert volume_of(tmp_path / "cube.obj") == pytest.approx(8.0, rel=1e-6)
 
 
@@ -63,9 +71,10 @@ end_header
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("cube.obj", obj().replace("f 1 2 3 4", "f 1 2"), "a mesh with triangles"),
-        ("cube.obj", obj().replace("f ", "l "), "a mesh with triangles"),
-        ("cube.obj", obj().replace("v 2.0", "v 2,0"), "a mesh with triangles"),
+        ("cube.obj", obj().replace("f 1 2", "f 1 900"), "faces of three or more of the 8 vertices"),
+        ("cube.obj", obj().replace("f 1 2 3 4", "f 1 2"), "faces of three or more of the 8 vertices"),
+        ("cube.obj", obj().replace("f ", "l "), "a mesh with faces"),
+        ("cube.obj", obj().replace("v 2.0", "v 2,0"), "a readable mesh, could not convert"),
         ("cube.ply", PLY.format(2_000_000_000), "a readable mesh, its reader broke off"),
         ("cube.ply", PLY.replace("3 0 1 {0}\n", ""), "a mesh with triangles"),
         ("cube.vtu", "<VTKFile/>", ""),

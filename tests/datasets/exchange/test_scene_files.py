@@ -70,9 +70,13 @@ def test_a_ground_line(tmp_path: Path) -> None:
     assert Scene.from_json(found.to_json()) == found
 
 
-@pytest.mark.parametrize("name", ["dem.tif", "dem.asc"])
-def test_a_height_field(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "encoding"), [("dem.tif", ""), ("dem.asc", "utf-8"), ("dem.asc", "utf-8-sig"), ("dem.asc", "utf-16")]
+)
+def test_a_height_field(tmp_path: Path, name: str, encoding: str) -> None:
     write_raster(tmp_path / name, tilted())
+    if encoding:
+        (tmp_path / name).write_bytes((tmp_path / name).read_text().encode(encoding))
     found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n')
     slope = np.sqrt(1.0 + 0.1**2 + 0.2**2)
     distance = ground(found, [(0.5, 0.3, 0.5), (1.5, 0.2, 0.2), (0.3, 0.4, 0.9)])

@@ -55,6 +55,7 @@ def test_what_holds_no_polygons_is_one_line(tmp_path: Path) -> None:
     refused(read_polygons, tmp_path / "field.shp", SWISS, said="field.shp")
     for name, text, said in (
         ("field.dxf", "0", "a file whose name ends in .shp .gpkg"),
+        ("field.kml", "<OGRVRTDataSource/>", "a file as its ending .kml says"),
         ("field.json", '{"type": "Feature"', "expected polygons"),
         ("cross.geojson", shapely.to_geojson(shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)])), "do not cross"),
         ("point.geojson", shapely.to_geojson(shapely.Point(2_600_000, 1_200_000)), "expected polygons, got none"),
