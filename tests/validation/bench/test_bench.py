@@ -33,7 +33,6 @@ def test_a_page_of_few_runs(name: str, flags: tuple[str, ...], tmp_path: Path, m
     monkeypatch.setattr(accuracy, "TRIED", (0.2,))
     monkeypatch.setattr(bench_gns, "SCENES", {2: {"columns2d": 2}})
     monkeypatch.setattr(bench_gns, "CELLS", {2: (7, 10)})
-    monkeypatch.setattr(bench_gns, "JITTERS", 1)
     assert main([name, "--out", str(tmp_path), *flags]) == 0
     assert (tmp_path / f"{name}.md").read_text().startswith("# ")
     assert list(tmp_path.rglob("*.png"))

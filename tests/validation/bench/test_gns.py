@@ -8,10 +8,10 @@ import pytest
 
 from datasets import Mass, Scene, Trajectory
 from datasets.flow.measures import Deposit, Errors
-from datasets.scene.particles import initial_particles, released_volume
+from datasets.scene.particles import initial_particles
 from tests.scenes import flow_of, scene_of
 from validation.bench.accuracy.bench import deposit_of
-from validation.bench.gns import AGAIN, MOUNDS, Compared, Model, creep, mound, mpm_seconds
+from validation.bench.gns import AGAIN, Compared, Model, mpm_seconds
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
 
@@ -43,14 +43,6 @@ def test_errors_of_deposits_of_known_length() -> None:
     assert errors_beside(truth, 2.0) == Errors(front=0.0, profile=0.0, height=0.0, thickness=0.0, overlap=1.0)
     assert not truth.at_wall
     assert deposit_of(stretched(BLOCK, 4.5)).at_wall
-
-
-def test_a_mound_that_creeps_is_measured_from_its_start_on() -> None:
-    assert creep(stretched(BLOCK, 2.0)) == pytest.approx(200.0, rel=0.03)
-    for title, (friction_deg, slope_deg) in MOUNDS.items():
-        scene, steepest = mound(title, 0), math.degrees(math.atan(0.5)) + slope_deg
-        assert steepest < friction_deg
-        assert released_volume(scene) == pytest.approx(0.08)
 
 
 def model() -> Model:
