@@ -130,7 +130,7 @@ def test_every_row_has_a_scene_and_every_scene_a_row() -> None:
     assert {check["quantity"] for row in rows for check in row.checks} == ROWS["quantities"].keys()
     assert all(row.checks or row.over or row.what for row in rows)
     assert [row.name for row in read_rows(["long-step"])] == ["column", "long-step"]
-    refused(read_rows, ["thin-layers"], said="did you mean 'thin-layer'")
+    refused(read_rows, ["thin-layers"], said="thin-layer,")
 
 
 def test_a_verdict_says_what_is_wrong() -> None:
