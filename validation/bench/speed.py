@@ -25,7 +25,6 @@ from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
 from validation.bench.measuring import Found, Spread, isolated, once, recorded, reset_peak, seconds_of, turns
 from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, write_page
-from validation.plots import BLUE, ORANGE, figure
 from validation.runs import Run, kept
 
 CUBE = 0.375
@@ -235,7 +234,6 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
         place = folder / f"terrain-{Run(scene=slide()).digest}"
         make_folder(place)
         large = once(place / "terrain.json", terrain, place)
-    draw(out / "speed.png", rates)
     return write_page(
         out,
         "speed",
@@ -293,14 +291,3 @@ def rate_rows(rates: Rates) -> list[Row]:
             row[f"{precision}, {place}"] = f"{found:.1f}" if found else "-"
         rows.append(row)
     return rows
-
-
-def draw(path: Path, rates: Rates) -> None:
-    with figure(path) as axes:
-        axis = axes[0, 0]
-        for dimension, colour in ((2, BLUE), (3, ORANGE)):
-            best = best_rates(rates, dimension)
-            axis.plot(list(best), list(best.values()), "o-", color=colour, label=f"{dimension}D")
-        axis.set(xscale="log", xlabel="particles of a scene", ylabel="million particle-steps per second")
-        axis.set_ylim(bottom=0.0)
-        axis.legend()

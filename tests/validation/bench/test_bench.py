@@ -35,7 +35,7 @@ def test_a_page_of_few_runs(name: str, flags: tuple[str, ...], tmp_path: Path, m
     monkeypatch.setattr(bench_gns, "CELLS", {2: (7, 10)})
     assert main([name, "--out", str(tmp_path), *flags]) == 0
     assert (tmp_path / f"{name}.md").read_text().startswith("# ")
-    assert list(tmp_path.rglob("*.png"))
+    assert list(tmp_path.rglob("*.png")) or name == "accuracy"
 
 
 def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:

@@ -68,7 +68,7 @@ def test_the_command(mpm: FakeMpm, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     made = len(mpm.scenes)
     assert main([*arguments, "--twins", "2"]) == 0
     assert len(mpm.scenes) == made
-    for wrong in (["--only", "nothing"], ["--twins", "0"], ["--jobs", "0"], ["--jobs", "2", "--scheduler", "tcp://x"]):
+    for wrong in (["--only", "nothing"], ["--twins", "0"], ["--jobs", "0"]):
         assert main(["coverage", "--out", str(tmp_path), *wrong]) == 2
 
 
