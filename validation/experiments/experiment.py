@@ -181,15 +181,6 @@ class Case(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Assumption(Record):
-    """The choice for something that the authors do not state."""
-
-    what: str
-    choice: str
-    reason: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Experiment(Record):
     """The contents of an `experiment.toml`."""
 
@@ -204,7 +195,8 @@ class Experiment(Record):
     cells: tuple[float, float]
     """Grid cells, the coarse and the fine one [m]."""
     cases: tuple[Case, ...]
-    assumptions: tuple[Assumption, ...] = ()
+    assumptions: tuple[dict[Literal["what", "choice", "reason"], str], ...] = ()
+    """The choices for what the authors do not state."""
     folder: Path = FOLDER
     """Where its file and its scenes lie."""
 
