@@ -272,12 +272,12 @@ def conclusion(solved: Sequence[Outcomes]) -> list[str]:
     said = [f"{good} of {len(outcomes)} answers to {len(solved)} problems meet all of their criteria."]
     if inside := [number.inside for each in outcomes for number in each.numbers if number.truth is not None]:
         said.append(f"The 95 % intervals contain {sum(inside)} of {len(inside)} true values.")
-    sizes: dict[str, list[float]] = {}
+    sizes: dict[str, list[float]] = {way: [] for way in (*COLOURS, "paper")}
     for each in outcomes:
         for number in each.numbers if each.problem.names == ["friction_deg"] and each.paper.values else ():
-            sizes.setdefault(each.way, []).append(abs(number.off(number.found)))
-            sizes.setdefault("paper", []).append(abs(number.off(number.paper)))
-    if errors := ", ".join(f"{between(values, '.1f')}° ({way})" for way, values in sorted(sizes.items())):
+            sizes[each.way].append(abs(number.off(number.found)))
+            sizes["paper"].append(abs(number.off(number.paper)))
+    if errors := ", ".join(f"{between(values, '.1f')}° ({way})" for way, values in sizes.items() if values):
         said.append(f"From the front of the paper's columns, the friction angle is found with an error of {errors}.")
     if fields := [field for each in outcomes for field in each.result.get("fields", ())]:
         values = sum(field["values"] for field in fields)
