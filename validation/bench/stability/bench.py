@@ -14,8 +14,7 @@ from datasets.scene.library import read_scene
 from datasets.schema import Record, from_mapping
 from mpm import WITH_FIELDS, simulate_each
 from mpm.arrays.layout import Precision
-from validation.bench.page import Out, emphasised, percent, write_page
-from validation.bench.page import Row as TableRow
+from validation.bench.page import Out, Row, emphasised, percent, write_page
 from validation.bench.stability import quantities, slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
 
@@ -31,7 +30,7 @@ ROWS = read_toml(FOLDER / "rows.toml")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row(Record):
+class HardCase(Record):
     """A row of `rows.toml`."""
 
     name: str
@@ -55,10 +54,10 @@ class Row(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
+class CheckedCase:
     """What was found of a row; a run that gave no trajectory has a message alone."""
 
-    row: Row
+    row: HardCase
     kept: tuple[Finding, ...] = ()
     """What every flow, and every deposit, has to keep."""
     own: tuple[Finding, ...] = ()
@@ -69,9 +68,9 @@ class Verdict:
         return [self.blown_up] * bool(self.blown_up) + [str(each) for each in (*self.kept, *self.own) if not each.ok]
 
 
-def read_rows(names: Sequence[str] = ()) -> list[Row]:
+def read_rows(names: Sequence[str] = ()) -> list[HardCase]:
     """The rows of these names and those they are compared with; all where there are none. Raises InputError."""
-    rows = {each["name"]: from_mapping(Row, each) for each in ROWS["rows"]}
+    rows = {each["name"]: from_mapping(HardCase, each) for each in ROWS["rows"]}
     for name in names:
         if name not in rows:
             raise InputError(f"expected the name of a row, one of {', '.join(rows)}", where=name)
@@ -79,7 +78,7 @@ def read_rows(names: Sequence[str] = ()) -> list[Row]:
     return [row for name, row in rows.items() if name in chosen]
 
 
-def run(rows: Sequence[Row], precision: Precision) -> dict[str, Trajectory | WorkFailed]:
+def run(rows: Sequence[HardCase], precision: Precision) -> dict[str, Trajectory | WorkFailed]:
     """The flow of each row with fields, or why there is none."""
     flows: dict[str, Trajectory | WorkFailed] = {}
     for ends in (False, True):
@@ -91,12 +90,12 @@ def run(rows: Sequence[Row], precision: Precision) -> dict[str, Trajectory | Wor
     return flows
 
 
-def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFailed | None = None) -> Verdict:
+def verdict(row: HardCase, flow: Trajectory | WorkFailed, other: Trajectory | WorkFailed | None = None) -> CheckedCase:
     """All findings of a row; of a flow with NaN in it nothing but that. other: the flow of the row `over`."""
     if isinstance(flow, WorkFailed):
-        return Verdict(row=row, blown_up=str(flow))
+        return CheckedCase(row=row, blown_up=str(flow))
     if not (numbers := finite(flow)).ok:
-        return Verdict(row=row, kept=(numbers,))
+        return CheckedCase(row=row, kept=(numbers,))
     kept = [found for each in (*ALWAYS, *(DEPOSIT if row.rests else ())) if (found := each(flow)) is not None]
     if row.rings:
         kept = [each for each in kept if each.check != "energy"]
@@ -111,7 +110,7 @@ def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFai
         value = front(flow.positions[-1], flow.volumes) / front(other.positions[-1], other.volumes)
         name = f"front over that of {row.over}"
         own.append(Finding(check=name, value=value, minimum=1.0 - row.within, maximum=1.0 + row.within))
-    return Verdict(row=row, kept=tuple(kept), own=tuple(own))
+    return CheckedCase(row=row, kept=tuple(kept), own=tuple(own))
 
 
 def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32") -> str:
@@ -144,7 +143,7 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
     return said
 
 
-def conclusion(verdicts: Sequence[Verdict], safety: slopes.Factors) -> list[str]:
+def conclusion(verdicts: Sequence[CheckedCase], safety: slopes.Factors) -> list[str]:
     red = [each.row.name for each in verdicts if each.failures]
     exact = [not each.failures for each in verdicts if each.row.exact]
     rise, balance = (
@@ -160,7 +159,7 @@ def conclusion(verdicts: Sequence[Verdict], safety: slopes.Factors) -> list[str]
     ]
 
 
-def row_of(each: Verdict) -> TableRow:
+def row_of(each: CheckedCase) -> Row:
     own = "; ".join(f"{found.check} {found.range} {found.unit}".strip() for found in each.own)
     value = [", ".join(emphasised(f"{found.value:.4g}", found.ok) for found in each.own)] if each.own else []
     kept = {found.check: found for found in each.kept}
