@@ -5,9 +5,9 @@ shared. Variants of other scenes are left out.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count, pairwise
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -169,21 +169,6 @@ def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
     return prediction.front - front, prediction.half_width
 
 
-def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | None:
-    """What the MPM takes for an error no larger than `error` [s]; None where no run of it is so good.
-
-    points: see `Model.points`. Interpolated in their logarithms; that of the cheapest where this is good enough.
-    """
-    points = sorted(points)
-    if error >= points[0][1]:
-        return points[0][0]
-    for (cheap, large), (dear, small) in pairwise(points):
-        if small <= error < large:
-            share = math.log(error / large) / math.log(small / large)
-            return math.exp((1.0 - share) * math.log(cheap) + share * math.log(dear))
-    return None
-
-
 def conclusion(found: Sequence[Model]) -> list[str]:
     fronts, prices = [], []
     for each in found:
@@ -192,13 +177,13 @@ def conclusion(found: Sequence[Model]) -> list[str]:
         fronts.append(f"{mean(off):.1%}, {mean(again):.1%} and {profiles:.1%} ({each.family})")
         points = each.points
         seconds, error = points.pop(each.name)
-        same = mpm_seconds(points.values(), error)
-        mpm = "no coarse run" if same is None else f"{same:.2g} s"
+        as_good = [price for price, coarse in points.values() if coarse <= error]
+        mpm = f"{min(as_good):.2g} s" if as_good else "no coarse run"
         prices.append(f"{seconds:.2g} s and {mpm} ({each.family})")
     sentences = [
         "Mean error of fronts on unseen scenes, scatter of the MPM's fronts, mean error of profiles, over the deposit's"
         f" extent: {'; '.join(fronts)}.",
-        f"Time of a prediction, and of the coarse MPM with the same error: {'; '.join(prices)}.",
+        f"Time of a prediction, and of the cheapest coarse MPM with no larger error: {'; '.join(prices)}.",
     ]
     if held := [inside for each in found for inside in each.held]:
         sentences.append(f"The {LEVEL:.0%} bands contain {sum(held)} of {len(held)} fronts.")
