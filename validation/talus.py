@@ -22,7 +22,7 @@ COMMANDS = {
     "design": ("validation.design.__main__:main", "find where barriers stand so that a limit is kept"),
     "forecast": ("validation.forecast.__main__:main", "carry the answer of an inversion to another scene"),
     "view": ("validation.view:command", "write one or two flows as an HTML page"),
-    "vtk": ("validation.vtk:command", "convert a flow for ParaView, draw a picture or a movie"),
+    "vtk": ("validation.vtk:command", "convert a flow for ParaView, draw a picture"),
     "compare": ("datasets.compare:command", "compare two flows: fronts, profiles, energies"),
     "maps": ("datasets.maps:command", "write thickness, depth and velocity of a flow as rasters"),
     "forces": ("datasets.forces:command", "write the force on each solid over time"),

@@ -14,7 +14,6 @@ PAGES = {
     "speed": ("validation.bench.speed:bench", "rates of MPM and network, price of a gradient, a large terrain"),
     "gpu": ("validation.bench.gpu:bench", "rates of MPM and network on a GPU, beside all processors"),
     "mountain": ("validation.bench.mountain:bench", "a slide of three kilometres beside other codes (data: ISeeSnow)"),
-    "efficiency": ("validation.bench.efficiency:bench", "price of a gradient by surrogate, adjoint and differences"),
     "gns": ("validation.bench.gns:bench", "the shipped surrogates beside the MPM: error, price, bands, rest"),
 }
 """Pages that can be measured: where each is, and what it shows."""

@@ -28,7 +28,7 @@ from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
 from mpm import simulate_many
-from mpm.cluster import connected, pool
+from mpm.cluster import pool
 from validation.bench.page import Keep, Many, Out, Row, emphasised, write_page
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
@@ -105,7 +105,6 @@ def bench(
     only: tuple[str, ...] = DEFAULT,
     model: Path | None = None,
     jobs: Annotated[int | None, Many] = None,
-    scheduler: str = "",
 ) -> str:
     """Solve twin experiments with truths from the prior, side by side, each on one thread.
 
@@ -119,13 +118,9 @@ def bench(
         Folder of `python -m inverse.adapt unseen-friction-square-27`, for front-adapted.
     jobs
         Processes that solve a twin each; one per processor unless given.
-    scheduler
-        Address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its JSON file, whose workers solve a twin each.
     """
     if unknown := [name for name in only if name not in FAMILIES]:
         raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
-    if scheduler and jobs is not None:
-        raise InputError("expected none with --scheduler, whose workers are the jobs", where="--jobs")
     if model is None and any(FAMILIES[name].adapted for name in only):
         raise InputError("expected the folder of an adaptation", key="--model")
     with kept(keep) as folder:
@@ -136,7 +131,7 @@ def bench(
         }
         missing = [path for path in asked if read_twin(path) is None]
         os.environ |= ONE_THREAD
-        with connected(scheduler) if scheduler else pool(min(jobs or processors(), len(missing) or 1)) as workers:
+        with pool(min(jobs or processors(), len(missing) or 1)) as workers:
             stored = workers.finished(store_twin, [(path, *asked[path]) for path in missing])
             list(tqdm(stored, total=len(missing), unit="twin", leave=False, disable=None))
         every = {

@@ -4,7 +4,6 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -37,9 +36,6 @@ RECORDED = 5
 
 Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
 """Runs to their flows, as `validation.runs.RunStore.run`."""
-Asked = tuple[Experiment, Case, Reading]
-Flows = dict[Asked, Callable[[Measured], float]]
-"""What is measured of a flow [m], by experiment, case and reading."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +100,10 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     """
     read = read_experiments(experiments)
     with kept(keep) as folder:
-        scores, inferred = compute(read, RunStore(folder).run)
+        store = RunStore(folder)
+        found = [compute(each, case, store.run) for each in read for case in each.cases]
+    scores = [row for rows, _ in found for row in rows]
+    inferred = [each for _, each in found if each is not None]
     firsts = [first for first, *_ in scores]
     draw(out / "experiments.png", [each for each in firsts if each.measured.single])
     beyond = [each for each in firsts if not each.agrees]
@@ -122,80 +121,54 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     )
 
 
-def compute(experiments: Sequence[Experiment], simulate: Simulate) -> tuple[list[list[Score]], list[Inferred]]:
-    """Run everything: every case over the ladder on its coarse cells, and once on its fine ones.
+def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[list[list[Score]], Inferred | None]:
+    """Run a case over the ladder of angles on its coarse cells, and at the first angle on its fine ones.
 
-    The scores of each measured number: at the first angle of its experiment, or at the inferred one where it has none,
-    then at its other angles, on the coarse cells.
+    The scores of each measured number at the first angle of the experiment, or at the inferred one where it has none,
+    then at its other angles, on the coarse cells; and the angle that is inferred, None where no angle gives the front.
     """
-    pairs = [(each, case) for each in experiments for case in each.cases]
-    asked = [(e, case, r) for e, case in pairs for r in dict.fromkeys((*ladder(e), *e.readings))]
-    coarse = run(asked, 0, simulate)
-    crossings = {
-        (each, case): crossing({r.deg: coarse[each, case, r](case.extent) for r in ladder(each)}, case.extent.value)
-        for each, case in pairs
-    }
+    readings, extent = experiment.readings, case.extent
+    first = readings[0] if readings else Reading(name=INFERRED, deg=math.nan, rate=experiment.grains is not None)
+    ladder = [replace(first, deg=deg) for deg in LADDER_DEG]
+    timed = any(measured.times for measured in case.measured)
+    record = replace(AT_REST, frames=RECORDED) if timed else AT_REST
+
+    def run(cells: int, angles: Sequence[Reading]) -> dict[Reading, Trajectory]:
+        runs = [Run(scene=experiment.scene(case, cells, each), record=record) for each in angles]
+        return dict(zip(angles, simulate(runs), strict=True))
+
+    coarse = run(0, list(dict.fromkeys((*ladder, *readings))))
+    angle, slope = crossing({each.deg: quantity(extent, coarse[each]) for each in ladder}, extent.value)
     # On the fine cells at the first angle that was measured, else at the one that the coarse cells imply.
-    firsts = [
-        (each, case, reading)
-        for each, case in pairs
-        for reading in each.readings[:1] or [replace(ladder(each)[0], deg=crossings[each, case][0])]
-        if not math.isnan(reading.deg)
-    ]
-    fine = run(firsts, 1, simulate)
-    scores, inferred = list[list[Score]](), list[Inferred]()
-    for each, case, first in firsts:
-        slope, angles, extent = crossings[each, case][1], each.angles, case.extent
-        deg = first.deg + (extent.value - fine[each, case, first](extent)) / slope
-        inferred.append(
-            Inferred(
-                label=f"{each.name}, {case.name}",
-                own=angles[0] if angles else None,
-                deg=deg,
-                half_width_deg=abs(CLOSE * extent.spread / slope),
-            )
-        )
+    first = first if readings else replace(first, deg=angle)
+    if math.isnan(first.deg):
+        return [], None
+    fine = run(1, [first])
+    deg = first.deg + (extent.value - quantity(extent, fine[first])) / slope
+    inferred = Inferred(
+        label=f"{experiment.name}, {case.name}",
+        own=experiment.angles[0] if readings else None,
+        deg=deg,
+        half_width_deg=abs(CLOSE * extent.spread / slope),
+    )
+    again = replace(first, deg=deg)
+    if not readings and case.measured[1:]:
         # Where no angle was measured, what else was is held against a run at the inferred one.
-        again = replace(first, deg=deg)
-        if not angles and case.measured[1:]:
-            fine |= run([(each, case, again)], 1, simulate)
-        names = [angle.name for angle in angles] or [INFERRED]
-        for measured in case.measured if angles else case.measured[1:]:
-            scores.append([])
-            for reading, name in zip(each.readings or [again], names, strict=True):
-                known: Callable[[Measured], float] = coarse.get((each, case, reading), lambda _: math.nan)
-                score = Score(
-                    label=f"{each.name}, {case.name}, {measured.quantity}",
-                    measured=measured,
-                    angle=said(reading, name),
-                    independent=bool(angles),
-                    coarse=known(measured),
-                    fine=fine.get((each, case, reading), known)(measured),
-                )
-                scores[-1].append(score)
-    return scores, inferred
+        fine |= run(1, [again])
 
+    def score(measured: Measured, reading: Reading) -> Score:
+        known = [quantity(measured, flows[reading]) if reading in flows else math.nan for flows in (coarse, fine)]
+        return Score(
+            label=f"{inferred.label}, {measured.quantity}",
+            measured=measured,
+            angle=str(reading),
+            independent=bool(readings),
+            coarse=known[0],
+            fine=known[0] if reading not in fine else known[1],
+        )
 
-def said(reading: Reading, name: str) -> str:
-    """An angle with its name and how it is read."""
-    read = [name, *(["μ(I)"] if reading.rate else []), *({reading.angle} - {"slope"})]
-    return f"{reading.deg:.1f}° ({', '.join(read)})"
-
-
-def ladder(experiment: Experiment) -> list[Reading]:
-    """The readings over which the slope of a front is found: as the first of an experiment, at other angles."""
-    known = [*experiment.readings, Reading(math.nan, rate=experiment.grains is not None)]
-    return [replace(known[0], deg=deg) for deg in LADDER_DEG]
-
-
-def run(asked: Sequence[Asked], number: int, simulate: Simulate) -> Flows:
-    """Cases on their coarse (0) or fine (1) cells, by readings."""
-    runs = []
-    for each, case, reading in asked:
-        timed = any(measured.times for measured in case.measured)
-        record = replace(AT_REST, frames=RECORDED) if timed else AT_REST
-        runs.append(Run(scene=each.scene(case, number, reading), record=record))
-    return dict(zip(asked, (partial(quantity, flow=flow) for flow in simulate(runs)), strict=True))
+    numbers = case.measured if readings else case.measured[1:]
+    return [[score(each, reading) for reading in readings or (again,)] for each in numbers], inferred
 
 
 def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float]:

@@ -5,9 +5,9 @@ shared. Variants of other scenes are left out.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count, pairwise
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +19,7 @@ from datasets.definitions import read_definition
 from datasets.errors import InputError
 from datasets.flow import measures
 from datasets.flow.measures import Errors
-from datasets.flow.trajectory import Trajectory
-from datasets.scene import Domain, Mass, Scene
-from datasets.scene.material import Material
+from datasets.scene import Domain, Scene
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
@@ -32,21 +30,12 @@ from validation.runs import Run, RunStore, kept
 
 SEED = 1
 """Of the held-out scenes; the training data have 0."""
-CREST = ((0.3, 0.0), (1.1, 0.0), (0.7, 0.2))
-MOUNDS: dict[str, tuple[float, float]] = {
-    "45° on 12°": (45.0, 12.0),
-    "42° on 8°": (42.0, 8.0),
-    "35° on the level": (35.0, 0.0),
-}
-"""Angles of friction and of the floor [deg] under which a mound of the corners `CREST` [m] stays where it is."""
 SCENES = {2: {"columns2d": 24, "flow2d": 14}, 3: {"baffles3d": 18, "obstacle3d": 4}}
 """Held-out scenes of each family, one of every kind after the other, by dimension; references in 3D are dear."""
 CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
 """Of the coarse MPM, across the smallest side of the body, by dimension."""
 LEVEL = 0.95
 """Of the bands."""
-JITTERS = 3
-"""Of a mound."""
 AGAIN = "the MPM, jittered anew"
 
 
@@ -92,10 +81,6 @@ class Model:
         return [abs(each.band[0]) <= each.band[1] for each in self.compared if each.band]
 
 
-Mounds = Mapping[str, Mapping[str, Sequence[float]]]
-"""Creep of each stable mound from its start on [mm/s], by the MPM and by each model, jitter by jitter."""
-
-
 def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     """Compare models with the MPM on fine cells; some twenty minutes, most of them for the references.
 
@@ -111,7 +96,6 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
             for path, dimension in paths.items()
             for family, number in SCENES[dimension].items()
         ]
-    mounds = at_rest([path for path, dimension in paths.items() if dimension == 2])
     draw(out / "gns.png", found)
     bands = [
         {
@@ -122,18 +106,16 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
         for each in found
         if each.held
     ]
-    creeps = [{"mound": title} | {by: f"{worst(v):+.2g}" for by, v in own.items()} for title, own in mounds.items()]
     return write_page(
         out,
         "gns",
-        conclusion(found, mounds),
+        conclusion(found),
         flags="".join(f" --model {path}" for path in model),
         seed=SEED,
         level=LEVEL,
         kinds=tables(kind_rows(each) for each in found),
         prices=tables(price_rows(each) for each in found),
         bands=bands,
-        mounds=creeps,
     )
 
 
@@ -171,17 +153,6 @@ def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequen
     return Model(name=path.stem, family=family, compared=compared)
 
 
-def at_rest(models: Sequence[Path]) -> Mounds:
-    """The stable mounds by the MPM and by these models."""
-    found = {}
-    for title in tqdm(MOUNDS if models else (), desc="mounds at rest", unit="mound"):
-        scenes = [mound(title, seed) for seed in range(JITTERS)]
-        found[title] = {"MPM": [creep(simulate(each)) for each in scenes]} | {
-            path.stem: [creep(gns.simulate(each, model=path)) for each in scenes] for path in models
-        }
-    return found
-
-
 def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
     """See `Compared.band`."""
     try:
@@ -191,22 +162,7 @@ def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
     return prediction.front - front, prediction.half_width
 
 
-def mpm_seconds(points: Iterable[tuple[float, float]], error: float) -> float | None:
-    """What the MPM takes for an error no larger than `error` [s]; None where no run of it is so good.
-
-    points: see `Model.points`. Interpolated in their logarithms; that of the cheapest where this is good enough.
-    """
-    points = sorted(points)
-    if error >= points[0][1]:
-        return points[0][0]
-    for (cheap, large), (dear, small) in pairwise(points):
-        if small <= error < large:
-            share = math.log(error / large) / math.log(small / large)
-            return math.exp((1.0 - share) * math.log(cheap) + share * math.log(dear))
-    return None
-
-
-def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
+def conclusion(found: Sequence[Model]) -> list[str]:
     fronts, prices = [], []
     for each in found:
         off, again = ([one.by[method].front for one in each.compared if one.free] for method in (each.name, AGAIN))
@@ -214,22 +170,16 @@ def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
         fronts.append(f"{mean(off):.1%}, {mean(again):.1%} and {profiles:.1%} ({each.family})")
         points = each.points
         seconds, error = points.pop(each.name)
-        same = mpm_seconds(points.values(), error)
-        mpm = "no coarse run" if same is None else f"{same:.2g} s"
+        as_good = [price for price, coarse in points.values() if coarse <= error]
+        mpm = f"{min(as_good):.2g} s" if as_good else "no coarse run"
         prices.append(f"{seconds:.2g} s and {mpm} ({each.family})")
     sentences = [
         "Mean error of fronts on unseen scenes, scatter of the MPM's fronts, mean error of profiles, over the deposit's"
         f" extent: {'; '.join(fronts)}.",
-        f"Time of a prediction, and of the coarse MPM with the same error: {'; '.join(prices)}.",
+        f"Time of a prediction, and of the cheapest coarse MPM with no larger error: {'; '.join(prices)}.",
     ]
     if held := [inside for each in found for inside in each.held]:
         sentences.append(f"The {LEVEL:.0%} bands contain {sum(held)} of {len(held)} fronts.")
-    if mounds:
-        by_mpm = max(abs(worst(each["MPM"])) for each in mounds.values())
-        own = [abs(worst(values)) for each in mounds.values() for name, values in each.items() if name != "MPM"]
-        sentences.append(
-            f"Stable mounds creep by {min(own):.2g} to {max(own):.2g} mm/s; with the MPM by at most {by_mpm:.2g} mm/s."
-        )
     return sentences
 
 
@@ -296,27 +246,6 @@ def coarse(scene: Scene, cells: int) -> Scene:
     cell = fitted_cell(plan, characteristic_length(scene) / cells)
     domain = Domain(size=(length, math.ceil(height / cell - ROUNDING) * cell, *width), cell=cell)
     return replace(scene, domain=domain, particles_per_axis=2, step_fraction=0.9)
-
-
-def mound(title: str, seed: int) -> Scene:
-    """One of the `MOUNDS`: less steep than its angle of friction, so that it is stable."""
-    friction_deg, slope_deg = MOUNDS[title]
-    return Scene(
-        domain=Domain(size=(2.0, 0.4), cell=0.01),
-        material=Material(friction_deg=friction_deg),
-        masses=(Mass(kind="polygon", vertices=CREST),),
-        duration=1.5,
-        frame_dt=0.02,
-        floor_friction=0.9,
-        slope_deg=slope_deg,
-        seed=seed,
-    )
-
-
-def creep(flow: Trajectory) -> float:
-    """Mean speed of the faster of a deposit's ends, outwards [mm/s]."""
-    old, new = (measures.ends(flow.positions[frame], flow.volumes) for frame in (0, -1))
-    return 1000.0 * max(old[0] - new[0], new[1] - old[1], key=abs) / float(flow.time[-1] - flow.time[0])
 
 
 def mean(values: Sequence[float]) -> float:

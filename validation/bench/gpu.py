@@ -5,9 +5,8 @@ from functools import partial
 from datasets.errors import InputError
 from datasets.processes import processors
 from validation.bench.measuring import Spread, turns
-from validation.bench.network import NETWORK, PER_NODE, network_rows
 from validation.bench.page import Out, Rounds, between, formatted, write_page
-from validation.bench.speed import Case, Mode, rate, rate_rows
+from validation.bench.speed import NETWORK, PER_NODE, Case, Mode, network_rows, rate, rate_rows
 
 CASES = (
     Case(dimension=2, cells=100, scenes=1, frames=200),

@@ -9,14 +9,11 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from datasets.errors import InputError, WorkFailed
-from datasets.files import read_json, read_toml, write_text
+from datasets.files import make_folder, read_json, read_toml, write_text
 from datasets.schema import Record, from_mapping
 from gns import library
 from inverse.answer import Verdict
@@ -61,6 +58,8 @@ class Paper(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Family(Record):
+    """Problems of one section of the page."""
+
     title: str
     problems: tuple[str, ...]
     pictures: tuple[str, ...] = ()
@@ -69,12 +68,11 @@ class Family(Record):
     """Each problem is solved a second time, with this in place of what it asks for."""
     criteria: Criteria
 
-    def inversions(self) -> list[tuple[Problem, str]]:
-        """What is solved: problems, and the names of their folders."""
-        first = [(read_problem(name), name) for name in self.problems]
-        if self.second is None:
-            return first
-        return first + [(replace(problem, surrogate=self.second), f"{name}-{self.second}") for problem, name in first]
+    def inversions(self, name: str) -> list[tuple[Problem, str]]:
+        """The problem of this name as it is solved, once or twice, and the names of the folders."""
+        problem = read_problem(name)
+        again = [] if self.second is None else [(replace(problem, surrogate=self.second), f"{name}-{self.second}")]
+        return [(problem, name), *again]
 
 
 SHIPPED = read_toml(Path(__file__).with_suffix(".toml"))
@@ -111,13 +109,16 @@ class Number:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """A result with the problem, its criteria and what the paper reports of it."""
+    """A result with the problem and its criteria."""
 
     problem: Problem
     criteria: Criteria
-    paper: Paper = Paper()
     result: dict[str, Any]
     """`result.json`."""
+
+    @property
+    def paper(self) -> Paper:
+        return PAPER.get(self.problem.name, Paper())
 
     @property
     def surrogate(self) -> dict[str, Any]:
@@ -128,10 +129,11 @@ class Outcome:
         """How the answer was found."""
         return LED if self.surrogate.get("asked") else ALONE
 
-    @cached_property
+    @property
     def numbers(self) -> list[Number]:
-        result, own, truth = self.result, self.surrogate.get("unknowns", {}), self.result.get("truth") or {}
-        known, others = dict(zip(self.problem.names, self.paper.values, strict=False)), result.get("answers", [])[1:]
+        result, names, truth = self.result, self.problem.names, self.result.get("truth") or {}
+        paper, own = dict(zip(names, self.paper.values, strict=False)), self.surrogate.get("unknowns", {})
+        answers = [result, *result.get("answers", [])[1:]]
 
         def held(answer: Mapping[str, Any]) -> set[str]:
             """The unknowns whose true values lie within the intervals of an answer."""
@@ -139,26 +141,13 @@ class Outcome:
             return {name for name, (low, high) in intervals if name in truth and low <= truth[name] <= high}
 
         # Of one answer for all: values of two layouts are no layout.
-        inside = max(map(held, (result, *others)), key=len)
-        return [
-            Number(
-                unknown=name,
-                unit=kind.unit,
-                truth=truth.get(name),
-                paper=known.get(name),
-                surrogate=own.get(name),
-                found=result["unknowns"][name],
-                low=result["interval"][name][0],
-                high=result["interval"][name][1],
-                others=tuple((each["unknowns"][name], *each["interval"][name]) for each in others),
-                inside=name in inside,
-            )
-            for name, kind in zip(self.problem.names, self.problem.kinds, strict=True)
-        ]
-
-    @property
-    def fields(self) -> list[dict[str, Any]]:
-        return list(self.result.get("fields", ()))
+        inside, numbers = max(map(held, answers), key=len), []
+        for name, kind in zip(names, self.problem.kinds, strict=True):
+            (found, low, high), *others = [(each["unknowns"][name], *each["interval"][name]) for each in answers]
+            known = {"truth": truth.get(name), "paper": paper.get(name), "surrogate": own.get(name)}
+            values = {"found": found, "low": low, "high": high, "others": tuple(others), "inside": name in inside}
+            numbers.append(Number(unknown=name, unit=kind.unit, **known, **values))
+        return numbers
 
     @property
     def missed(self) -> list[str]:
@@ -166,8 +155,9 @@ class Outcome:
         asked, result, known = self.criteria, self.result, [each for each in self.numbers if each.truth is not None]
         front, loss = result["error_pct"].get("front") or 0.0, result["loss"].get("mpm") or 0.0
         inside, most = sum(each.inside for each in known), asked.unknown_error_pct
-        shares = [(abs(n.off(n.found) / n.truth), 0.5 * (n.high - n.low) / abs(n.truth)) for n in known if n.truth]
-        error, width = 100.0 * np.max([(0.0, 0.0), *shares], axis=0)
+        scales = [(each, 100.0 / abs(each.truth)) for each in known if each.truth]
+        error = max((abs(each.off(each.found)) * scale for each, scale in scales), default=0.0)
+        width = max((0.5 * (each.high - each.low) * scale for each, scale in scales), default=0.0)
         checks = {
             f"verdict {result['verdict']}, expected {asked.verdict}": result["verdict"] == asked.verdict,
             f"front {front:.2f} % off, at most {asked.front_error_pct:g} %": front <= asked.front_error_pct,
@@ -195,34 +185,36 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
     as_kept
         Solve nothing: write the page from the results in KEEP, whatever they were made of.
     """
-    failed, pictures = list[str](), list[str]()
     names = [name for family in FAMILIES for name in family.problems]
     if unknown := [name for name in only if name not in names]:
         raise InputError("expected the name of a shipped problem", where=unknown[0], key="--only")
-    found: dict[str, dict[str, dict[str, Outcome]]] = {}
+    failed, pictures, found = list[str](), list[str](), dict[str, list[Outcomes]]()
     with kept(keep) as folder:
         for family in FAMILIES:
-            for problem, name in family.inversions():
-                asked = problem.name in (only or names) and not as_kept
-                if asked and not is_current(problem, folder / name) and not ran(problem, folder / name):
-                    failed.append(name)
-                result = read_json(folder / name / RESULT) if as_kept or is_current(problem, folder / name) else None
-                if result is not None:
-                    known = PAPER.get(problem.name, Paper())
-                    outcome = Outcome(problem=problem, criteria=family.criteria, paper=known, result=result)
-                    found.setdefault(family.title, {}).setdefault(problem.name, {}).setdefault(outcome.way, outcome)
-        for name in (each for family in FAMILIES for each in family.pictures):
-            source, target = folder / f"{name}.png", out / "pictures" / f"{name.replace('/', '-')}.png"
-            if source.exists():
-                target.parent.mkdir(parents=True, exist_ok=True)
-                pictures.append(Path(shutil.copyfile(source, target)).stem)
-    solved = [ways for problems in found.values() for ways in problems.values()]
-    write_csv(out / "problems.csv", [each for ways in solved for each in ways.values()])
-    draw(out / "pictures" / "problems.png", solved)
+            for name in family.problems:
+                ways: dict[str, Outcome] = {}
+                for problem, place in family.inversions(name):
+                    if name in (only or names) and not as_kept and not solved(problem, folder / place):
+                        failed.append(place)
+                    if as_kept or is_current(problem, folder / place):
+                        result = read_json(folder / place / RESULT)
+                        if result is not None:
+                            outcome = Outcome(problem=problem, criteria=family.criteria, result=result)
+                            ways.setdefault(outcome.way, outcome)
+                if ways:
+                    found.setdefault(family.title, []).append(ways)
+            for picture in family.pictures:
+                source, target = folder / f"{picture}.png", out / "pictures" / f"{picture.replace('/', '-')}.png"
+                if source.exists():
+                    make_folder(target.parent)
+                    pictures.append(Path(shutil.copyfile(source, target)).stem)
+    every = [ways for problems in found.values() for ways in problems]
+    write_csv(out / "problems.csv", [each for ways in every for each in ways.values()])
+    draw(out / "pictures" / "problems.png", every)
     said = write_page(
         out,
         "problems",
-        conclusion(solved),
+        conclusion(every),
         families="\n\n".join(section(*each) for each in found.items()),
         pictures="\n\n".join(f"![{name}](pictures/{name}.png)" for name in pictures),
     )
@@ -244,8 +236,10 @@ def is_current(problem: Problem, folder: Path) -> bool:
     return key.exists() and (folder / RESULT).exists() and key.read_text() == made_of(problem)
 
 
-def ran(problem: Problem, folder: Path) -> bool:
-    """Run the loop on a shipped problem in a process of its own; whether it came to its end."""
+def solved(problem: Problem, folder: Path) -> bool:
+    """Whether `folder` has a current result, by the loop in a process of its own where it had none."""
+    if is_current(problem, folder):
+        return True
     if (folder / KEY).exists():
         # Made of another problem or other weights: runs that it kept would cost this one no seconds.
         shutil.rmtree(folder)
@@ -258,11 +252,11 @@ def ran(problem: Problem, folder: Path) -> bool:
     return True
 
 
-def section(title: str, problems: Mapping[str, Outcomes]) -> str:
+def section(title: str, problems: Sequence[Outcomes]) -> str:
     """Of a family: its table, without columns that nothing fills, and the criteria that are missed."""
-    every = [each for ways in problems.values() for each in ways.values()]
-    fields = [field_row(each, field) for each in every for field in each.fields]
-    table = fields or [row for ways in problems.values() for row in rows(ways)]
+    every = [each for ways in problems for each in ways.values()]
+    fields = [field_row(each, field) for each in every for field in each.result.get("fields", ())]
+    table = fields or [row for ways in problems for row in rows(ways)]
     filled = {key for row in table for key, cell in row.items() if cell != ""}
     table = [{key: cell for key, cell in row.items() if key in filled} for row in table]
     missed = [f"- `{each.problem.name}`, {each.way}: {'; '.join(each.missed)}" for each in every if each.missed]
@@ -270,52 +264,47 @@ def section(title: str, problems: Mapping[str, Outcomes]) -> str:
 
 
 def conclusion(solved: Sequence[Outcomes]) -> list[str]:
+    """How many answers meet their criteria and truths lie in intervals, the paper's columns, fields, the price."""
     outcomes = [each for ways in solved for each in ways.values()]
     if not outcomes:
         return ["No problem has been solved yet."]
     good = sum(not each.missed for each in outcomes)
-    sentences = [f"{good} of {len(outcomes)} answers to {len(solved)} problems meet all of their criteria."]
-    if known := [number.inside for each in outcomes for number in each.numbers if number.truth is not None]:
-        sentences.append(f"The 95 % intervals contain {sum(known)} of {len(known)} true values.")
-    columns = [each for each in outcomes if each.problem.names == ["friction_deg"] and each.paper.values]
-    off = [(each.way, number.off(number.found)) for each in columns for number in each.numbers]
-    off += [("paper", number.off(number.paper)) for each in columns for number in each.numbers]
-    sizes = {way: [abs(error) for by, error in off if by == way] for way in (*COLOURS, "paper")}
+    said = [f"{good} of {len(outcomes)} answers to {len(solved)} problems meet all of their criteria."]
+    if inside := [number.inside for each in outcomes for number in each.numbers if number.truth is not None]:
+        said.append(f"The 95 % intervals contain {sum(inside)} of {len(inside)} true values.")
+    sizes: dict[str, list[float]] = {way: [] for way in (*COLOURS, "paper")}
+    for each in outcomes:
+        for number in each.numbers if each.problem.names == ["friction_deg"] and each.paper.values else ():
+            sizes[each.way].append(abs(number.off(number.found)))
+            sizes["paper"].append(abs(number.off(number.paper)))
     if errors := ", ".join(f"{between(values, '.1f')}° ({way})" for way, values in sizes.items() if values):
-        sentences.append(
-            f"From the front of the paper's columns, the friction angle is found with an error of {errors}."
-        )
-    if fields := [field for each in outcomes for field in each.fields]:
+        said.append(f"From the front of the paper's columns, the friction angle is found with an error of {errors}.")
+    if fields := [field for each in outcomes for field in each.result.get("fields", ())]:
         values = sum(field["values"] for field in fields)
         held = sum(field["values"] * field["truth_in_band"]["all"] for field in fields) / values
-        identified = between([field["identified"] for field in fields], ".0%")
-        sentences.append(
+        said.append(
             f"{held:.0%} of the {values} values of {len(fields)} unknown fields lie within their 95 % bands; the"
-            f" observation identifies {identified} of a field."
+            f" observation identifies {between([field['identified'] for field in fields], '.0%')} of a field."
         )
     both = [ways for ways in solved if len(ways) == len(COLOURS)] or solved
     runs = {way: [len(ways[way].result["mpm_runs"]) for ways in both if way in ways] for way in COLOURS}
     cost = " and ".join(f"{between(each, '.0f')} MPM runs ({way})" for way, each in runs.items() if each)
-    return [*sentences, f"An answer takes {cost}."]
+    return [*said, f"An answer takes {cost}."]
 
 
 def rows(ways: Outcomes) -> list[Row]:
     """The rows of a problem: one for each number, or one for many."""
     problem, numbers = next((each.problem, each.numbers) for each in ways.values())
-    many, found = len(numbers) > LISTED, list[Row]()
+    results, many, found = [ways[way].result for way in COLOURS if way in ways], len(numbers) > LISTED, list[Row]()
     for index, (number, kind) in enumerate(zip(numbers[:1] if many else numbers, problem.kinds, strict=False)):
-        said = [ways[way].result for way in COLOURS if way in ways and index == 0]
         name = f"`{problem.name}`" if index == 0 else ""
-        found.append(
-            {
-                "problem": name if many or len(numbers) == 1 else f"{name} {number.unknown}",
-                "true value": "-" if number.truth is None else kind.text(number.truth) if not many else "",
-                "paper": "" if number.paper is None else f"{number.paper:g}",
-                **{way: cell(ways[way], index, kind.digits, many=many) if way in ways else "" for way in COLOURS},
-                "MPM runs": " / ".join(str(len(each["mpm_runs"])) for each in said),
-                "CPU s": " / ".join(f"{each['seconds']['processors']:.0f}" for each in said),
-            }
-        )
+        row = {"problem": name if many or len(numbers) == 1 else f"{name} {number.unknown}"}
+        row["true value"] = "-" if number.truth is None else "" if many else kind.text(number.truth)
+        row["paper"] = "" if number.paper is None else f"{number.paper:g}"
+        row |= {way: cell(ways[way], index, kind.digits, many=many) if way in ways else "" for way in COLOURS}
+        row["MPM runs"] = " / ".join(str(len(each["mpm_runs"])) for each in results) if index == 0 else ""
+        seconds = " / ".join(f"{each['seconds']['processors']:.0f}" for each in results)
+        found.append(row | {"CPU s": seconds if index == 0 else ""})
     return found
 
 
@@ -326,9 +315,8 @@ def cell(outcome: Outcome, index: int, digits: int, *, many: bool) -> str:
     text = " or ".join(f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]" for value, low, high in answers)
     if many:
         text = f"{sum(each.inside for each in outcome.numbers)} of {len(outcome.numbers)} in their intervals"
-    if index == 0 and verdict != Verdict.CONFIRMED.value:
-        text = f"{verdict}: {text}"
-    return emphasised(text, not outcome.missed)
+    shown = index == 0 and verdict != Verdict.CONFIRMED.value
+    return emphasised(f"{verdict}: {text}" if shown else text, not outcome.missed)
 
 
 def field_row(outcome: Outcome, field: Mapping[str, Any]) -> Row:
@@ -349,13 +337,21 @@ def write_csv(path: Path, outcomes: Sequence[Outcome]) -> None:
     lines: list[dict[str, object]] = []
     for each in outcomes:
         result, own = each.result, each.surrogate.get("mpm_error", {})
-        common = {"problem": each.problem.name, "way": each.way, "verdict": result["verdict"]}
-        common |= {"missed": "; ".join(each.missed), "mpm_runs": len(result["mpm_runs"])}
-        common |= {"processor_seconds": result["seconds"]["processors"], "misfit_m2": result["loss"].get("mpm")}
-        common |= {"front_error_pct": result["error_pct"].get("front"), "surrogate_misfit_m2": own.get("misfit")}
-        common |= {"surrogate_front_error_pct": own.get("front_pct"), "paper_misfit_m2": each.paper.loss}
+        common = {
+            "problem": each.problem.name,
+            "way": each.way,
+            "verdict": result["verdict"],
+            "missed": "; ".join(each.missed),
+            "mpm_runs": len(result["mpm_runs"]),
+            "processor_seconds": result["seconds"]["processors"],
+            "misfit_m2": result["loss"].get("mpm"),
+            "front_error_pct": result["error_pct"].get("front"),
+            "surrogate_misfit_m2": own.get("misfit"),
+            "surrogate_front_error_pct": own.get("front_pct"),
+            "paper_misfit_m2": each.paper.loss,
+        }
         lines += [common | asdict(number) for number in each.numbers]
-        for field in each.fields:
+        for field in result.get("fields", ()):
             flat = {f"{key}_{part}": field[key][part] for key in ("error", "truth_in_band") for part in field[key]}
             whole = {key: field[key] for key in ("unit", "values", "identified")}
             lines.append(common | {"unknown": field["name"]} | whole | flat)

@@ -1,13 +1,11 @@
-"""`python -m validation.bench speed`: rates, baffles, first runs, price of a gradient, networks, a large terrain."""
+"""`python -m validation.bench speed`: rates, price of a gradient, steps of the networks, a large terrain."""
 
-import os
 import statistics
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,32 +14,37 @@ from datasets import maps
 from datasets.files import make_folder
 from datasets.flow.trajectory import open_trajectory
 from datasets.processes import processors
-from datasets.scene import Baffle, Domain, Mass, Scene
+from datasets.scene import Domain, Mass, Scene
 from datasets.scene.library import read_scene
 from datasets.scene.material import Material
 from datasets.scene.particles import particle_count
 from inverse.answer import peak_memory_mib
 from mpm import LAST, Recording, simulate, simulate_many
 from mpm.adjoint.gradient import gradient
-from mpm.arrays.layout import Precision, node_shape
+from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
 from validation.bench.measuring import Found, Spread, isolated, once, recorded, reset_peak, seconds_of, turns
-from validation.bench.network import NETWORK, PER_NODE, network_rows
 from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, write_page
-from validation.plots import BLUE, ORANGE, figure
 from validation.runs import Run, kept
 
 CUBE = 0.375
-"""Edge of the column in 3D [m]."""
+"""Edge of the body in 3D [m]."""
 GRADIENT_MIB = 1024.0
 """Memory that a gradient may take: enough for the checkpoints of the largest scene priced."""
-CACHE = "TI_OFFLINE_CACHE_FILE_PATH"
-"""Variable by which Taichi keeps compiled kernels in another folder than the user's."""
 PRICED = "column-tall-42"
 FINER = ((1, 0.5), (2, 0.25), (2, 0.5), (4, 0.0625))
 """How many times finer than the shipped column's the cells are, and duration [s], of runs whose gradient is priced."""
-CELL, EVERY, FLOW = 0.375, 5, "flow.h5"
-"""Of the large terrain: cells [m], frames from one that is kept for the maps to the next, file of the flow."""
+CELL, EVERY = 0.375, 5
+"""Of the large terrain: cells [m], frames from one that is kept for the maps to the next."""
+BODIES = {2: (0.01, (0.4,), (0.2, 1.5, 15.0)), 3: (0.03, (0.3, 0.3), (0.3, 1.2, 4.8))}
+"""By dimension: cells, height (in 3D and width) and lengths of the bodies of which a network makes a step [m]."""
+PER_NODE = "µs per node"
+NETWORK = {"nodes": ",", "forward [s]": ".4f", "with gradient [s]": ".4f", PER_NODE: ".0f"}
+PRICE = {"particles": ",", "steps": ",", "run [s]": ".2f", "gradient [s]": ".2f", "runs per gradient": ".1f"}
+PRICE |= {"memory [MiB]": ".0f"}
+TERRAIN = {"particles": ",", "steps": ",", "before": ".1f", "seconds": ".1f", "maps": ".1f"}
+TERRAIN |= {"memory": ".0f", "disk": ".0f"}
+"""Forms of the columns."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +57,6 @@ class Case:
     scenes: int
     frames: int
     """That are timed, from the start of the flow."""
-    corrected: bool = False
-    """Whether gaps are remembered."""
 
     @property
     def particles(self) -> int:
@@ -70,21 +71,12 @@ class Case:
 CASES = (
     Case(dimension=2, cells=100, scenes=1, frames=400),
     Case(dimension=2, cells=100, scenes=8, frames=200),
-    Case(dimension=2, cells=280, scenes=1, frames=20),
     Case(dimension=2, cells=560, scenes=1, frames=4),
     Case(dimension=2, cells=1770, scenes=1, frames=1),
     Case(dimension=3, cells=32, scenes=1, frames=100),
-    Case(dimension=3, cells=32, scenes=1, frames=100, corrected=True),
     Case(dimension=3, cells=32, scenes=8, frames=50),
-    Case(dimension=3, cells=64, scenes=1, frames=20),
     Case(dimension=3, cells=106, scenes=1, frames=5),
-    Case(dimension=3, cells=106, scenes=1, frames=5, corrected=True),
 )
-
-
-PRICE = {"particles": ",", "steps": ",", "run [s]": ".2f", "gradient [s]": ".2f", "runs per gradient": ".1f"}
-"""What a gradient by the adjoint takes, beside the run that it is of, on one thread and without compilation: forms of
-the columns. The memory is the greatest resident size of the process above what it held before the gradient."""
 Mode = tuple[Precision, int]
 """Precision and threads; no threads: a GPU."""
 Rates = Mapping[tuple[Case, Mode], Spread]
@@ -119,7 +111,6 @@ def rate(case: Case, mode: Mode) -> float:
     """Million particle-steps a second of a run, without compilation."""
     precision, threads = mode
     scene = column(case.dimension, case.cells, case.frames)
-    scene = replace(scene, volume_correction=True) if case.corrected else scene
     scenes = [replace(scene, seed=seed) for seed in range(case.scenes)]
     place: Options = {"precision": precision, "threads": threads}
     if not threads:
@@ -130,53 +121,6 @@ def rate(case: Case, mode: Mode) -> float:
     return float(sum(each["particles"] * each["steps"] for each in summaries) / summaries[0]["wall_s"] / 1.0e6)
 
 
-def behind_baffles() -> dict[str, Scene]:
-    """By name: the paper's short column, which runs against a baffle, and the shipped scenes with baffles in 3D."""
-    baffle = Baffle(lower=(0.6, 0.0), size=(0.05, 0.1))
-    column = replace(read_scene("column-short-21"), baffles=(baffle,), baffle_friction=0.385)
-    return {"column-short-21": column} | {name: read_scene(name) for name in ("baffles-2", "baffles-5")}
-
-
-def baffle_row(name: str, scene: Scene, rounds: int) -> Row:
-    """Nanoseconds of a particle-step on one thread, with baffles and without, in turn."""
-
-    def nanoseconds(scene: Scene) -> float:
-        summary = simulate(scene, record=LAST, threads=1).summary
-        return float(1.0e9 * summary["wall_s"] / (summary["particles"] * summary["steps"]))
-
-    work = {"with [ns]": scene, "without [ns]": replace(scene, baffles=())}
-    found = turns({key: partial(nanoseconds, each) for key, each in work.items()}, rounds, name)
-    ratio = Spread([one / other for one, other in zip(*found.values(), strict=True)])
-    counts = {"particles": f"{particle_count(scene):,}", "baffles": str(len(scene.baffles))}
-    times = {key: f"{Spread(each):.1f}" for key, each in found.items()}
-    return {"scene": f"`{name}`"} | counts | times | {"ratio": f"{ratio:.3f}"}
-
-
-def started(scene: Scene, folder: str) -> float:
-    """CPU seconds of this process, a new one with its kernels in `folder`, up to the end of a frame of a scene."""
-    os.environ[CACHE] = folder
-    simulate(replace(scene, duration=scene.frame_dt), record=LAST, threads=1)
-    seconds = time.process_time()
-    # Taichi writes its kernels when it ends, to which a worker of a pool does not come.
-    import taichi as ti
-
-    ti.reset()
-    return seconds
-
-
-def first_runs() -> list[Row]:
-    """Scenes of each kind of kernel: a first run, which compiles, and a second one, which finds the kernels on disk."""
-    scenes = {name: read_scene(name) for name in ("column-short-21", "flume-35", "valley-3d")}
-    scenes |= {f"{name}, baffles": scene for name, scene in behind_baffles().items() if name != "baffles-5"}
-    scenes["baffles-2, no baffles"] = replace(read_scene("baffles-2"), baffles=())
-    rows: list[Row] = []
-    for name, scene in scenes.items():
-        with TemporaryDirectory() as folder:
-            seconds = {f"{which} run [s]": f"{isolated(started, scene, folder):.1f}" for which in ("first", "second")}
-        rows.append({"scene": f"{name} ({scene.dimension}D)"} | seconds)
-    return rows
-
-
 def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], None]:
     """The mean x of the deposit [m], and its derivative."""
     slope = np.zeros_like(positions)
@@ -184,8 +128,11 @@ def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[floa
     return float(positions[..., 0].mean()), slope, None
 
 
-def price(scene: Scene, repeats: int) -> Found:
-    """Of one scene in this process, the median of `repeats` turns; kernels are compiled on a short flow before."""
+def price(scene: Scene, rounds: int) -> Found:
+    """What the gradient of a scene takes beside a run, medians of `rounds` turns in this process.
+
+    Kernels are compiled on a short flow before. The memory is the greatest resident size above that before.
+    """
     short = replace(scene, duration=0.02)
     simulate(short, record=LAST, threads=1)
     gradient(short, mean_x, threads=1)
@@ -194,7 +141,7 @@ def price(scene: Scene, repeats: int) -> Found:
         "run": partial(seconds_of, partial(simulate, scene, record=LAST, threads=1)),
         "gradient": partial(seconds_of, partial(gradient, scene, mean_x, threads=1, memory_mib=GRADIENT_MIB)),
     }
-    run, own = (statistics.median(seconds) for seconds in turns(work, repeats, "gradient").values())
+    run, own = (statistics.median(seconds) for seconds in turns(work, rounds, "gradient").values())
     return {
         "particles": particle_count(scene),
         "steps": simulate(scene, record=LAST, threads=1).summary["steps"],
@@ -205,6 +152,55 @@ def price(scene: Scene, repeats: int) -> Found:
     }
 
 
+def network_rows(*, rounds: int, device: str = "cpu") -> list[Found]:
+    """A row for each model that ships and each length of a body: seconds of a step; one thread, medians of rounds."""
+    # Here, because processes that only price a gradient do without PyTorch.
+    import torch
+
+    import gns
+    from gns.library import models
+    from gns.surroundings.initial import initial_state
+
+    def row(path: Path, length: float) -> Found:
+        simulator = gns.load(path)
+        # A model scales every scene to the body of its training data; as it is, a longer one has more nodes.
+        simulator.settings = replace(simulator.settings, body_length=None)
+        simulator.to(device)
+        initial = initial_state(body(simulator.settings.dimension, length), simulator.settings)
+        state, conditions = initial.state.to(device), initial.conditions.to(device)
+        friction = conditions.friction.clone().requires_grad_()
+        conditions = replace(conditions, friction=friction)
+
+        def step(gradient: bool) -> None:
+            with torch.set_grad_enabled(gradient):
+                moved = simulator(state, conditions).positions.sum()
+                # As a number, which waits for a GPU.
+                float(torch.autograd.grad(moved, friction)[0].sum() if gradient else moved)
+
+        timed = [[seconds_of(partial(step, kind)) for _ in range(1 + rounds)] for kind in (False, True)]
+        forward, both = (Spread(seconds[1:]) for seconds in timed)
+        nodes = len(initial.indices)
+        found = {"model": f"`{path.stem}`", "nodes": nodes, "forward [s]": forward, "with gradient [s]": both}
+        return found | {PER_NODE: 1.0e6 * both.median / nodes}
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    rows = [row(path, length) for path in models() for length in BODIES[gns.load(path).settings.dimension][2]]
+    torch.set_num_threads(threads)
+    return rows
+
+
+def body(dimension: int, length: float) -> Scene:
+    """A body of sand so long [m], at rest at the left wall of a box."""
+    cell, across, _ = BODIES[dimension]
+    return Scene(
+        domain=Domain(size=(length + 0.6, 1.5 * across[0], *across[1:]), cell=cell),
+        material=Material(friction_deg=30.0),
+        masses=(Mass(lower=(0.0,) * dimension, size=(length, *across)),),
+        floor_friction=0.4,
+    )
+
+
 def slide() -> Scene:
     """`hillside` on other cells, its layer a little thicker, its soil as soft as its speed allows."""
     scene = read_scene("hillside").with_cell(CELL)
@@ -212,97 +208,66 @@ def slide() -> Scene:
     return replace(scene, material=soil, masses=(layer,), duration=8.0, step_fraction=0.9)
 
 
-def slid(folder: Path) -> Found:
-    """The run whose frames go to a file."""
-    found = recorded(slide, Recording(frames=EVERY), folder / FLOW)
-    return found | {"nodes": " x ".join(map(str, node_shape(slide().domain)))}
-
-
-def mapped(folder: Path) -> Found:
-    """The maps of that run."""
-    began, trajectory = time.perf_counter(), open_trajectory(folder / FLOW)
+def terrain(folder: Path) -> Found:
+    """What the slide takes from the raster to the maps; frames and maps go to `folder`."""
+    found = recorded(slide, Recording(frames=EVERY), folder / "flow.h5")
+    began, trajectory = time.perf_counter(), open_trajectory(folder / "flow.h5")
     make_folder(folder / "maps")
     maps.write(trajectory, maps.maps_of(trajectory, CELL, progress=True), folder / "maps")
-    disk = sum(path.stat().st_size for path in (folder / "maps").iterdir()) / 2**20
-    seconds = time.perf_counter() - began
-    return {"seconds": seconds, "memory": peak_memory_mib(), "disk": disk, "frames": len(trajectory.time)}
-
-
-def large_terrain(keep: Path) -> list[Found]:
-    """Run and maps, each in a process of its own; what is in `keep` is not done again."""
-    folder = keep / f"terrain-{Run(scene=slide()).digest}"
-    make_folder(folder)
-    return [once(folder / f"{work.__name__}.json", work, folder) for work in (slid, mapped)]
+    return found | {"maps": time.perf_counter() - began}
 
 
 def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
-    """Measure rates over sizes and at baffles, gradients, steps of networks, a large terrain; needs a quiet machine.
+    """Measure rates over sizes, gradients, steps of networks, a large terrain; needs a quiet machine.
 
-    KEEP has the stages of the large terrain; other times are of one command.
+    KEEP has the large terrain; other times are of one command.
     """
     # Taichi starts anew for another precision or number of threads.
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
     rates = {key: Spread(found) for key, found in timed.items()}
-    solids = [baffle_row(name, each, 3 * rounds) for name, each in behind_baffles().items()]
     whole = read_scene(PRICED)
     finer = [replace(whole.with_cell(whole.domain.cell / times), duration=duration) for times, duration in FINER]
     prices = [isolated(price, scene, rounds) for scene in finer]
     networks = network_rows(rounds=rounds)
     with kept(keep) as folder:
-        flow, drawn = large_terrain(folder)
-    seconds = flow["before"] + flow["seconds"] + drawn["seconds"]
-    draw(out / "speed.png", rates)
+        place = folder / f"terrain-{Run(scene=slide()).digest}"
+        make_folder(place)
+        large = once(place / "terrain.json", terrain, place)
     return write_page(
         out,
         "speed",
-        [
-            *conclusion(rates, prices, networks),
-            f"A terrain of {flow['particles']:,} particles takes {seconds:.0f} s from the raster to the maps.",
-        ],
+        conclusion(rates, prices, networks, large),
         flags=f" --rounds {rounds}",
         large=LARGE,
         rates=rate_rows(rates),
-        baffles=solids,
-        starts=first_runs(),
         priced=PRICED,
-        prices=formatted(prices, PRICE | {"memory [MiB]": ".0f"}),
+        prices=formatted(prices, PRICE),
         networks=formatted(networks, NETWORK),
         cell=CELL,
-        particles=flow["particles"],
-        nodes=flow["nodes"],
-        terrain=terrain_rows(flow, drawn),
+        every=EVERY,
+        terrain=formatted([{key: large[key] for key in TERRAIN}], TERRAIN),
     )
 
 
-def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found]) -> list[str]:
-    largest = max(prices, key=lambda each: float(each["memory [MiB]"]))
+def conclusion(rates: Rates, prices: Sequence[Found], networks: Sequence[Found], large: Found) -> list[str]:
+    greatest = max(prices, key=lambda each: float(each["memory [MiB]"]))
     ratios = between([each["runs per gradient"] for each in prices], ".1f")
     steps = between([each[PER_NODE] for each in networks], ".0f")
-    best = {dimension: best_rates(rates, dimension) for dimension in dict.fromkeys(case.dimension for case, _ in rates)}
+    said = []
+    for dimension in (2, 3):
+        best = best_rates(rates, dimension)
+        said.append(
+            f"In {dimension}D the MPM computes {between(best.values(), '.0f')} million particle-steps per second, for"
+            f" {between(best, ',')} particles."
+        )
     return [
-        *(
-            f"In {dimension}D the MPM computes {between(own.values(), '.0f')} million particle-steps per second, for"
-            f" {between(own, ',')} particles."
-            for dimension, own in best.items()
-        ),
+        *said,
         f"A gradient by the adjoint takes as long as {ratios} runs, for any number of unknowns, and at most"
-        f" {largest['memory [MiB]']:.0f} MiB ({largest['particles']:,} particles, {largest['steps']:,} steps).",
+        f" {greatest['memory [MiB]']:.0f} MiB ({greatest['particles']:,} particles, {greatest['steps']:,} steps).",
         f"A step of the shipped networks with its gradient takes {steps} µs per node, on one thread.",
-    ]
-
-
-def terrain_rows(flow: Found, drawn: Found) -> list[Row]:
-    """What each stage takes."""
-    stages = {
-        "raster to particles and contact": {"seconds": flow["before"]},
-        f"run of {flow['steps']:,} steps, every {EVERY}th frame to HDF5": flow,
-        f"maps of {drawn['frames']} frames": drawn,
-    }
-    return [
-        {"stage": stage, "seconds": f"{took['seconds']:.1f}"}
-        | {f"{key} [MiB]": f"{took[key]:.0f}" if key in took else "-" for key in ("memory", "disk")}
-        for stage, took in stages.items()
+        f"A terrain of {large['particles']:,} particles takes"
+        f" {large['before'] + large['seconds'] + large['maps']:.0f} s from the raster to the maps.",
     ]
 
 
@@ -310,7 +275,7 @@ def best_rates(rates: Rates, dimension: int) -> dict[int, float]:
     """The highest median rate in single precision, by particles of a scene."""
     found: dict[int, float] = {}
     for (case, (precision, _)), each in rates.items():
-        if case.dimension == dimension and precision == "f32" and not case.corrected:
+        if case.dimension == dimension and precision == "f32":
             found[case.particles] = max(each.median, found.get(case.particles, 0.0))
     return dict(sorted(found.items()))
 
@@ -319,25 +284,10 @@ def rate_rows(rates: Rates) -> list[Row]:
     rows: list[Row] = []
     used = sorted({mode for _, mode in rates})
     for case in sorted({case for case, _ in rates}, key=astuple):
-        row = {
-            "": f"{case.dimension}D" + ", gaps remembered" * case.corrected,
-            "particles": f"{case.particles:,}",
-            "scenes": str(case.scenes),
-        }
+        row = {"": f"{case.dimension}D", "particles": f"{case.particles:,}", "scenes": str(case.scenes)}
         for precision, threads in used:
             place = f"{threads} thread{'s' * (threads > 1)}" if threads else "GPU"
             found = rates.get((case, (precision, threads)))
             row[f"{precision}, {place}"] = f"{found:.1f}" if found else "-"
         rows.append(row)
     return rows
-
-
-def draw(path: Path, rates: Rates) -> None:
-    with figure(path) as axes:
-        axis = axes[0, 0]
-        for dimension, colour in ((2, BLUE), (3, ORANGE)):
-            best = best_rates(rates, dimension)
-            axis.plot(list(best), list(best.values()), "o-", color=colour, label=f"{dimension}D")
-        axis.set(xscale="log", xlabel="particles of a scene", ylabel="million particle-steps per second")
-        axis.set_ylim(bottom=0.0)
-        axis.legend()

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from datasets.flow.trajectory import Trajectory
 from datasets.scene import Domain, Scene
 from datasets.scene.library import read_scene
 from datasets.scene.particles import particle_volumes
-from datasets.schema import Record, from_mapping
+from datasets.schema import Bounds, Record, from_mapping
 
 FOLDER = Path(__file__).parent
 Floats = NDArray[np.float64]
@@ -89,16 +89,20 @@ class Grains(Record):
     source: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Reading:
-    """What a scene is computed with."""
+    """An angle of friction as a scene is computed with it."""
 
+    name: str
     deg: float
-    """Angle of friction [deg]."""
     angle: str = "slope"
     """How it is read."""
     rate: bool = False
     """Whether friction grows with the inertial number."""
+
+    def __str__(self) -> str:
+        read = [self.name, *(["μ(I)"] if self.rate else []), *({self.angle} - {"slope"})]
+        return f"{self.deg:.1f}° ({', '.join(read)})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +116,7 @@ class Measured(Record):
     of the radius over time."""
     value: float = 0.0
     """[m], from the wall x = 0."""
-    spread: float
+    spread: Annotated[float, Bounds("a positive length in m", gt=0.0)]
     """One unit of its uncertainty [m]; where sources disagree, half of the band between them, `value` its middle."""
     spread_from: str = ""
     """Where the spread comes from."""
@@ -142,7 +146,7 @@ class Measured(Record):
         return self.quantity not in (Quantity.PROFILE, Quantity.RADII)
 
     def __post_init__(self) -> None:
-        require(self.spread > 0.0, "spread", "a positive length in m", f"{self.spread:g}")
+        super().__post_init__()
         missing = self.quantity is Quantity.HEIGHT and self.within is None
         require(not missing, "within", "a value, a height needs one", "none")
         for kind, at, values in ((Quantity.PROFILE, "x", "heights"), (Quantity.RADII, "times", "radii")):
@@ -177,15 +181,6 @@ class Case(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Assumption(Record):
-    """The choice for something that the authors do not state."""
-
-    what: str
-    choice: str
-    reason: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Experiment(Record):
     """The contents of an `experiment.toml`."""
 
@@ -200,7 +195,8 @@ class Experiment(Record):
     cells: tuple[float, float]
     """Grid cells, the coarse and the fine one [m]."""
     cases: tuple[Case, ...]
-    assumptions: tuple[Assumption, ...] = ()
+    assumptions: tuple[dict[Literal["what", "choice", "reason"], str], ...] = ()
+    """The choices for what the authors do not state."""
     folder: Path = FOLDER
     """Where its file and its scenes lie."""
 
@@ -217,7 +213,10 @@ class Experiment(Record):
         one, an avalanche's, grains begin to flow: it is the friction of all of the flow.
         """
         return tuple(
-            Reading(each.deg, each.angle, each.name == REPOSE and self.grains is not None) for each in self.angles
+            Reading(
+                name=each.name, deg=each.deg, angle=each.angle, rate=each.name == REPOSE and self.grains is not None
+            )
+            for each in self.angles
         )
 
     def scene(self, case: Case, number: int, reading: Reading) -> Scene:

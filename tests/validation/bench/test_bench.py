@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from datasets.lock import locked
-from validation.bench import efficiency
 from validation.bench import gns as bench_gns
 from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
@@ -28,19 +27,15 @@ def test_finished_work_is_held_and_goes_with_a_temporary_folder(
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:masses:UserWarning")  # the MPM beside a network is coarse on purpose
-@pytest.mark.parametrize(("name", "flags"), [("accuracy", ()), ("efficiency", ()), ("gns", ("--model", "flow2d"))])
+@pytest.mark.parametrize(("name", "flags"), [("accuracy", ()), ("gns", ("--model", "flow2d"))])
 def test_a_page_of_few_runs(name: str, flags: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(efficiency, "CUTS", ((1, 1),))
-    monkeypatch.setattr(efficiency, "JITTERS", 2)
-    monkeypatch.setattr(efficiency, "BAFFLE_JITTERS", 1)
     monkeypatch.setattr(accuracy, "REFERENCE", {2: 14.0})
     monkeypatch.setattr(accuracy, "TRIED", (0.2,))
     monkeypatch.setattr(bench_gns, "SCENES", {2: {"columns2d": 2}})
     monkeypatch.setattr(bench_gns, "CELLS", {2: (7, 10)})
-    monkeypatch.setattr(bench_gns, "JITTERS", 1)
     assert main([name, "--out", str(tmp_path), *flags]) == 0
     assert (tmp_path / f"{name}.md").read_text().startswith("# ")
-    assert list(tmp_path.rglob("*.png")) or name == "efficiency"
+    assert list(tmp_path.rglob("*.png")) or name == "accuracy"
 
 
 def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:

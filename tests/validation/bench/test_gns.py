@@ -8,10 +8,10 @@ import pytest
 
 from datasets import Mass, Scene, Trajectory
 from datasets.flow.measures import Deposit, Errors
-from datasets.scene.particles import initial_particles, released_volume
+from datasets.scene.particles import initial_particles
 from tests.scenes import flow_of, scene_of
 from validation.bench.accuracy.bench import deposit_of
-from validation.bench.gns import AGAIN, MOUNDS, Compared, Model, creep, mound, mpm_seconds
+from validation.bench.gns import AGAIN, Compared, Model, conclusion
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
 
@@ -45,14 +45,6 @@ def test_errors_of_deposits_of_known_length() -> None:
     assert deposit_of(stretched(BLOCK, 4.5)).at_wall
 
 
-def test_a_mound_that_creeps_is_measured_from_its_start_on() -> None:
-    assert creep(stretched(BLOCK, 2.0)) == pytest.approx(200.0, rel=0.03)
-    for title, (friction_deg, slope_deg) in MOUNDS.items():
-        scene, steepest = mound(title, 0), math.degrees(math.atan(0.5)) + slope_deg
-        assert steepest < friction_deg
-        assert released_volume(scene) == pytest.approx(0.08)
-
-
 def model() -> Model:
     """Two scenes of one model, the second at the wall, beside an MPM on three grids."""
 
@@ -65,17 +57,21 @@ def model() -> Model:
         kind="column",
         extent=0.4,
         free=True,
-        by=by | {"tiny": off(-0.04), AGAIN: off(0.005)},
+        by=by | {"tiny": off(-0.05), AGAIN: off(0.005)},
         seconds=seconds | {"tiny": 0.5, AGAIN: 2.0},
         band=(0.01, 0.02),
     )
-    second = replace(first, free=False, by=first.by | {"tiny": off(0.04)}, band=None)
+    second = replace(first, free=False, by=first.by | {"tiny": off(0.05)}, band=None)
     return Model(name="tiny", family="flow2d", compared=[first, second])
 
 
-def test_the_price_of_an_error_is_read_off_the_curve() -> None:
-    points = [at for name, at in model().points.items() if name != "tiny"]
-    assert mpm_seconds(points, 0.2) == pytest.approx(0.0625)
-    assert mpm_seconds(points, 0.04) == pytest.approx(0.25)
-    assert mpm_seconds(points, 0.04 / math.sqrt(2.0)) == pytest.approx(0.5)
-    assert mpm_seconds(points, 0.001) is None
+def test_the_price_is_that_of_the_cheapest_mpm_with_no_larger_error() -> None:
+    _, price, bands = conclusion([model()])
+    assert "0.5 s and 0.25 s (flow2d)" in price
+    assert "1 of 1 fronts" in bands
+    (scene, other), points = model().compared, model().points
+    finer = replace(
+        model(), compared=[replace(each, by=each.by | {"tiny": scene.by[AGAIN]}) for each in (scene, other)]
+    )
+    assert "no coarse run" in conclusion([finer])[1]
+    assert points["tiny"] == (0.5, pytest.approx(0.05))

@@ -17,7 +17,7 @@ from tests.refusals import refused
 from tests.scenes import flow_of
 from validation.bench.__main__ import main
 from validation.bench.stability import invariants
-from validation.bench.stability.bench import FOLDER, ROWS, Row, read_rows, run, verdict
+from validation.bench.stability.bench import FOLDER, ROWS, HardCase, read_rows, run, verdict
 from validation.bench.stability.invariants import ALWAYS, Finding
 
 BED = Mass(lower=(0.0, 0.0), size=(0.4, 0.2))
@@ -130,12 +130,12 @@ def test_every_row_has_a_scene_and_every_scene_a_row() -> None:
     assert {check["quantity"] for row in rows for check in row.checks} == ROWS["quantities"].keys()
     assert all(row.checks or row.over or row.what for row in rows)
     assert [row.name for row in read_rows(["long-step"])] == ["column", "long-step"]
-    refused(read_rows, ["thin-layers"], said="did you mean 'thin-layer'")
+    refused(read_rows, ["thin-layers"], said="thin-layer,")
 
 
 def test_a_verdict_says_what_is_wrong() -> None:
     check = {"quantity": "creeps", "maximum": 0.01}
-    row = Row(name="rest", what="it rests", checks=(check,), over="other", within=0.1)
+    row = HardCase(name="rest", what="it rests", checks=(check,), over="other", within=0.1)
     flow = at_rest()
     assert verdict(row, flow, flow).failures == []
     crept = changed(flow, "positions", (-1, slice(None), 0), flow.positions[-1, :, 0] + 1e-3)

@@ -26,7 +26,7 @@ from validation.experiments.experiment import (
 from validation.runs import Run
 
 SHIPPED = read_experiments()
-PLAUSIBLE = Reading(25.0, rate=True)
+PLAUSIBLE = Reading(name="plausible", deg=25.0, rate=True)
 EXPERIMENT = """
 title = "A wedge"
 what = "Its front falls by 10 mm a degree."
@@ -131,7 +131,9 @@ def test_a_wrong_experiment_is_refused_by_file_and_key(shelf: Path, old: str, ne
 
 
 def test_forward_and_backward_of_a_formula(shelf: Path) -> None:
-    ((score, other),), (found,) = compute(read_experiments(shelf), deposits)
+    (experiment,) = read_experiments(shelf)
+    ((score, other),), found = compute(experiment, experiment.cases[0], deposits)
+    assert found is not None
     assert score.angle == "25.0° (avalanche)"
     assert (score.coarse, score.fine) == pytest.approx((0.98 * 0.5, 0.5), abs=1e-5)
     assert score.error == pytest.approx(-4.0, abs=1e-3)

@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import tomli_w
@@ -25,7 +24,6 @@ from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measur
 from mpm.runtime import Arch
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.bench.page import Keep, Out, emphasised, percent, tables, write_page
-from validation.plots import BLUE, GREY, ORANGE, figure
 from validation.runs import SHARE, Run, RunStore, kept
 
 TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)
@@ -207,7 +205,6 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
             tried = list(dict.fromkeys(each.resolution for each in chosen))
             trials[dimension] = errors_of(read_flows(dimension, unseen=True), tried, reference, (SEED,), store)
     limits = {d: {each.resolution: each.promised for each in known if each.dimension == d} for d in trials}
-    draw(out / "accuracy.png", trials, limits)
     selections = [
         {
             "": f"{d}D",
@@ -256,18 +253,3 @@ def conclusion(trials: Mapping[int, Errors], limits: Limits) -> list[str]:
         parts = [f"{percent(rms(e))} on {r.cells:g} cells ({mean_seconds(e):.2g} s)" for r, e in found.items()]
         said.append(f"In {dimension}D the rms error is {', '.join(parts)} across the mass.")
     return said
-
-
-def draw(path: Path, trials: Mapping[int, Errors], limits: Limits) -> None:
-    with figure(path, columns=len(trials), size=(4.2, 3.8)) as axes:
-        for axis, (dimension, found) in zip(axes[0], trials.items(), strict=True):
-            for name in next(iter(found.values())):
-                points = [(each[name].seconds, 100.0 * each[name].errors[0]) for each in found.values()]
-                axis.plot(*zip(*points, strict=True), ".-", color=GREY, linewidth=0.5, markersize=3)
-            seconds = [mean_seconds(errors) for errors in found.values()]
-            axis.plot(seconds, [100.0 * rms(errors) for errors in found.values()], "o-", color=BLUE, label="rms")
-            bounds = [100.0 * limits[dimension][each] for each in found]
-            axis.plot(seconds, bounds, "s--", color=ORANGE, label="bound for nine of ten")
-            axis.set(title=f"{dimension}D, grey: each scene", xlabel="seconds of a run")
-            axis.set(xscale="log", yscale="log", ylabel="error over the extent [%]")
-            axis.legend()

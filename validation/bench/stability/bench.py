@@ -1,13 +1,9 @@
-"""`python -m validation.bench stability`: hard cases, a flume, factors of safety, fronts over stiffness and step."""
+"""`python -m validation.bench stability`: hard cases, a flume, factors of safety."""
 
-import difflib
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from datasets.errors import InputError, WorkFailed
 from datasets.files import read_toml
@@ -16,12 +12,9 @@ from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from datasets.schema import Record, from_mapping
-from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
+from mpm import WITH_FIELDS, simulate_each
 from mpm.arrays.layout import Precision
-from mpm.resolution import Resolution, with_resolution
-from validation.bench.accuracy.flows import Flow
-from validation.bench.page import Out, emphasised, percent, write_page
-from validation.bench.page import Row as TableRow
+from validation.bench.page import Out, Row, emphasised, percent, write_page
 from validation.bench.stability import quantities, slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
 
@@ -33,20 +26,11 @@ COLUMNS = {
     "slope": ("slope [°]", ".1f"),
 }
 """Checks that have a column of their own, with its heading and form."""
-STIFFNESSES, STEPS = (1.0, 10.0, 100.0), (0.9, 0.3)
-"""Young's moduli over 150 rho g H, and steps over cell / wave speed."""
-RELEASED = {
-    2: (Flow(aspect=2.0, friction_deg=30.0, box=8.0), 10),
-    3: (Flow(aspect=1.0, friction_deg=30.0, depth=1.0, box=6.0, duration=5.0), 6),
-}
-"""Columns whose fronts are compared, and cells across them, by dimension."""
-TRANSFERS = {"AFLIP, default": None, "APIC": 0.0}
-"""Relaxation times of the transfer."""
 ROWS = read_toml(FOLDER / "rows.toml")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row(Record):
+class HardCase(Record):
     """A row of `rows.toml`."""
 
     name: str
@@ -70,10 +54,10 @@ class Row(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
+class CheckedCase:
     """What was found of a row; a run that gave no trajectory has a message alone."""
 
-    row: Row
+    row: HardCase
     kept: tuple[Finding, ...] = ()
     """What every flow, and every deposit, has to keep."""
     own: tuple[Finding, ...] = ()
@@ -84,19 +68,17 @@ class Verdict:
         return [self.blown_up] * bool(self.blown_up) + [str(each) for each in (*self.kept, *self.own) if not each.ok]
 
 
-def read_rows(names: Sequence[str] = ()) -> list[Row]:
+def read_rows(names: Sequence[str] = ()) -> list[HardCase]:
     """The rows of these names and those they are compared with; all where there are none. Raises InputError."""
-    rows = {each["name"]: from_mapping(Row, each) for each in ROWS["rows"]}
+    rows = {each["name"]: from_mapping(HardCase, each) for each in ROWS["rows"]}
     for name in names:
         if name not in rows:
-            near = difflib.get_close_matches(name, rows, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(rows)}"
-            raise InputError(f"expected the name of a row: {hint}", where=name)
+            raise InputError(f"expected the name of a row, one of {', '.join(rows)}", where=name)
     chosen = {*names, *(rows[name].over for name in names)} if names else rows.keys()
     return [row for name, row in rows.items() if name in chosen]
 
 
-def run(rows: Sequence[Row], precision: Precision) -> dict[str, Trajectory | WorkFailed]:
+def run(rows: Sequence[HardCase], precision: Precision) -> dict[str, Trajectory | WorkFailed]:
     """The flow of each row with fields, or why there is none."""
     flows: dict[str, Trajectory | WorkFailed] = {}
     for ends in (False, True):
@@ -108,12 +90,12 @@ def run(rows: Sequence[Row], precision: Precision) -> dict[str, Trajectory | Wor
     return flows
 
 
-def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFailed | None = None) -> Verdict:
+def verdict(row: HardCase, flow: Trajectory | WorkFailed, other: Trajectory | WorkFailed | None = None) -> CheckedCase:
     """All findings of a row; of a flow with NaN in it nothing but that. other: the flow of the row `over`."""
     if isinstance(flow, WorkFailed):
-        return Verdict(row=row, blown_up=str(flow))
+        return CheckedCase(row=row, blown_up=str(flow))
     if not (numbers := finite(flow)).ok:
-        return Verdict(row=row, kept=(numbers,))
+        return CheckedCase(row=row, kept=(numbers,))
     kept = [found for each in (*ALWAYS, *(DEPOSIT if row.rests else ())) if (found := each(flow)) is not None]
     if row.rings:
         kept = [each for each in kept if each.check != "energy"]
@@ -128,28 +110,11 @@ def verdict(row: Row, flow: Trajectory | WorkFailed, other: Trajectory | WorkFai
         value = front(flow.positions[-1], flow.volumes) / front(other.positions[-1], other.volumes)
         name = f"front over that of {row.over}"
         own.append(Finding(check=name, value=value, minimum=1.0 - row.within, maximum=1.0 + row.within))
-    return Verdict(row=row, kept=tuple(kept), own=tuple(own))
-
-
-Fronts = Mapping[tuple[int, str, float, float], float]
-"""Fronts [m] by dimension, transfer, stiffness and step."""
-
-
-def fronts() -> Fronts:
-    """Of the columns over stiffness and step, by each transfer."""
-    scenes = {}
-    for dimension, transfer, stiffness, step in itertools.product(RELEASED, TRANSFERS, STIFFNESSES, STEPS):
-        flow, cells = RELEASED[dimension]
-        stiff = replace(flow, stiffness=stiffness * flow.stiffness).scene()
-        chosen = Resolution(cells=cells, particles_per_axis=2, step_fraction=step, precision="f32")
-        scene = replace(with_resolution(stiff, chosen), relaxation_time=TRANSFERS[transfer])
-        scenes[dimension, transfer, stiffness, step] = scene
-    flows = simulate_many(list(scenes.values()), record=LAST, progress=True)
-    return {key: front(flow.positions[-1], flow.volumes) for key, flow in zip(scenes, flows, strict=True)}
+    return CheckedCase(row=row, kept=tuple(kept), own=tuple(own))
 
 
 def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32") -> str:
-    """Check every hard case, and measure factors of safety and fronts over stiffness and step.
+    """Check every hard case, and measure factors of safety.
 
     What is wrong with a red row fails the command, once the page is written.
 
@@ -160,53 +125,41 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
     precision
         Of the rows.
     """
-    chosen, found, safety = read_rows(rows), fronts(), slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION)
+    chosen, safety = read_rows(rows), slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION)
     flows = run(chosen, precision)
     verdicts = [verdict(row, flows[row.name], flows.get(row.over)) for row in chosen]
     said = write_page(
         out,
         "stability",
-        conclusion(verdicts, found, safety),
+        conclusion(verdicts, safety),
         flags=f" --precision {precision}",
         count=len(verdicts),
         precision=precision,
         cases=[row_of(each) for each in verdicts],
         safety=slopes.rows(safety),
-        fronts=[
-            {"": f"{dimension}D", "stiffness": f"{stiffness:g}", "step": f"{step:g}"}
-            | {transfer: f"{found[dimension, transfer, stiffness, step]:.4f}" for transfer in TRANSFERS}
-            for dimension, stiffness, step in itertools.product(RELEASED, STIFFNESSES, STEPS)
-        ],
     )
     if red := [f"{each.row.name}: {'; '.join(each.failures)}" for each in verdicts if each.failures]:
         raise WorkFailed("red rows: " + ". ".join(red))
     return said
 
 
-def conclusion(verdicts: Sequence[Verdict], found: Fronts, safety: slopes.Factors) -> list[str]:
+def conclusion(verdicts: Sequence[CheckedCase], safety: slopes.Factors) -> list[str]:
     red = [each.row.name for each in verdicts if each.failures]
     exact = [not each.failures for each in verdicts if each.row.exact]
     rise, balance = (
         max(one.value for each in verdicts for one in each.kept if one.check == check)
         for check in ("energy", "momentum")
     )
-    moved = []
-    for size in RELEASED:
-        groups = [[x for (d, by, _, _), x in found.items() if (d, by) == (size, transfer)] for transfer in TRANSFERS]
-        own, other = (percent((max(group) - min(group)) / float(np.mean(group))) for group in groups)
-        moved.append(f"{own} in {size}D (with APIC by {other})")
     return [
         f"{len(verdicts) - len(red)} of {len(verdicts)} hard cases pass{'; **red**: ' * bool(red)}{', '.join(red)}.",
         f"{sum(exact)} of {len(exact)} cases with an exact solution agree with it.",
         f"No flow gains more than {percent(rise)} of its energy; momentum and the impulses on walls and solids balance"
         f" within {balance:.0e}.",
-        f"When the stiffness grows {STIFFNESSES[-1]:g} times and the step shrinks to a third, a front moves by"
-        f" {', '.join(moved)}.",
         slopes.conclusion(safety),
     ]
 
 
-def row_of(each: Verdict) -> TableRow:
+def row_of(each: CheckedCase) -> Row:
     own = "; ".join(f"{found.check} {found.range} {found.unit}".strip() for found in each.own)
     value = [", ".join(emphasised(f"{found.value:.4g}", found.ok) for found in each.own)] if each.own else []
     kept = {found.check: found for found in each.kept}
