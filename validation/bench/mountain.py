@@ -84,13 +84,7 @@ def slid(data: Path, cell: float, folder: Path) -> Found:
     ground = read_raster(data / f"DEM_{CASE}.asc")
     maps = maps_of(open_trajectory(path), ground.spacing[0], threshold=COVERED, progress=True)
     assert maps.velocity is not None, "frames beside one another tell it"
-    # The post nearest to the middle of each cell.
-    posts = [
-        np.minimum(np.rint(axis / maps.cell).astype(int), last - 1)
-        for axis, last in zip(maps.grid.axes, ground.values.shape, strict=True)
-    ]
-    normal = maps.depth * bed_cosine(ground)[np.ix_(*posts)]
-    found = peaks(maps.corner[0] + maps.grid.axes[0], maps.velocity, float(normal.max()))
+    found = peaks(maps.corner[0] + maps.grid.axes[0], maps.velocity, float(maps.normal_depth.max()))
     return found | took | {"maps": time.perf_counter() - began, "memory": peak_memory_mib()}
 
 
