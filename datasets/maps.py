@@ -9,17 +9,23 @@ weights w of `datasets.scene.grid_field` at their middles; with A_c the area of 
 So sum_c h_c A_c = sum_p V_p exactly. A layer whose particles lie a spacing apart is even where a cell is a whole number
 of spacings long. Thickness is measured along y, which is vertical on a terrain and normal to the floor of a box that is
 tilted (`slope_deg`), and of the volume at its initial density: what loosening adds is not counted. The velocity v_c is
-the mean over the depth.
+the mean over the depth. The thickness normal to the bed is h_c cos(slope), with the slope of the terrain.
+
+Particles that cross several cells from one frame to the next would leave gaps in the largest values and steps in the
+times of arrival. So the maps also look between the frames, where a particle follows the cubic of its positions and
+velocities at both (Hermite).
 """
 
 import json
 import math
 import sys
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from shapely import MultiPolygon, Polygon
 from shapely.geometry import mapping
 from shapely.geometry.polygon import orient
@@ -38,9 +44,17 @@ from datasets.scene.grid_field import Floats, Grid
 KINDS = {
     "thickness": ("thickness of the deposit", "m", "YlOrBr"),
     "depth": ("largest depth of the flow", "m", "YlGnBu"),
+    "normal_depth": ("largest depth normal to the bed", "m", "YlGnBu"),
     "velocity": ("largest velocity of the flow", "m/s", "plasma"),
+    "arrival": ("time of arrival", "s", "viridis"),
 }
 """Attributes of `PlanMaps`, and the names of their files: what they show, its unit, colours of matplotlib."""
+BETWEEN = 8
+"""Most moments that are looked at from one frame to the next: as many as fast particles cross cells."""
+FAST = 0.99
+"""Quantile of the particles' displacements that counts as fast: a single grain does not decide."""
+COLOURS = 9
+"""Of a map in QGIS."""
 OUTSIDE = 1.0e-6
 """Share of the box by which rounding may put a particle beyond a wall."""
 CLOSE = 1.0e-6
@@ -49,6 +63,9 @@ WIDTH, HIGHEST = 9.0, 9.0
 """Of a picture [inches]."""
 CONTOURS = 12
 """About as many contour lines of the ground."""
+
+Moment = tuple[float, NDArray[Any], NDArray[Any] | None]
+"""Time [s], positions [m] and, where they are known, velocities [m/s] of the particles, shape [N, 3]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,9 +79,13 @@ class PlanMaps:
     start: Floats | None
     """The same at the start; None where that was not kept."""
     depth: Floats
-    """Largest thickness in any frame that was kept [m]."""
+    """Largest thickness at any time [m]."""
+    normal_depth: Floats
+    """The same normal to the terrain [m]."""
     velocity: Floats | None
-    """Largest velocity [m/s] in any frame where there was more than the threshold; None where none is known."""
+    """Largest velocity [m/s] at any time when there was more than the threshold; None where none is known."""
+    arrival: Floats
+    """Time [s] from which on there was more than the threshold for the first time; NaN where there never was."""
     ground: Floats
     """Elevation of what is highest of all that is solid, in the middle of a cell [m]; 0, or on a map the origin's, is
     the floor of the box."""
@@ -103,16 +124,16 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     expected = f"a length from {least:g} m, the spacing of the particles, to {min(sides):g} m, the box"
     require(least * (1.0 - 1.0e-9) <= cell <= min(sides), "--cell", expected, f"{cell:g} m")
     grid = Grid((0.5 * cell,) * 2, (cell,) * 2, tuple(math.ceil(side / cell - 1.0e-6) for side in sides))
-    depth, fastest, start = np.zeros(grid.nodes), None, None
-    for frame in tqdm(range(len(trajectory.time)), desc="maps", unit="frame", disable=not progress):
-        positions, velocity = trajectory.positions[frame], fields.velocity(frame)
+    depth, fastest, start, arrival = np.zeros(grid.nodes), None, None, np.full(grid.nodes, np.nan)
+    for time, positions, velocity in moments(fields, cell, progress):
         share = positions / np.array(scene.domain.size)
         inside = ((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1)
         spread = grid.weights(positions[inside][:, ::2].astype(np.float64)).T
         volume = (spread @ volumes[inside]).reshape(grid.nodes)
         thickness = volume / cell**2
         depth = np.maximum(depth, thickness)
-        if frame == 0 and trajectory.time[0] == 0.0:
+        arrival[np.isnan(arrival) & (thickness > threshold)] = time
+        if time == 0.0:
             start = thickness
         if velocity is not None:
             momentum = np.linalg.norm(spread @ (volumes[inside, None] * velocity[inside]), axis=1).reshape(grid.nodes)
@@ -126,7 +147,9 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
         thickness=thickness,
         start=start,
         depth=depth,
+        normal_depth=depth * bed_cosine(scene, grid),
         velocity=fastest,
+        arrival=arrival,
         ground=ground(scene, grid) + up,
         threshold=threshold,
         volume=float(volumes[inside].sum()),
@@ -134,6 +157,39 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
         corner=corner,
         crs=crs,
     )
+
+
+def moments(fields: FlowFields, cell: float, progress: bool) -> Iterator[Moment]:
+    """The frames of a flow and, where it crosses cells of an edge `cell` [m] from one to the next, times between."""
+    flow, before = fields.trajectory, None
+    for frame in tqdm(range(len(flow.time)), desc="maps", unit="frame", disable=not progress):
+        here = float(flow.time[frame]), np.asarray(flow.positions[frame]), fields.velocity(frame)
+        if before is not None:
+            yield from moments_between(before, here, cell)
+        yield here
+        before = here
+
+
+def moments_between(first: Moment, second: Moment, cell: float) -> Iterator[Moment]:
+    """Times between two frames, so that fast particles move by a cell from one to the next; at most BETWEEN - 1."""
+    (begin, from_, velocity), (end, to, faster) = first, second
+    if velocity is None or faster is None:
+        return
+    moved = float(np.quantile(np.linalg.norm(to - from_, axis=1), FAST))
+    count, elapsed = min(BETWEEN, math.ceil(moved / cell)), end - begin
+    for share in np.arange(1, count) / count:
+        rest = 1.0 - share
+        bend = share * rest * elapsed * (rest * velocity - share * faster)
+        line = rest**2 * (1.0 + 2.0 * share) * from_ + share**2 * (3.0 - 2.0 * share) * to
+        yield begin + share * elapsed, line + bend, rest * velocity + share * faster
+
+
+def bed_cosine(scene: Scene, grid: Grid) -> Floats:
+    """Cosine of the terrain's slope at each cell, shape [X, Z]; 1 where there is none, or none but in one row."""
+    terrain = tuple(solid for solid in scene.solids if solid.kind == "terrain")
+    heights = ground(replace(scene, baffles=(), solids=terrain), grid)
+    slopes = [np.gradient(heights, step, axis=a) for a, step in enumerate(grid.spacing) if heights.shape[a] > 1]
+    return np.asarray(1.0 / np.sqrt(1.0 + sum((slope**2 for slope in slopes), np.zeros(grid.nodes))))
 
 
 def least_thickness(mass: Mass) -> float:
@@ -156,8 +212,8 @@ def ground(scene: Scene, grid: Grid) -> Floats:
     return tops_beneath(surface, np.insert(plan, 1, np.inf, axis=1), 0.0).reshape(grid.nodes)
 
 
-def outline(maps: PlanMaps, values: Floats) -> MultiPolygon:
-    """Where one of `maps`, shape [X, Z], exceeds their threshold: polygons with holes, in the maps' coordinates.
+def outline(maps: PlanMaps, values: Floats, threshold: float) -> MultiPolygon:
+    """Where one of `maps`, shape [X, Z], exceeds a threshold: polygons with holes, in the maps' coordinates.
 
     The line runs where the map, linear between the middles of its cells and even in the outer half of the last, equals
     the threshold, and along the edge of the map. Outer rings run anticlockwise, holes clockwise.
@@ -169,26 +225,43 @@ def outline(maps: PlanMaps, values: Floats) -> MultiPolygon:
         first + maps.cell * np.concatenate([[-CLOSE, 0.0], np.arange(count) + 0.5, [count, count + CLOSE]])
         for first, count in zip(maps.corner, values.shape, strict=True)
     )
-    filled = contour_generator(x, z, padded.T, fill_type=FillType.OuterOffset).filled(maps.threshold, np.inf)
+    filled = contour_generator(x, z, padded.T, fill_type=FillType.OuterOffset).filled(threshold, np.inf)
     parts = [np.split(points, offsets[1:-1]) for points, offsets in zip(*filled, strict=True)]
     return MultiPolygon([orient(Polygon(outer, holes)) for outer, *holes in parts])
 
 
-def write_outlines(path: Path, maps: PlanMaps, outlines: dict[str, MultiPolygon]) -> None:
-    """Write named outlines of `maps` as GeoJSON: a MultiPolygon each, with `name`, `threshold_m` and `area_m2`.
+def write_outlines(path: Path, maps: PlanMaps, outlines: dict[tuple[str, float], MultiPolygon]) -> None:
+    """Write the outlines of `maps`, by name and threshold [m], as GeoJSON: a MultiPolygon each.
 
-    Coordinates are those of the rasters, their system is named as GDAL does (`crs`); local ones name none.
+    Its properties are `name`, `threshold_m` and `area_m2`. Coordinates are those of the rasters, their system is named
+    as GDAL does (`crs`); local ones name none.
     """
     from datasets.exchange.rasters import name_in_geojson
 
     features = []
-    for name, polygons in outlines.items():
-        properties = {"name": name, "threshold_m": maps.threshold, "area_m2": polygons.area}
+    for (name, threshold), polygons in outlines.items():
+        properties = {"name": name, "threshold_m": threshold, "area_m2": polygons.area}
         features.append({"type": "Feature", "properties": properties, "geometry": mapping(polygons)})
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if maps.crs is not None:
         collection["crs"] = {"type": "name", "properties": {"name": name_in_geojson(maps.crs)}}
     write_text(path, json.dumps(collection) + "\n")
+
+
+def style(colours: str, most: float, unit: str) -> str:
+    """The colours of a map from 0 to its largest value as a style of QGIS, which takes it from beside the raster."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    steps = np.linspace(0.0, 1.0, COLOURS)
+    items = "".join(
+        f'<item value="{step * most:.6g}" label="{step * most:.3g} {unit}" color="{to_hex(colour)}" alpha="255"/>'
+        for step, colour in zip(steps, colormaps[colours](steps), strict=True)
+    )
+    ramp = f'<colorrampshader colorRampType="INTERPOLATED" clip="0">{items}</colorrampshader>'
+    renderer = f'<rasterrenderer type="singlebandpseudocolor" band="1" opacity="1" classificationMax="{most:.6g}"'
+    shown = f'{renderer} classificationMin="0"><rastershader>{ramp}</rastershader></rasterrenderer>'
+    return f"<!DOCTYPE qgis>\n<qgis><pipe>{shown}</pipe></qgis>\n"
 
 
 def draw_maps(path: Path, maps: PlanMaps) -> None:
@@ -215,53 +288,66 @@ def draw_maps(path: Path, maps: PlanMaps) -> None:
         figure.savefig(part, dpi=120)
 
 
-def write(trajectory: Trajectory, maps: PlanMaps, folder: Path) -> dict[str, Any]:
+def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequence[float] = ()) -> dict[str, Any]:
     """Write the maps of a trajectory into `folder`, and maps.json, what they come to, which is returned.
 
-    Raises WorkFailed.
+    thresholds: [m], of outlines beside that of the maps. Raises WorkFailed.
     """
     from datasets.exchange.rasters import write_raster
 
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
-    outlines = {name: outline(maps, values) for name, values in shown.items() if values is not None}
-    found = {name: getattr(maps, name) for name in KINDS}
-    for name, values in found.items():
+    levels = sorted({maps.threshold, *thresholds})
+    outlines = {
+        (name, level): outline(maps, values, level)
+        for name, values in shown.items()
+        for level in levels
+        if values is not None
+    }
+    most: dict[str, float | None] = {}
+    for name, (title, unit, colours) in KINDS.items():
+        values = getattr(maps, name)
+        known = values is not None and np.isfinite(values).any()
+        most[name] = float(f"{np.nanmax(values):.6g}") if known else None
         if values is not None:
-            write_raster(folder / f"{name}.tif", values, maps.cell, maps.corner, maps.crs, *KINDS[name][:2])
+            write_raster(folder / f"{name}.tif", values, maps.cell, maps.corner, maps.crs, title, unit)
+            write_text(folder / f"{name}.qml", style(colours, most[name] or 1.0, unit))
     draw_maps(folder / "maps.png", maps)
     write_outlines(folder / "outline.geojson", maps, outlines)
     # Single particles that rolled on are islands of their own.
-    largest = max(outlines["deposit"].geoms, key=lambda polygon: polygon.area, default=None)
+    deposit = outlines["deposit", maps.threshold].geoms
+    largest = max(deposit, key=lambda polygon: polygon.area, default=None)
     said = {
         "time": float(trajectory.time[-1]),
         "cell": maps.cell,
         "threshold": maps.threshold,
         "volume": maps.volume,
         "left": maps.left,
-        **{f"area_{name}": polygons.area for name, polygons in outlines.items()},
+        **{f"area_{name}": each.area for (name, level), each in outlines.items() if level == maps.threshold},
         "extent": None if largest is None else largest.bounds[2] - maps.corner[0],
         **dict(zip(("east", "north"), maps.corner, strict=True)),
         "crs": maps.crs,
-        **{f"{name}_max": None if values is None else float(f"{values.max():.6g}") for name, values in found.items()},
+        **{f"{name}_max": value for name, value in most.items()},
     }
     write_json(folder / "maps.json", said)
     return said
 
 
-def command(trajectory: Path, /, *, out: Path, cell: float | None = None, threshold: float | None = None) -> None:
-    """Write what a flow left, seen from above: thickness, largest depth and velocity, outlines.
+def command(trajectory: Path, /, *, out: Path, cell: float | None = None, threshold: tuple[float, ...] = ()) -> None:
+    """Write what a flow left, seen from above: thickness, largest depth and velocity, arrival, outlines.
 
     Args:
         trajectory: A trajectory (NPZ) in 3D, or the folder of a run that holds one.
         out: Folder for the results.
         cell: Edge of a cell of the maps [m]; that of the scene's grid unless given.
         threshold: Thickness [m] above which the ground counts as covered; unless given the spacing of the particles, at
-            most half the least thickness released.
+            most half the least thickness released. Given several times, each has its outlines, and the maps the first.
     """
     flow = open_trajectory(trajectory_file(trajectory), "velocities")
+    require(all(level > 0.0 for level in threshold), "--threshold", "thicknesses above 0 m", list(threshold))
     make_folder(out)
-    maps = maps_of(flow, flow.scene.domain.cell if cell is None else cell, threshold=threshold, progress=True)
-    said = write(flow, maps, out)
+    edge, first = flow.scene.domain.cell if cell is None else cell, threshold[0] if threshold else None
+    maps = maps_of(flow, edge, threshold=first, progress=True)
+    said = write(flow, maps, out, threshold)
     extent = "" if said["extent"] is None else f", extent x = {said['extent']:.4g} m"
     deposit = f"volume {maps.volume:.4g}, largest thickness {said['thickness_max']:.3g} m{extent}"
     print(f"t = {said['time']:g} s: {deposit}, written to {out}")

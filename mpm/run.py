@@ -21,7 +21,7 @@ from mpm.footprint import expected, footprint, step_spoken
 from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.request import Recording
 from mpm.resolution import read_tolerance, resolved
-from mpm.runtime import Arch, workers_for
+from mpm.runtime import Arch, parts_for
 
 
 def command(
@@ -101,7 +101,7 @@ def command(
         wall_forces=fields or forces,
         until_rest=until_rest,
     )
-    workers = workers_for(particle_count(given)) if arch == "cpu" else 1
+    workers = parts_for(particle_count(given)) if arch == "cpu" else 1
     appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
     with naming(Path(scene)):
         plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)

@@ -18,6 +18,9 @@ ARCHES: dict[Arch, str] = {"cpu": "cpu", "cuda": "cuda"}
 PARTICLES_PER_WORKER = 10_000
 """The fewest particles for which another thread pays off."""
 
+PARTS = 4
+"""Parts of a large scene at most, on 1, 2 and 4 threads: the result is the same to the bit on each of them."""
+
 STALE = 60.0
 """Seconds after which the lock of the cache of kernels is nobody's."""
 
@@ -80,3 +83,12 @@ def drop_stale_lock(lock: Path) -> None:
 def workers_for(particles: int, threads: int | None = None) -> int:
     """Threads that one scene of so many particles takes of `threads`, all processors by default."""
     return max(1, min(threads or processors(), particles // PARTICLES_PER_WORKER))
+
+
+def parts_for(particles: int, threads: int | None = None) -> int:
+    """Parts that one scene of so many particles is computed in, by at most so many threads, all processors by default.
+
+    At least as many as `workers_for`: a thread computes one or several of them.
+    """
+    threads = threads or processors()
+    return workers_for(particles, PARTS if PARTS % threads == 0 else threads)

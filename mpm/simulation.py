@@ -94,7 +94,7 @@ def simulate(
         trajectory.positions, trajectory.summary["front"]        # [m], shape [T, N, D]; m
 
     stop: called every few frames; once it returns True, Interrupted is raised with a checkpoint. resume: such a one,
-    from which the same run goes on; on as many threads, the same to the bit as one that was never interrupted. Raises
+    from which the same run goes on, on as many threads the same to the bit as one that was never interrupted. Raises
     WorkFailed if it blew up, InputError where there is no GPU, or where the checkpoint is of another scene, recording
     or precision.
     """
@@ -102,19 +102,20 @@ def simulate(
     warn_if_unresolved(scene)
     arch, threads = options.get("arch", "cpu"), options.get("threads")
     precision, record = options.get("precision", "f32"), options.get("record", ALL)
-    workers = runtime.workers_for(particle_count(scene), threads) if arch == "cpu" else 1
+    parts = runtime.parts_for(particle_count(scene), threads) if arch == "cpu" else 1
     file, gpu = options.get("file"), arch != "cpu"
     if file is not None and record.fields:
         raise InputError("expected positions alone: fields are smoothed in memory", key="file")
-    plan = footprint(scene, record=record, precision=precision, workers=workers, gpu=gpu, in_file=file is not None)
+    plan = footprint(scene, record=record, precision=precision, workers=parts, gpu=gpu, in_file=file is not None)
     require_memory([plan])
     particles = particles_of([scene])
+    workers = runtime.workers_for(particle_count(scene), threads)
     runtime.start(precision, threads, arch, enough=workers)
-    batch = Batch([scene], precision=precision, workers=workers, record=record, gpu=gpu, particles=particles, file=file)
+    batch = Batch([scene], precision=precision, workers=parts, record=record, gpu=gpu, particles=particles, file=file)
     if resume is not None:
         resume.restore(batch)
     with progress_bar(scene.frames - 1, batch.computed, options) as bar:
-        wall_s, compile_s = run_batch(batch, arch, bar, stop, say=options.get("progress", False))
+        wall_s, compile_s = run_batch(batch, arch, bar, stop, threads=workers, say=options.get("progress", False))
     wall_s += 0.0 if resume is None else resume.wall_s
     if batch.computed < scene.frames - 1 and not batch.ended(batch.computed + 1).any():
         kept = [frame for frame in batch.kept(0) if frame <= batch.computed]
@@ -133,7 +134,7 @@ def simulate(
 
 
 def simulate_many(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[Trajectory]:
-    """Run scenes side by side, one per thread; each is the same to the bit as alone on one thread.
+    """Run scenes side by side, one per thread; one of less than LARGE particles is the same to the bit as alone.
 
     Raises ScenesFailed, once all have ended, where one blew up, and InputError as `simulate`.
     """
@@ -187,11 +188,18 @@ def simulate_each(scenes: Sequence[Scene], **options: Unpack[Options]) -> list[T
 
 
 def run_batch(
-    batch: Batch, arch: Arch, bar: "tqdm[None]", stop: Callable[[], bool], *, say: bool = False
+    batch: Batch,
+    arch: Arch,
+    bar: "tqdm[None]",
+    stop: Callable[[], bool],
+    *,
+    threads: int | None = None,
+    say: bool = False,
 ) -> tuple[float, float]:
     """Run all scenes of a batch until their ends or until asked to stop; seconds to compute and to compile.
 
-    say: that it compiles, where that takes more than a second; a kernel that was compiled before is read in less.
+    threads: of one scene in parts, as many as there are parts unless given. say: that it compiles, where that takes
+    more than a second; a kernel that was compiled before is read in less.
     """
     run = kernel(batch.features)
     begin = time.perf_counter()
@@ -208,21 +216,21 @@ def run_batch(
     compile_s = time.perf_counter() - begin
     begin = time.perf_counter()
     if arch == "cpu":
-        run_on_threads(batch, bar, stop)
+        run_on_threads(batch, bar, stop, threads)
     else:
         run_on_device(batch, run, bar, stop)
     return time.perf_counter() - begin, compile_s
 
 
-def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool]) -> None:
+def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool], threads: int | None = None) -> None:
     """Compute the frames of all scenes of a batch, after `batch.computed`, on the threads of the CPU.
 
     A call ends where particles are sorted, in the same frames wherever a run was interrupted, where a frame is kept
     that the kernel does not record, and where a stage may begin.
     """
-    end, crew = max(scene.frames for scene in batch.scenes), Crew(batch)
+    end, crew = max(scene.frames for scene in batch.scenes), Crew(batch, threads)
     steps = (batch.offsets[:, Offset.SUBSTEPS] * batch.offsets[:, Offset.PARTICLES].astype(float)).sum()
-    most = max(1, int(PARTICLE_STEPS_PER_CALL * len(batch.workers) / steps))
+    most = max(1, int(PARTICLE_STEPS_PER_CALL * crew.most / steps))
     while (first := batch.computed + 1) < end and not batch.ended(first).all() and not stop():
         since_sorted = (first - 1) % FRAMES_PER_CALL
         last = min(first + most, first + FRAMES_PER_CALL - since_sorted, end)
@@ -249,8 +257,8 @@ class Crew:
     m <= 1 are missing, T threads get 1 - m of their speed, and T / 2 half. The result is the same to the bit.
     """
 
-    def __init__(self, batch: Batch) -> None:
-        self.workers = self.threads = len(batch.workers)
+    def __init__(self, batch: Batch, threads: int | None = None) -> None:
+        self.most = self.threads = threads or len(batch.workers)
         self.shared = batch.features.processor.shared
         self.calls, self.patience = 0, 1
 
@@ -262,10 +270,10 @@ class Crew:
         if self.shared and self.threads > 1 and wall > SHORT and self.threads - used / wall > 0.5:
             self.threads, self.calls = self.threads // 2, self.patience
             self.patience = min(2 * self.patience, PATIENCE)
-        elif self.threads < self.workers:
+        elif self.threads < self.most:
             self.calls -= 1
             if self.calls <= 0:
-                self.threads = self.workers
+                self.threads = self.most
         else:
             self.patience = 1
 

@@ -185,13 +185,17 @@ def write_raster(
 ) -> None:
     """Write `values` [X, Z] on square cells of an edge `cell` [m], from `corner` on (east, north), as a GeoTIFF.
 
-    Rows run from the north (large z) to the south, columns to the east (x). Raises WorkFailed.
+    Rows run from the north (large z) to the south, columns to the east (x); NaN is no data. Raises WorkFailed.
     """
     rows = np.ascontiguousarray(values.T[::-1], np.float32)
     (height, width), (east, north) = rows.shape, corner
     profile: dict[str, Any] = {"driver": "GTiff", "compress": "deflate", "predictor": 3, "count": 1, "dtype": "float32"}
     # To the east along a row, to the south from row to row.
-    place = {"transform": rasterio.Affine(cell, 0.0, east, 0.0, -cell, north + height * cell), "crs": crs}
+    place = {
+        "nodata": np.nan,
+        "transform": rasterio.Affine(cell, 0.0, east, 0.0, -cell, north + height * cell),
+        "crs": crs,
+    }
     try:
         with warnings.catch_warnings(), replacing(path) as part:
             # A box in its own coordinates has no reference system, which is no mistake.

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from shapely.geometry import shape
 
 from datasets import Baffle, Mass, Scene, Solid, Trajectory
 from datasets.command_line import run
-from datasets.maps import PlanMaps, command, maps_of, outline, write
+from datasets.maps import KINDS, PlanMaps, command, maps_of, outline, write
 from datasets.scene.grid_field import Grid
 from datasets.scene.particles import initial_particles
 from tests import scenes
@@ -44,7 +45,7 @@ def test_volume_is_that_of_the_particles(cell: float) -> None:
     maps = maps_of(flow_of(scene, [start.positions, coordinates]), cell)
     assert maps.thickness.sum() * cell**2 == pytest.approx(start.volume.sum(), rel=1e-12)
     assert (maps.volume, maps.left) == (pytest.approx(start.volume.sum(), rel=1e-12), 0.0)
-    np.testing.assert_allclose(maps.depth, np.maximum(maps.start, maps.thickness), rtol=1e-12)
+    assert np.all(maps.depth >= np.maximum(maps.start, maps.thickness) * (1.0 - 1e-12))
 
 
 def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None:
@@ -61,6 +62,38 @@ def test_velocity_is_the_mean_over_the_depth_and_the_largest_over_time() -> None
     np.testing.assert_allclose(maps.velocity[inside], 1.5, rtol=1e-6)
     np.testing.assert_array_equal(maps.velocity[maps.depth <= maps.threshold], 0.0)
     assert maps.threshold == pytest.approx(0.025)
+
+
+def test_arrival_and_depth_do_not_depend_on_how_often_a_flow_was_kept() -> None:
+    """A block of 0.4 m slides at 2 m/s, kept every 0.3 s: one and a half of its lengths apart."""
+    scene = scene_of((2.0, 0.5, 0.4), ((0.1, 0.0, 0.0), (0.4, 0.1, 0.4)))
+    start, velocity = initial_particles(scene).positions, np.array([2.0, 0.0, 0.0])
+    frames = [start + 0.3 * number * velocity for number in range(3)]
+    velocities = np.tile(velocity.astype(np.float32), (3, len(start), 1))
+    flow = flow_of(scene, frames, time=0.3 * np.arange(3.0), velocities=velocities)
+    maps = maps_of(flow, 0.1)
+    x = maps.grid.axes[0]
+    middle, passed = maps.grid.nodes[1] // 2, (x > 0.5) & (x < 1.6)
+    np.testing.assert_allclose(maps.depth[passed, middle], 0.1, rtol=0.02)
+    np.testing.assert_allclose(maps.velocity[passed, middle], 2.0, rtol=1e-5)
+    # The front, at 0.5 m, moves at 2 m/s; a moment is 0.3 s / 8, and a cell 0.05 s long.
+    np.testing.assert_allclose(maps.arrival[passed, middle], (x[passed] - 0.5) / 2.0, atol=0.06)
+    assert np.all(np.diff(maps.arrival[passed, middle]) > 0.0)
+    assert np.all(maps.arrival[(x > 0.1) & (x < 0.5), middle] == 0.0)
+    assert np.isnan(maps.arrival[x > 1.8]).all()
+
+
+def test_depth_normal_to_the_bed_is_the_vertical_one_times_the_cosine() -> None:
+    """On a slope of 45 degrees along x; a wall that stands on it is no slope."""
+    slope = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((1.0, 1.0), (0.0, 0.0)))
+    layer = Mass(kind="layer", thickness=0.1, outline=((0.2, 0.0), (0.6, 0.0), (0.6, 0.5), (0.2, 0.5)))
+    wall = Baffle(lower=(0.8, 0.0, 0.0), size=(0.1, 1.2, 0.2))
+    scene = scenes.scene_of(layer, size=(1.0, 1.5, 0.5), cell=0.05, jitter=0.0)
+    scene = dataclasses.replace(scene, solids=(slope,), baffles=(wall,))
+    maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
+    inside = maps.depth > 0.09
+    assert inside.sum() >= 50
+    np.testing.assert_allclose(maps.normal_depth[inside], maps.depth[inside] / np.sqrt(2.0), rtol=1e-5)
 
 
 def test_the_ground_of_terrain_and_baffles() -> None:
@@ -81,10 +114,10 @@ def test_an_outline_is_a_disc_with_a_hole() -> None:
     distance = np.hypot(x - 0.5, z - 0.4)
     values = np.maximum(0.0, np.minimum(0.3 - distance, distance - 0.05))
     maps = PlanMaps(
-        grid=grid, thickness=values, start=None, depth=values, velocity=None, ground=0.0 * values,
-        threshold=0.05, volume=0.0, left=0.0, corner=(1000.0, 2000.0),
+        grid=grid, thickness=values, start=None, depth=values, normal_depth=values, velocity=None,
+        arrival=0.0 * values, ground=0.0 * values, threshold=0.05, volume=0.0, left=0.0, corner=(1000.0, 2000.0),
     )  # fmt: skip
-    (polygon,) = outline(maps, values).geoms
+    (polygon,) = outline(maps, values, 0.05).geoms
     assert polygon.area == pytest.approx(np.pi * (0.25**2 - 0.1**2), rel=2e-3)
     assert polygon.is_valid
     assert polygon.exterior.is_ccw
@@ -96,9 +129,11 @@ def test_the_files_of_a_flow(tmp_path: Path) -> None:
     """A block at small x and large z that slides to x = 0.7."""
     flow = sliding(scene_of((1.0, 0.6, 0.5), ((0.1, 0.3, 0.35), (0.2, 0.1, 0.1))))
     maps = dataclasses.replace(maps_of(flow, 0.05, threshold=0.02), corner=(500_000.0, 5_200_000.0), crs="EPSG:25832")
-    write(flow, maps, tmp_path)
-    names = {"thickness.tif", "depth.tif", "velocity.tif", "maps.png", "outline.geojson", "maps.json"}
+    write(flow, maps, tmp_path, (0.02, 0.06))
+    names = {f"{kind}.{end}" for kind in KINDS for end in ("tif", "qml")} | {"maps.png", "outline.geojson", "maps.json"}
     assert {path.name for path in tmp_path.iterdir()} == names
+    colours = ElementTree.parse(tmp_path / "velocity.qml").iter("item")
+    assert [float(item.attrib["value"]) for item in colours] == pytest.approx(np.linspace(0.0, 1.0, 9), rel=1e-3)
     said = json.loads((tmp_path / "maps.json").read_text())
     assert said["volume"] == pytest.approx(0.2 * 0.1 * 0.1, rel=1e-9)
     assert (said["east"], said["north"], said["crs"]) == (500_000.0, 5_200_000.0, "EPSG:25832")
@@ -117,7 +152,8 @@ def test_the_files_of_a_flow(tmp_path: Path) -> None:
     assert rows.max() < 4
     assert (columns.min(), columns.max()) == pytest.approx((10, 13), abs=1)
     outlines = json.loads((tmp_path / "outline.geojson").read_text())["features"]
-    assert [feature["properties"]["name"] for feature in outlines] == ["deposit", "covered", "release"]
+    found = [tuple(feature["properties"].values())[:2] for feature in outlines]
+    assert found == [(name, level) for name in ("deposit", "covered", "release") for level in (0.02, 0.06)]
 
 
 def test_maps_lie_where_the_raster_of_the_terrain_lies(tmp_path: Path) -> None:
@@ -146,7 +182,7 @@ def test_the_threshold_is_at_most_half_of_the_thinnest_layer(thickness: object, 
     )
     maps = maps_of(flow_of(scene, [initial_particles(scene).positions]), 0.05)
     assert maps.threshold == pytest.approx(threshold, rel=0.02)
-    assert outline(maps, maps.thickness).bounds[0] == pytest.approx(0.3, abs=0.05)
+    assert outline(maps, maps.thickness, threshold).bounds[0] == pytest.approx(0.3, abs=0.05)
 
 
 def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -154,7 +190,7 @@ def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     for dimension, flags, words in (
         (2, [], "expected a trajectory in 3D, a flow in 2D has no plan"),
         (3, ["--cell", "0"], "--cell: expected a length from 0.025 m, the spacing of the particles, to 0.4 m"),
-        (3, ["--threshold", "-1"], "--threshold: expected a thickness above 0 m"),
+        (3, ["--threshold", "-1"], "--threshold: expected thicknesses above 0 m"),
     ):
         sand = (0.1, 0.0, 0.0)[:dimension], (0.2, 0.1, 0.2)[:dimension]
         sliding(scene_of(box[:dimension], sand)).save(tmp_path / "trajectory.npz")

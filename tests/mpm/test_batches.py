@@ -8,13 +8,13 @@ import pytest
 
 from datasets import Mass, Material, Scene, Trajectory
 from datasets.errors import WorkFailed
-from datasets.scene.particles import Particles, initial_particles
+from datasets.scene.particles import Particles, initial_particles, particle_count
 from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_many
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Offset, Worker
 from mpm.kernel import SUMMED, compute
 from mpm.runtime import start
-from mpm.simulation import Crew
+from mpm.simulation import LARGE, Crew
 from tests.scenes import COLUMN, SAND, box, room
 
 TOO_FAST = dataclasses.replace(COLUMN, velocity=(500.0, 0.0))
@@ -130,6 +130,16 @@ def test_a_thread_computes_the_parts_of_several_to_the_bit() -> None:
             compute(batch, last, count)
         np.testing.assert_array_equal(batch.positions, batches[0].positions)
         np.testing.assert_array_equal(batch.energies(0), batches[0].energies(0))
+
+
+def test_a_large_scene_is_the_same_to_the_bit_on_one_thread_and_on_two() -> None:
+    """Whose particles are sorted and whose calls end at other frames."""
+    sand = Mass(lower=(0.0, 0.0), size=(0.45, 0.9), velocity=(1.0, 0.0))
+    scene = box(sand, size=(1.0, 1.0), cell=0.008, duration=0.06)
+    assert particle_count(scene) >= LARGE
+    one, two = (simulate(scene, threads=threads) for threads in (1, 2))
+    np.testing.assert_array_equal(one.positions, two.positions)
+    assert one.summary["energy"] == two.summary["energy"]
 
 
 def test_a_large_scene_takes_fewer_threads_while_processors_are_missing() -> None:

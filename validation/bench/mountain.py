@@ -1,155 +1,195 @@
-"""`python -m validation.bench mountain --data DIR`: a slide of three kilometres beside other codes (ISeeSnow)."""
+"""`python -m validation.bench mountain --data DIR`: slides of kilometres beside other codes (ISeeSnow).
+
+Each scene is what `datasets.site` makes of a raster and a release polygon, as a user would.
+"""
 
 import csv
-import math
 import time
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from datasets import site
 from datasets.errors import require
 from datasets.exchange.rasters import Raster, read_raster
 from datasets.files import make_folder, reading
 from datasets.flow.trajectory import open_trajectory
-from datasets.maps import maps_of
-from datasets.scene import Scene
+from datasets.maps import PlanMaps, maps_of
 from datasets.scene.grid_field import Floats
-from datasets.scene.library import scene_from
+from datasets.scene.library import read_scene
 from inverse.answer import peak_memory_mib
 from mpm import Recording
 from validation.bench.measuring import Found, once, recorded
-from validation.bench.page import Keep, Out, Row, between, write_page
-from validation.runs import Run, kept
+from validation.bench.page import Keep, Out, Row, between, tables, write_page
+from validation.runs import kept
 
-CASE = "CoulombOnly"
-CODES = ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D")
-"""Whose peaks are in the data."""
-ALIKE = ("com1DFA", "MPM")
-"""Codes of particles, which the speeds are compared with."""
-SECTIONS = (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0)
-"""Cross-sections [m], by their easting."""
-BOX_END = 4600.0
-"""Easting at which the box ends [m]."""
+PARAMETERS = "simulationParameterValues_{}.csv"
 MOVES = 1.0
 """Peak speed [m/s] from which a cell counts as reached."""
 COVERED = 0.1
 """Thickness [m] from which the speed of a cell counts: a particle alone in a cell of 5 m is less."""
 EVERY = 2
 """Frames from one that is kept for the maps to the next."""
+NEAREST = "com1DFA"
+"""The code that cell by cell is compared with."""
+ALIKE = ("com1DFA", "MPM")
+"""Codes of particles, which the speeds are compared with where they are there."""
 
 
-def bed_cosine(ground: Raster) -> Floats:
-    """Cosine of the slope, shape [X, Z]: thickness normal to the bed over the vertical one."""
-    along, across = np.gradient(ground.values, *ground.spacing)
-    return np.asarray(1.0 / np.sqrt(1.0 + along**2 + across**2))
+@dataclass(frozen=True)
+class Case:
+    """A case of the comparison."""
+
+    codes: tuple[str, ...]
+    """Whose peaks are in the data."""
+    axis: int
+    """Along which it runs: 0 by easting, 1 by northing."""
+    onward: int
+    """1 where coordinates grow along the flow, else -1."""
+    sections: tuple[float, ...]
+    """Coordinates of the cross-sections [m]."""
 
 
-def scene_of(data: Path, cell: float) -> Scene:
-    """The slide on cells of this edge [m]."""
-    parameters = data / f"simulationParameterValues_{CASE}.csv"
-    with reading(parameters, "the parameters of ISeeSnow"):
-        (values,) = csv.DictReader(parameters.open(encoding="utf-8"))
-    ground, release = read_raster(data / f"DEM_{CASE}.asc"), read_raster(data / "release1HSField5m.tif")
-    vertical = np.nan_to_num(release.values) / bed_cosine(ground)
-    rows, columns = (np.flatnonzero(vertical.any(axis=axis)) for axis in (1, 0))
-    window = vertical[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    west, south, post = float(ground.x[0]), float(ground.z[0]), ground.spacing[0]
-    first = [float(ground.x[rows[0]]), float(ground.z[columns[0]])]
-    # The surface of the flow at its highest place, and room for what is thrown up.
-    top = float(ground.values.max()) + 20.0
-    lengths = [BOX_END - west, top, float(ground.z[-1]) - south]
-    table = {
-        "duration": 120.0,
-        "frame_dt": 0.25,
-        "open_sides": ["x-", "x+", "z-", "z+"],
-        "domain": {
-            "size": [cell * math.floor(length / cell + 1.0e-6) for length in lengths],
-            "cell": cell,
-            "origin": [west, 0.0, south],
-        },
-        "material": {"friction_deg": 30.0, "density": 200.0},
-        "masses": [{"kind": "layer", "thickness": window.tolist(), "origin": first, "spacing": [post] * 2}],
-        "solids": [{"kind": "terrain", "file": f"DEM_{CASE}.asc", "friction": float(values["mu"])}],
-    }
-    return scene_from(table, data)
+OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")
+CASES = {
+    "CoulombOnly": Case(
+        ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D"), 0, 1,
+        (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0),
+    ),
+    "IdealizedTopo": Case(OTHERS, 0, 1, (1500.0, 1750.0, 2000.0, 2250.0, 2500.0, 2750.0, 3000.0, 3200.0)),
+    "RealTopo": Case(
+        ("com1DFA", "samosat", "RAMMSUSER", "TRENT2D"), 1, -1,
+        (364000.0, 363750.0, 363500.0, 363250.0, 363000.0, 362750.0, 362600.0, 362450.0),
+    ),
+}  # fmt: skip
+
+
+def written_scene(data: Path, cell: float, folder: Path) -> Path:
+    """The scene file of a case's folder on cells of this edge [m], made in `folder`."""
+    with reading(data / PARAMETERS.format(data.name), "the parameters of ISeeSnow"):
+        (values,) = csv.DictReader((data / PARAMETERS.format(data.name)).open(encoding="utf-8"))
+    (dem,), (release,) = data.glob("DEM_*.*"), data.glob("*.shp")
+    site.command(
+        dem,
+        release=release,
+        out=folder / f"{cell:g}.toml",
+        thickness=float(values["releaseThickness"]),
+        friction=float(values["mu"]),
+        turbulence=float(values["xi"]) if values["xi"] else None,
+        internal_friction=30.0,
+        cell=cell,
+    )
+    return folder / f"{cell:g}.toml"
 
 
 def slid(data: Path, cell: float, folder: Path) -> Found:
     """The peaks of a run, and what it takes."""
-    path = folder / f"{cell:g}.h5"
-    took = recorded(partial(scene_of, data, cell), Recording(frames=EVERY, until_rest=True), path)
-    began = time.perf_counter()
-    ground = read_raster(data / f"DEM_{CASE}.asc")
-    maps = maps_of(open_trajectory(path), ground.spacing[0], threshold=COVERED, progress=True)
+    case, path, scene = CASES[data.name], folder / f"{cell:g}.h5", written_scene(data, cell, folder)
+    took = recorded(lambda: read_scene(scene), Recording(frames=EVERY, until_rest=True), path)
+    began, beside = time.perf_counter(), read_raster(data / f"peak-speed-{NEAREST}.tif")
+    maps = maps_of(open_trajectory(path), beside.spacing[0], threshold=COVERED, progress=True)
     assert maps.velocity is not None, "frames beside one another tell it"
-    # The post nearest to the middle of each cell.
-    posts = [
-        np.minimum(np.rint(axis / maps.cell).astype(int), last - 1)
-        for axis, last in zip(maps.grid.axes, ground.values.shape, strict=True)
-    ]
-    normal = maps.depth * bed_cosine(ground)[np.ix_(*posts)]
-    found = peaks(maps.corner[0] + maps.grid.axes[0], maps.velocity, float(normal.max()))
+    x, z = (first + axis for first, axis in zip(maps.corner, maps.grid.axes, strict=True))
+    found = peaks(case, (x, z), maps.velocity, float(maps.normal_depth.max())) | alike(maps, (x, z), beside)
     return found | took | {"maps": time.perf_counter() - began, "memory": peak_memory_mib()}
 
 
-def peaks(eastings: Floats, speed: Floats, thickness: float) -> Found:
-    """What codes are compared by; speed: [m/s], shape [X, Z], on square cells whose middles have `eastings` [m]."""
-    reached, cell = speed > MOVES, float(eastings[1] - eastings[0])
+def alike(maps: PlanMaps, places: Sequence[Floats], beside: Raster) -> Found:
+    """How a run compares with another code cell by cell: plan overlap and ratio of the peak speeds (median)."""
+    assert maps.velocity is not None
+    nearest = [
+        np.abs(axis[:, None] - place[None]).argmin(axis=0)
+        for axis, place in zip((beside.x, beside.z), places, strict=True)
+    ]
+    theirs, ours = beside.values[np.ix_(*nearest)], maps.velocity
+    here, there = ours > MOVES, theirs > MOVES
+    # What the other reached outside of our box counts as missed.
+    missed = int((beside.values > MOVES).sum()) - int(there.sum())
+    both = here & there
+    overlap = both.sum() / ((here | there).sum() + max(0, missed))
+    return {"overlap": float(overlap), "faster": float(np.median(ours[both] / theirs[both]))}
+
+
+def peaks(case: Case, places: Sequence[Floats], speed: Floats, thickness: float) -> Found:
+    """What codes are compared by; speed: [m/s], shape [X, Z], on square cells with their middles at `places` [m]."""
+    along, reached = places[case.axis], speed > MOVES
+    moved = np.asarray(reached.any(axis=1 - case.axis))
+    cell = float(along[1] - along[0])
+    sections = [speed.take(int(np.abs(along - at).argmin()), axis=case.axis) for at in case.sections]
     return {
-        "furthest": float(eastings[np.flatnonzero(reached.any(axis=1))[-1]]),
-        "speeds": [float(speed[int((x - eastings[0]) / cell + 0.5)].max()) for x in SECTIONS],
+        "furthest": float(case.onward * (case.onward * along[moved]).max()),
+        "speeds": [float(section.max()) for section in sections],
         "area": float(reached.sum()) * cell**2 / 1.0e4,
         "thickness": thickness,
     }
 
 
-def bench(*, out: Out, data: Path, keep: Keep = None, cells: tuple[float, ...] = (4.0, 2.0)) -> str:
-    """Measure a slide of three kilometres on a raster of 300,000 posts: how far, how fast, at what price.
+def bench(
+    *,
+    out: Out,
+    data: Path,
+    keep: Keep = None,
+    case: tuple[str, ...] = tuple(CASES),
+    cells: tuple[float, ...] = (4.0, 2.0),
+) -> str:
+    """Measure slides of kilometres on rasters of some 300,000 posts: how far, how fast, at what price.
 
     Parameters
     ----------
     data
-        Folder of the comparison's case CoulombOnly: terrain, release, parameters and peaks of other codes.
+        Folder of the comparison, with a folder for each case, or of one case: terrain, release, parameters and peaks of
+        other codes.
+    case
+        Those to measure.
     cells
         Edges of the grid's cells [m], coarse ones first.
     """
     require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
-    others, found = dict[str, Found](), dict[float, Found]()
-    for code in CODES:
-        speed, thickness = (read_raster(data / f"peak-{kind}-{code}.tif") for kind in ("speed", "thickness"))
-        others[code] = peaks(speed.x, np.nan_to_num(speed.values), float(np.nanmax(thickness.values)))
+    require(set(case) <= set(CASES), "--case", f"some of {', '.join(CASES)}", list(case))
+    single = (data / PARAMETERS.format(data.name)).exists()
+    folders = {data.name: data} if single else {name: data / name for name in case}
+    beside, costs, conclusion, all_found = [], [], [], list[Found]()
     with kept(keep) as folder:
-        for cell in cells:
-            place = folder / f"mountain-{Run(scene=scene_of(data, cell)).digest}"
-            make_folder(place)
-            found[cell] = once(place / "peaks.json", slid, data, cell, place)
-    codes = {f"**Talus, {cell:g} m**": each for cell, each in found.items()} | others
-    flags = f" --data DIR --cells {' --cells '.join(f'{cell:g}' for cell in found)}"
-    rows, costs = [row(name, each) for name, each in codes.items()], [cost(*each) for each in found.items()]
-    return write_page(out, "mountain", conclusion(found, others), flags=flags, codes=rows, costs=costs)
+        for name, place in folders.items():
+            others, found = dict[str, Found](), dict[float, Found]()
+            for code in CASES[name].codes:
+                speed, thick = (read_raster(place / f"peak-{kind}-{code}.tif") for kind in ("speed", "thickness"))
+                thickest = float(np.nanmax(thick.values))
+                others[code] = peaks(CASES[name], (speed.x, speed.z), np.nan_to_num(speed.values), thickest)
+            make_folder(folder / name)
+            for cell in cells:
+                found[cell] = once(folder / name / f"{cell:g}.json", slid, place, cell, folder / name)
+            codes = {f"**Talus, {cell:g} m**": each for cell, each in found.items()} | others
+            rows = [row(CASES[name], code, each) for code, each in codes.items()]
+            beside.append(f"### {name}\n\n{tables([rows])}")
+            costs += [cost(name, *each) for each in found.items()]
+            conclusion.append(compared(name, found[min(found)], others))
+            all_found += found.values()
+    seconds, memory = (max(each[key] for each in all_found) for key in ("seconds", "memory"))
+    conclusion.append(f"The longest run takes {seconds:.0f} s; no run needs more than {memory:.0f} MiB.")
+    flags = f" --data DIR --cells {' --cells '.join(f'{cell:g}' for cell in cells)}"
+    return write_page(out, "mountain", conclusion, flags=flags, codes="\n\n".join(beside), costs=costs)
 
 
-def conclusion(found: Mapping[float, Found], others: Mapping[str, Found]) -> list[str]:
-    finest = found[min(found)]
-    alike = np.array([others[code]["speeds"] for code in ALIKE])
-    apart = np.abs(finest["speeds"] / alike.mean(axis=0) - 1.0)
-    return [
-        f"On cells of {min(found):g} m the flow reaches x = {finest['furthest']:.0f} m; the six other codes reach"
-        f" {between([each['furthest'] for each in others.values()], '.0f')} m.",
-        f"Its peak speeds over {len(SECTIONS)} cross-sections are within {apart.max():.0%} of the mean of"
-        f" {' and '.join(ALIKE)}, {apart.mean():.0%} on average.",
-        f"Its greatest thickness is {finest['thickness']:.1f} m, those of the others are"
-        f" {between([each['thickness'] for each in others.values()], '.1f')} m.",
-        f"The run takes {finest['seconds']:.0f} s and {finest['memory']:.0f} MiB for {finest['particles']:,} particles,"
-        f" and {finest['before']:.1f} s before its first step.",
-    ]
+def compared(name: str, finest: Found, others: Mapping[str, Found]) -> str:
+    """A sentence of the conclusion."""
+    near = np.array([others[code]["speeds"] for code in ALIKE if code in others]).mean(axis=0)
+    apart = np.abs(np.array(finest["speeds"]) / near - 1.0)
+    return (
+        f"{name}: the flow reaches {finest['furthest']:.0f} m, that of the {len(others)} other codes"
+        f" {between([each['furthest'] for each in others.values()], '.0f')} m; its peak speeds over cross-sections are"
+        f" within {apart.max():.0%} of {' and '.join(code for code in ALIKE if code in others)},"
+        f" {apart.mean():.0%} on average, and {finest['overlap']:.0%} of the area that either covers is common with"
+        f" {NEAREST}."
+    )
 
 
-def cost(cell: float, took: Found) -> Row:
+def cost(case: str, cell: float, took: Found) -> Row:
     """What a run takes on cells of this edge [m]."""
     return {
+        "case": case,
         "cell [m]": f"{cell:g}",
         "particles": f"{took['particles']:,}",
         "steps": f"{took['steps']:,}",
@@ -162,7 +202,15 @@ def cost(cell: float, took: Found) -> Row:
     }
 
 
-def row(name: str, each: Found) -> Row:
-    speeds = {f"at {x:.0f} m": f"{speed:.1f}" for x, speed in zip(SECTIONS, each["speeds"], strict=True)}
-    first = {"code": name, "furthest x [m]": f"{each['furthest']:.0f}"}
-    return first | speeds | {"thickness [m]": f"{each['thickness']:.1f}", "area [ha]": f"{each['area']:.1f}"}
+def row(case: Case, name: str, each: Found) -> Row:
+    """A code's peaks; those that are compared cell by cell with another code's say how."""
+    speeds = zip(case.sections, each["speeds"], strict=True)
+    return {
+        "code": name,
+        "reach [m]": f"{each['furthest']:.0f}",
+        **{f"{at:.0f} m": f"{speed:.1f}" for at, speed in speeds},
+        "thickness [m]": f"{each['thickness']:.1f}",
+        "area [ha]": f"{each['area']:.1f}",
+        f"overlap with {NEAREST}": f"{each['overlap']:.2f}" if "overlap" in each else "",
+        f"speed over {NEAREST}'s": f"{each['faster']:.2f}" if "faster" in each else "",
+    }
