@@ -190,7 +190,7 @@ def command(
     """Write a scene in map coordinates from a raster of elevations and the polygons of a release.
 
     Args:
-        dem: ESRI ASCII or GeoTIFF raster of elevations [m], in a projected coordinate system or none.
+        dem: Raster (ESRI ASCII, GeoTIFF and others) of elevations [m], in a projected coordinate system or none.
         release: Polygons: shapefile, GeoPackage, GeoJSON or KML.
         out: The scene to write (TOML).
         thickness: Of the release [m]; else the attribute `thickness` or `d0` of each polygon.

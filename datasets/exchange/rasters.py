@@ -1,6 +1,7 @@
 """Rasters by rasterio: elevations and thicknesses read, maps written."""
 
 import codecs
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -29,6 +30,19 @@ UNDECLARED = (-9999.0, -99999.0, -32767.0, -32768.0)
 """Values that stand for no data by custom, as they are in the file."""
 CLIFF, STEEP = 500.0, 10.0
 """Height of a step [m], and over the cell, beyond which values without any between are no ground: -999, 9999, 0."""
+OTHERS = {
+    ".img": "HFA",
+    ".bil": "EHdr",
+    ".flt": "EHdr",
+    ".vrt": "VRT",
+    b"DSBB": "GSBG",
+    b"DSRB": "GS7BG",
+    b"DSAA": "GSAG",
+}
+"""GDAL's drivers by the ending of a file or, of a grid of Surfer, by its beginning; other files are GeoTIFF or ESRI
+ASCII rasters."""
+ELSEWHERE = re.compile(rb"/vsi|://|pixelfunction", re.IGNORECASE)
+"""What a mosaic (.vrt) may not have: files of other machines and code."""
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 """What text begins with that says how it is encoded."""
 NO_ELEVATION = 2.0e4
@@ -105,9 +119,15 @@ def read_raster(path: Path) -> Raster:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """A raster as rasterio has it, of one of two drivers: others open what a file names, here or elsewhere."""
+    """A raster as rasterio has it; a mosaic (.vrt) opens the files that it names, on this machine alone."""
     with path.open("rb") as raw:
-        head = raw.read(max(map(len, MARKS)))
+        head = raw.read(4)
+    if driver := OTHERS.get(path.suffix.lower()) or OTHERS.get(head):
+        here = driver != "VRT" or not ELSEWHERE.search(path.read_bytes())
+        require(here, "", "a mosaic of files of this machine, without functions", "another one")
+        with rasterio.open(path.resolve(), driver=driver) as file:
+            yield file
+        return
     # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
     is_text = head[:2] not in (b"II", b"MM")
     options = {"driver": "AAIGrid", "DATATYPE": "Float64"} if is_text else {"driver": "GTiff"}

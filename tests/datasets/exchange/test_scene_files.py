@@ -8,12 +8,14 @@ import meshio
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rasterio.transform import Affine
 
 from datasets import Scene, read_scene
+from datasets.errors import InputError
 from datasets.exchange.meshes import read_mesh, write_surface
 from datasets.exchange.rasters import read_raster
 from datasets.geometry.nearest import nearest
@@ -47,11 +49,16 @@ def tilted() -> np.ndarray:
     return 0.1 + 0.1 * x[None] + 0.2 * z[:, None]
 
 
+DRIVERS = {".tif": "GTiff", ".asc": "AAIGrid", ".img": "HFA", ".bil": "EHdr", ".grd": "GS7BG"}
+
+
 def write_raster(path: Path, values: np.ndarray, crs: str | None = "EPSG:32632", **changes: object) -> None:
     """A GeoTIFF or an ESRI ASCII raster whose lower left corner is at 500000, 5000000."""
     height, width = values.shape
-    driver, place = "GTiff" if path.suffix == ".tif" else "AAIGrid", Affine(0.1, 0, 5e5, 0, -0.1, 5e6 + 0.1 * height)
+    driver, place = DRIVERS[path.suffix], Affine(0.1, 0, 5e5, 0, -0.1, 5e6 + 0.1 * height)
     profile = {"count": 1, "dtype": "float64", "nodata": -9999.0, "transform": place} | changes
+    if path.suffix in (".bil", ".grd"):
+        profile |= {"dtype": "float32" if path.suffix == ".bil" else "float64", "nodata": None}
     with rasterio.open(path, "w", driver=driver, height=height, width=width, crs=crs, **profile) as file:
         file.write(values, 1)
 
@@ -71,10 +78,16 @@ def test_a_ground_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "encoding"), [("dem.tif", ""), ("dem.asc", "utf-8"), ("dem.asc", "utf-8-sig"), ("dem.asc", "utf-16")]
+    ("name", "encoding"),
+    [(f"dem{ending}", "") for ending in (".tif", ".img", ".bil", ".grd", ".vrt")]
+    + [("dem.asc", encoding) for encoding in ("utf-8", "utf-8-sig", "utf-16")],
 )
 def test_a_height_field(tmp_path: Path, name: str, encoding: str) -> None:
-    write_raster(tmp_path / name, tilted())
+    if name.endswith(".vrt"):
+        write_raster(tmp_path / "part.tif", tilted())
+        rasterio.shutil.copy(tmp_path / "part.tif", tmp_path / name, driver="VRT")
+    else:
+        write_raster(tmp_path / name, tilted())
     if encoding:
         (tmp_path / name).write_bytes((tmp_path / name).read_text().encode(encoding))
     found = scene(tmp_path, SPACE + BODY_3D + TERRAIN + f'file = "{name}"\n')
@@ -83,6 +96,13 @@ def test_a_height_field(tmp_path: Path, name: str, encoding: str) -> None:
     np.testing.assert_allclose(distance, np.array([0.05, -0.09, 0.09]) / slope, atol=1e-6)
     assert found.solids[0].corner == (500_000.0, 5_000_000.0)
     assert Scene.from_json(found.to_json()) == found
+
+
+@pytest.mark.parametrize("source", ["/vsicurl/http://127.0.0.1/a.tif", "http://127.0.0.1/a.tif"])
+def test_a_mosaic_opens_nothing_elsewhere(tmp_path: Path, source: str) -> None:
+    (tmp_path / "dem.vrt").write_text(f"<VRTDataset><SourceFilename>{source}</SourceFilename></VRTDataset>")
+    with pytest.raises(InputError, match="expected a mosaic of files of this machine"):
+        read_raster(tmp_path / "dem.vrt")
 
 
 NONE = -9999.0
