@@ -13,7 +13,8 @@ PAGES = {
     "coverage": ("validation.bench.coverage:bench", "how often the posterior contains the truth, in twin experiments"),
     "speed": ("validation.bench.speed:bench", "rates of MPM and network, price of a gradient, a large terrain"),
     "gpu": ("validation.bench.gpu:bench", "rates of MPM and network on a GPU, beside all processors"),
-    "mountain": ("validation.bench.mountain:bench", "a slide of three kilometres beside other codes (data: ISeeSnow)"),
+    "mountain": ("validation.bench.mountain:bench", "slides of kilometres beside other codes (data: ISeeSnow)"),
+    "back_analysis": ("validation.bench.back_analysis:bench", "which bed explains such a slide (data: ISeeSnow)"),
     "gns": ("validation.bench.gns:bench", "the shipped surrogates beside the MPM: error, price, bands, rest"),
 }
 """Pages that can be measured: where each is, and what it shows."""
