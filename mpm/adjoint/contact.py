@@ -17,7 +17,7 @@ from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import add_face, depends, found_reverse, terrain_reverse
 from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar, impulse_bar
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import put_lane_numbers, vectors
+from mpm.arrays.access import TINY, maximum, put_lane_numbers, vectors
 from mpm.arrays.layout import Contact, Offset, Property, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
@@ -124,7 +124,8 @@ def grid_motion(scratch, arrays: ti.template()):
 def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.template()):
     """From the bars of what a step leaves of contact to those of its stress, of C and of the contact before it.
 
-    Those of the grid's velocity come in `scratch` from `layout.scratch.foot`. Returns that of the shear modulus.
+    Those of the grid's velocity come in `scratch` from `layout.scratch.foot`, with turbulence those of the grid's mass
+    and distances in place of `drag` and `layer`. Returns that of the shear modulus.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
@@ -133,6 +134,9 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     affine = vectors(arrays.history, after + features.state.affine, size * size)
     if ti.static(features.turbulent):
         find_drags(scene, block, scratch, arrays)
+        around = maximum(arrays.scratch[scratch + layout.scratch.sums + size], TINY)
+        distance = arrays.scratch[scratch + layout.scratch.sums + features.node.distance]
+        arrays.scratch[scratch + features.scratch.layer] = distance / around
     turbulence = turbulence_at(scratch, property_of(scene, block, Property.DENSITY, arrays), arrays)
     motion = grid_motion(scratch, arrays), affine, contact_of(block, arrays)
     numbers = ti.static((motion, stress, shear, turbulence))
@@ -162,6 +166,11 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     if ti.static(features.turbulent):
         add_property_bar(block, Property.DENSITY, turbulence_bar[0], arrays)
         add_drag_bars(scene, block, scratch, turbulence_bar[1], arrays)
+        # Of the sums of mass and distance that particles see: D is their quotient.
+        around = maximum(arrays.scratch[scratch + layout.scratch.sums + size], TINY)
+        distance_bar = turbulence_bar[2] / around
+        arrays.scratch[scratch + features.scratch.drag] = 0.0 - turbulence[2] * distance_bar
+        arrays.scratch[scratch + features.scratch.layer] = distance_bar
     for k in ti.static(range(size)):
         arrays.scratch[scratch + layout.scratch.foot + k] = motion_bar[0][k]
     add_bars(own + features.state.affine, motion_bar[1], arrays)

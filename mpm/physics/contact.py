@@ -29,14 +29,18 @@ shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma
 **Turbulence.** A solid with a coefficient xi [m/s^2] brakes with the square of the speed besides (Voellmy 1955; Salm
 1993): with the particle's density rho and v_t = v_f - n (n . v_f),
 
-    |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / xi
+    |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / (xi I(e)),    I(e) = e (8 - 7 e^2 + 3 e^3) / 4
+    e = min(2 D, 1),    D_p = sum_i w_ip H_i / sum_i w_ip m_i,    H_i = sum_p w_ip m_p min(d_p / h, 1)
 
-The traction is per area of the bed and delta's integral is 1, so a layer of thickness h that moves as a block on an
-incline has the speed v with dv/dt = g (sin a - mu cos a) - g v^2 / (xi h). The second term acts on all that is within
-the width of the contact, whether it presses at the moment or not: a flow over small bumps presses for a part of the
-time, with a mean pressure that bears its weight, and a drag of that part alone would be too small. The holds of deep
-nodes and the stop of a particle that meets a face take mu of an impulse, as without turbulence: the drag is no share of
-an impulse, and the delta gives all of it.
+I(e) is the integral of delta over a layer of e widths: the mean of 2 (e - e^3 + e^4 / 2) for many rows of particles and
+of e delta(e / 2) for one. D is the mean distance from the bed, half of that thickness, of what is around a particle: a
+quotient that hardly depends on where the bed cuts the grid, on the ends of the layer and on walls beside it. So the
+traction per area of the bed is whole under thin layers too: one of thickness t that moves as a block on an incline has
+the speed v with dv/dt = g (sin a - mu cos a) - g v^2 / (xi t). Below e = THINNEST it fades: a lone grain on the bed has
+no thickness. The second term acts on all that is within the width of the contact, whether it presses at the moment or
+not: a flow over small bumps presses for a part of the time, with a mean pressure that bears its weight, and a drag of
+that part alone would be too small. The holds of deep nodes and the stop of a particle that meets a face take mu of an
+impulse, as without turbulence: the drag is no share of an impulse, and the delta gives all of it.
 
 **Deep nodes.** A node deep in a solid is in the support of the first row alone, which could not keep it in balance.
 It is held like a node behind a wall of the box (`mpm.physics.boundary`), by each face k that it lies behind in part:
@@ -48,13 +52,15 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 import taichi as ti
 
 from mpm.arrays.access import add, maximum, minimum, over_lanes, vectors
-from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Worker, component
+from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.solids.face_lookup import TINY, entry_of, face_number, list_of, normal_of, solid_of
 from mpm.solids.terrain_holds import removed_by_terrain
 
 NO_FACE = -2.0 * FIRST_FACE
 """Less than the number of any face among reals."""
+THINNEST = 0.1
+"""Thickness [widths of contact] of the thinnest layer that feels the whole drag."""
 
 
 @ti.func
@@ -136,7 +142,7 @@ def sheared_traction(
 ):
     """The shear traction q [Pa] after a step, a list of D, within the bound for the new `stress`.
 
-    turbulence: rho [kg/m^3] and g / xi [1/m] where solids have it, else nothing; a list.
+    turbulence: rho [kg/m^3], g / xi [1/m] and D [-] where solids have it, else nothing; a list.
     """
     contact = motion[2]
     foot, opening = foot_velocity(motion, dimension)
@@ -148,10 +154,25 @@ def sheared_traction(
         square = square + q[k] * q[k]
     bound = contact[Contact.FRICTION] * maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
     if ti.static(len(turbulence) > 0):
+        drag = turbulence[0] * turbulence[1] / weight_in_layer(turbulence[2])
         for k in ti.static(range(dimension)):
-            bound = bound + turbulence[0] * turbulence[1] * slip[k] * slip[k]
+            bound = bound + drag * slip[k] * slip[k]
     scale = minimum(bound / ti.sqrt(square), 1.0)
     return [scale * q[k] for k in ti.static(range(dimension))]
+
+
+@ti.func
+def weight_in_layer(middle):
+    """I [-], the integral of delta over a layer from the bed on whose mean distance from it is `middle` [widths]."""
+    e = maximum(minimum(2.0 * middle, 1.0), THINNEST)
+    return 2.0 * e * (1.0 - e * e * (0.875 - 0.375 * e))
+
+
+@ti.func
+def distance_in_widths(scene, block, arrays: ti.template()):
+    """Distance of the particles of a block from solids [widths of contact], at most 1."""
+    width = arrays.settings[scene, Setting.CONTACT_WIDTH]
+    return minimum(arrays.state[contact_at(block, Contact.DISTANCE, arrays)] / width, 1.0)
 
 
 @ti.func
@@ -171,7 +192,7 @@ def find_drags(scene, block, scratch, arrays: ti.template()):
 def turbulence_at(scratch, density, arrays: ti.template()):
     """What `sheared_traction` takes of a block, after `find_drags`; density: of its particles [kg/m^3]."""
     count = ti.static(int(arrays.features.turbulent))
-    drags = vectors(arrays.scratch, scratch + arrays.features.scratch.drag, count)
+    drags = vectors(arrays.scratch, scratch + arrays.features.scratch.drag, 2 * count)
     return [density for _ in ti.static(range(count))] + drags
 
 

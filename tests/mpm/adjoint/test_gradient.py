@@ -46,6 +46,11 @@ ABOVE = (
     Mass(lower=(0.1, 0.033), size=(0.2, 0.12), velocity=(1.0, -0.3)),
     Mass(lower=(0.3, 0.04), size=(0.1, 0.1), velocity=(0.5, -0.5)),
 )
+# Two rows of particles.
+THIN = (
+    Mass(lower=(0.1, 0.032), size=(0.1, 0.014), velocity=(2.0, -0.5)),
+    Mass(lower=(0.2, 0.034), size=(0.06, 0.015), velocity=(1.7, -0.3)),
+)
 HELD = (
     Mass(lower=(0.1, 0.0), size=(0.2, 0.2), release=0.0125),
     Mass(lower=(0.5, 0.0), size=(0.1, 0.2), velocity=(-0.5, 0.0)),
@@ -105,6 +110,9 @@ SCENES = {
     ),
     "turbulent baffle": plane(
         masses=NEAR, baffles=(dataclasses.replace(LEANING, turbulence=20.0),), baffle_friction=0.3, duration=0.04
+    ),
+    "thin layer on turbulent ground": plane(
+        masses=THIN, solids=(dataclasses.replace(SLOPE, turbulence=40.0),), duration=0.02
     ),
     "3D turbulent ground": room(
         masses=RAISED, solids=(dataclasses.replace(HILL, turbulence=40.0),), volume_correction=False, duration=0.015
