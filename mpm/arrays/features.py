@@ -252,9 +252,12 @@ def features_of(
 
 
 def drags_of(scene: Scene) -> list[float]:
-    """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 of those without `turbulence`."""
-    coefficients = [baffle.turbulence for baffle in scene.baffles] + [solid.turbulence for solid in scene.solids]
-    return [0.0 if each is None else scene.gravity / each for each in coefficients]
+    """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 of those without `turbulence`, g alone
+    [m/s^2] of those whose xi varies (`drag_tables`).
+    """
+    coefficients = [each.turbulence for each in (*scene.baffles, *scene.solids)]
+    fixed = [1.0 if isinstance(each, tuple) else each for each in coefficients]
+    return [0.0 if each is None else scene.gravity / each for each in fixed]
 
 
 def varies(scene: Scene) -> bool:

@@ -27,7 +27,8 @@ particle's own stress as the multiplier and no penalty; the delta is that of an 
 shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
 
 **Turbulence.** A solid with a coefficient xi [m/s^2] brakes with the square of the speed besides (Voellmy 1955; Salm
-1993): with the particle's density rho and v_t = v_f - n (n . v_f),
+1993), a terrain perhaps with another xi at each place in plan. With the particle's density rho and
+v_t = v_f - n (n . v_f),
 
     |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / (xi I(e)),    I(e) = e (8 - 7 e^2 + 3 e^3) / 4
     e = min(2 D, 1),    D_p = sum_i w_ip H_i / sum_i w_ip m_i,    H_i = sum_p w_ip m_p min(d_p / h, 1)
@@ -51,7 +52,7 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 
 import taichi as ti
 
-from mpm.arrays.access import add, maximum, minimum, over_lanes, vectors
+from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.solids.face_lookup import TINY, entry_of, face_number, list_of, normal_of, solid_of
@@ -176,15 +177,48 @@ def distance_in_widths(scene, block, arrays: ti.template()):
 
 
 @ti.func
-def find_drags(scene, block, scratch, arrays: ti.template()):
-    """Leave g / xi [1/m] of the solid next to each particle of a block in `scratch`; 0 where it touches none."""
+def drag_share(solid, x, scene, arrays: ti.template()):
+    """1 / xi [s^2/m] at `x` [m] of a solid whose xi varies, and its slopes along x and z; 1 of others, without slopes.
+
+    Bilinear between the posts of its terrain, beyond them that of their edge.
+    """
+    share, along, across = 1.0 + 0.0 * x[0], 0.0 * x[0], 0.0 * x[0]
+    if ti.static(arrays.features.dimension == 3):
+        at = arrays.drag_places[scene, solid]
+        if at > 0:
+            per_x, per_z = arrays.drag_posts[at + 1], arrays.drag_posts[at + 3]
+            rows, columns = ti.cast(arrays.drag_posts[at + 4], ti.i32), ti.cast(arrays.drag_posts[at + 5], ti.i32)
+            u, v = (x[0] - arrays.drag_posts[at]) * per_x, (x[2] - arrays.drag_posts[at + 2]) * per_z
+            i, k = ti.cast(ti.floor(u), ti.i32), ti.cast(ti.floor(v), ti.i32)
+            i, k = ti.max(0, ti.min(i, rows - 2)), ti.max(0, ti.min(k, columns - 2))
+            u, v = ti.max(0.0, ti.min(u - i, 1.0)), ti.max(0.0, ti.min(v - k, 1.0))
+            first = at + 6 + i * columns + k
+            a, b = arrays.drag_posts[first], arrays.drag_posts[first + 1]
+            c, d = arrays.drag_posts[first + columns], arrays.drag_posts[first + columns + 1]
+            low, high = a + v * (b - a), c + v * (d - c)
+            share = low + u * (high - low)
+            if u > 0.0 and u < 1.0:
+                along = per_x * (high - low)
+            if v > 0.0 and v < 1.0:
+                across = per_z * (b - a + u * (d - c - b + a))
+    return share, along, across
+
+
+@ti.func
+def find_drags(scene, block, scratch, places: ti.template(), first, arrays: ti.template()):
+    """Leave g / xi [1/m] of the solid next to each particle of a block in `scratch`; 0 where it touches none.
+
+    places: numbers in whose `first` lanes the positions of the block stand.
+    """
     features, lanes = arrays.features, arrays.features.lanes
     contact, drag = contact_at(block, 0, arrays), scratch + features.scratch.drag
     for lane in range(lanes):
         value = 0.0 * arrays.drags[scene, 0]
         if arrays.lanes[(contact + Contact.DELTA) * lanes + lane] > 0.0:
             face = face_number(arrays.lanes[(contact + Contact.FACE) * lanes + lane])
-            value = arrays.drags[scene, solid_of(face, scene, arrays)]
+            solid = solid_of(face, scene, arrays)
+            share, _along, _across = drag_share(solid, lane_numbers(places, first + lane, arrays), scene, arrays)
+            value = arrays.drags[scene, solid] * share
         arrays.scratch_lanes[drag * lanes + lane] = value
 
 
@@ -223,7 +257,8 @@ def shear_traction_step(scene, block, scratch, dt, shear, density, arrays: ti.te
     """Bring the shear tractions q of a block forward by a step."""
     dimension = ti.static(arrays.features.dimension)
     if ti.static(arrays.features.turbulent):
-        find_drags(scene, block, scratch, arrays)
+        position = block * arrays.features.state.size * arrays.features.lanes
+        find_drags(scene, block, scratch, arrays.lanes, position, arrays)
     motion, stress = motion_and_stress(block, scratch, arrays)
     turbulence = turbulence_at(scratch, density, arrays)
     q = sheared_traction(motion, stress, shear, turbulence, dt, dimension)

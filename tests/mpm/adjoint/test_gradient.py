@@ -73,6 +73,7 @@ HILL = Solid(
     heights=((0.05, 0.07, 0.05), (0.06, 0.05, 0.05), (0.05, 0.05, 0.06)),
     friction=((0.1, 0.6, 0.2), (0.5, 0.1, 0.4), (0.1, 0.5, 0.3)),
 )
+XI = ((40.0, 20.0, 50.0), (15.0, 60.0, 30.0), (50.0, 20.0, 40.0))
 BAFFLED: dict[str, Any] = {"masses": NEAR, "baffles": (LEANING,), "baffle_friction": 0.3}
 FRICTIONS = Field(
     quantity="friction_deg", values=(25.0, 35.0), origin=(0.0, 0.1), spacing=(0.3, 1.0), nodes=(2, 1), mass=None
@@ -116,6 +117,9 @@ SCENES = {
     ),
     "3D turbulent ground": room(
         masses=RAISED, solids=(dataclasses.replace(HILL, turbulence=40.0),), volume_correction=False, duration=0.015
+    ),
+    "3D ground whose turbulence varies": room(
+        masses=RAISED, solids=(dataclasses.replace(HILL, turbulence=XI),), duration=0.015
     ),
     "3D ground": room(masses=RAISED, solids=(HILL,), volume_correction=False, duration=0.015),
 }
@@ -175,7 +179,8 @@ def paths_of(scene: Scene) -> Iterator[tuple[Way, float]]:
     absent = {"young"} if any(each.release for each in scene.masses) else set()
     absent |= set() if scene.material.friction_limit_deg else {"inertial_number", "grain_density"}
     for way, step in STEPS.items():
-        if value_at(scene, way) and way[-1] not in absent and ("points" not in way or scene.solids == (GROUND,)):
+        given = value_at(scene, way) and way[-1] not in absent and value_at(scene, way) != XI
+        if given and ("points" not in way or scene.solids == (GROUND,)):
             yield way, step
 
 
@@ -224,6 +229,13 @@ def test_the_gradient_is_that_of_central_differences(name: str) -> None:
     if scene.baffles:
         more = Solid(kind="box", lower=(0.6,) * scene.dimension, size=(0.1,) * scene.dimension)
         refused(slope.along, lambda h: dataclasses.replace(scene, solids=(more,)), 0.0, said="as many faces")
+
+
+def test_turbulence_by_posts_has_no_derivative() -> None:
+    scene = SCENES["3D ground whose turbulence varies"]
+    (bed,) = scene.solids
+    mirrored = dataclasses.replace(scene, solids=(dataclasses.replace(bed, turbulence=XI[::-1]),))
+    refused(started, mirrored, started(scene), said="expected the same turbulence at all posts of a terrain")
 
 
 def test_in_3d_it_is_that_of_central_differences_along_one_direction() -> None:
