@@ -54,23 +54,25 @@ def site(
     *,
     thickness: float | None,
     vertical: bool,
-    bed: dict[str, float],
+    bed: dict[str, Any],
+    slope: float,
     cell: float | None,
 ) -> dict[str, Any]:
     """The tables of a scene file without its terrain's path, its material and its times; lengths in m on the map.
 
-    bed: `friction` of the ground, and perhaps its `turbulence`. Raises InputError for a release that does not lie on
-    the raster or has no thickness.
+    bed: `friction` of the ground, and perhaps its `turbulence`; slope: of the energy line. Raises InputError for a
+    release that does not lie on the raster or has no thickness.
     """
     thick = [thickness_of(each, thickness) for each in release]
     covered = np.zeros(raster.values.shape, bool)
     masses, top = [], -math.inf
     for feature, own in zip(release, thick, strict=True):
-        mass, inside = layer(raster, feature, own, vertical)
-        covered |= inside
-        masses.append(mass)
-        top = max(top, float(raster.values[inside].max()) + 2.0 * own)
-    lower, upper = reached(raster, covered, top, REACH * bed["friction"])
+        for polygon in without_rings(feature.polygon):
+            mass, inside = layer(raster, polygon, own, vertical)
+            covered |= inside
+            masses.append(mass)
+            top = max(top, float(raster.values[inside].max()) + 2.0 * own)
+    lower, upper = reached(raster, covered, top, slope)
     volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
     plan = float(np.prod((upper - lower)[::2]))
     few = max(2.0 * (volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(plan / COLUMNS))
@@ -108,12 +110,21 @@ def thickness_of(feature: "Feature", given: float | None) -> float:
     return found
 
 
+def without_rings(polygon: shapely.Polygon) -> list[shapely.Polygon]:
+    """A polygon as parts side by side without holes: cut to the north and south through each hole."""
+    if not polygon.interiors:
+        return [polygon]
+    west, south, east, north = polygon.bounds
+    middle = float(np.mean(polygon.interiors[0].bounds[::2]))
+    halves = shapely.box(west, south, middle, north), shapely.box(middle, south, east, north)
+    cut = [part for half in halves for part in shapely.get_parts(polygon.intersection(half)) if part.area > 0.0]
+    return [one for part in cut for one in without_rings(part)]
+
+
 def layer(
-    raster: "Raster", feature: "Feature", thickness: float, vertical: bool
+    raster: "Raster", polygon: shapely.Polygon, thickness: float, vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
     """A polygon as a mass of a scene file, and the posts [X, Z] of the raster within it or beside it."""
-    polygon = feature.polygon
-    require(not polygon.interiors, "--release", "polygons without holes", f"{len(polygon.interiors)} in one")
     box = polygon.bounds
     axes, parts = (raster.x, raster.z), []
     for axis, spacing, low, high in zip(axes, raster.spacing, box[:2], box[2:], strict=True):
@@ -182,8 +193,8 @@ def command(
     out: Path,
     thickness: float | None = None,
     vertical: bool = False,
-    friction: float = 0.4,
-    turbulence: float | None = None,
+    friction: float | Path = 0.4,
+    turbulence: float | Path | None = None,
     internal_friction: float = 30.0,
     cell: float | None = None,
 ) -> None:
@@ -195,16 +206,21 @@ def command(
         out: The scene to write (TOML).
         thickness: Of the release [m]; else the attribute `thickness` or `d0` of each polygon.
         vertical: Whether the thickness is measured along the vertical; else normal to the ground.
-        friction: Coulomb coefficient of the ground.
-        turbulence: Voellmy's turbulent coefficient of the ground [m/s^2]; none unless given.
+        friction: Coulomb coefficient of the ground, or a raster of it.
+        turbulence: Voellmy's turbulent coefficient of the ground [m/s^2], or a raster of it; none unless given.
         internal_friction: Angle of internal friction of the material [deg].
         cell: Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
     """
     from datasets.exchange.rasters import read_raster, write_raster
     from datasets.exchange.vectors import read_polygons
 
-    require(friction >= 0.0, "--friction", "a coefficient of at least 0", friction)
-    brakes = turbulence is None or 0.0 < turbulence < math.inf
+    if isinstance(friction, Path):
+        with naming(friction):
+            least = float(np.nanmin(read_raster(friction, coefficients=True).values, initial=math.inf))
+    else:
+        least = friction
+    require(0.0 <= least < math.inf, "--friction", "a coefficient of at least 0", least)
+    brakes = turbulence is None or isinstance(turbulence, Path) or 0.0 < turbulence < math.inf
     require(brakes, "--turbulence", "a coefficient above 0 m/s^2", turbulence)
     require(cell is None or 0.0 < cell < math.inf, "--cell", "a length above 0 m", cell)
     with naming(dem):
@@ -212,7 +228,8 @@ def command(
     with naming(release):
         features = read_polygons(release, raster.crs)
         bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
-        table = site(raster, features, thickness=thickness, vertical=vertical, bed=bed, cell=cell)
+        options: dict[str, Any] = {"thickness": thickness, "vertical": vertical, "cell": cell}
+        table = site(raster, features, bed=bed, slope=REACH * least, **options)
         table = {"material": {"friction_deg": internal_friction}, **table}
     whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
     if whole is not None:
@@ -221,12 +238,13 @@ def command(
         require(even, "", "ground without holes, or square cells, in which they can be filled", raster.spacing)
         write_raster(dem, whole, raster.spacing[0], raster.corner, raster.crs, "elevation, holes filled", "m")
         print(f"{dem}: the raster with its holes filled by the nearest posts; nothing should flow there")
-    terrain["file"] = str(dem.resolve())
+    paths = {name: value for name, value in (bed | {"file": dem}).items() if isinstance(value, Path)}
+    terrain |= {name: str(path.resolve()) for name, path in paths.items()}
     try:
         scene = scene_from({"duration": 1.0, "frame_dt": 1.0, **table}, out.resolve().parent)
     except InputError as error:
         raise error if error.where else error.at(str(out)) from None
-    terrain["file"] = os.path.relpath(dem.resolve(), out.resolve().parent)
+    terrain |= {name: os.path.relpath(path.resolve(), out.resolve().parent) for name, path in paths.items()}
     size, speed = scene.domain.size, greatest_speed(scene)
     seconds = 10.0 * math.ceil(0.1 * TRAVEL * math.hypot(*size[::2]) / max(speed, 1.0))
     frame_dt = next((each for each in (1.0, 0.5, 0.2) if seconds / each >= FRAMES), 0.1)

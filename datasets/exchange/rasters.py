@@ -72,11 +72,11 @@ class Raster(NamedTuple):
     """Coordinate reference system, as an authority's code or in WKT, where it names one."""
 
 
-def read_raster(path: Path) -> Raster:
+def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     """A raster of one band whose rows run from west to east, in metres on the ground. Raises InputError.
 
     Scale and offset of its band are applied. Values that no elevation or thickness has are no data, also where the file
-    does not say so, which a warning then does.
+    does not say so, which a warning then does; of `coefficients`, which are no lengths, UNDECLARED ones alone.
     """
     file_size(path, "a raster", most=LARGEST)
     with reading(path, "a readable raster"), warnings.catch_warnings():
@@ -89,7 +89,8 @@ def read_raster(path: Path) -> Raster:
             masked = file.read(1, masked=True).astype(np.float64)
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)
-    require(unit is None or unit.lower() in METRES, "", "elevations in metres", repr(unit))
+    known_unit = coefficients or unit is None or unit.lower() in METRES
+    require(known_unit, "", "elevations in metres", repr(unit))
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
     require(name.lower() in METRES, "", "a projected coordinate system in metres", f"one in {name}")
     require(georeferenced, "", "a raster that says where it lies and how large its cells are", "one that does not")
@@ -99,8 +100,10 @@ def read_raster(path: Path) -> Raster:
     rows, columns = masked.shape
     raw_values = masked.filled(np.nan)
     values = scale * raw_values + offset
-    none = np.isfinite(values) & (np.isin(raw_values, UNDECLARED) | (np.abs(values) >= NO_ELEVATION))
-    none |= beyond_cliffs(np.where(none, np.nan, values), max(CLIFF, STEEP * max(transform.a, abs(transform.e))))
+    none = np.isfinite(values) & np.isin(raw_values, UNDECLARED)
+    if not coefficients:
+        none |= np.isfinite(values) & (np.abs(values) >= NO_ELEVATION)
+        none |= beyond_cliffs(np.where(none, np.nan, values), max(CLIFF, STEEP * max(transform.a, abs(transform.e))))
     if none.any():
         which = f"{int(none.sum())} values such as {raw_values[none][0]:g}"
         warnings.warn(f"{path}: {which} are taken as no data, which the file does not declare", stacklevel=2)

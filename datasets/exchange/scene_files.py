@@ -20,6 +20,10 @@ from datasets.schema import from_mapping
 
 Entry = dict[str, Any]
 
+BED = ("friction", "turbulence")
+"""Keys of a terrain in 3D that may name rasters."""
+NEARLY = 1.0e-6
+"""Part of a raster's cell that counts as none."""
 FILES = {"terrain": "file", "layer": "thickness", "mesh": "file"}
 """The key that names the file of a kind."""
 
@@ -86,7 +90,45 @@ class Reader:
             refuse(entry, tuple(found), key, "no such key beside a file that has it")
             entry |= found
         refuse(entry, ("scale", "at"), key)
+        for name in BED if kind == "terrain" and len(self.size) == 3 else ():
+            if isinstance(entry.get(name), str):
+                path = self.folder / entry[name]
+                try:
+                    entry[name] = self.at_posts(path, entry)
+                except InputError as error:
+                    raise InputError(error.message, where=error.where or str(path), key=f"{key}.{name}") from None
         return entry
+
+    def at_posts(self, path: Path, terrain: Entry) -> Any:
+        """A raster of a coefficient of the bed at the posts of a terrain, bilinear between the centres of its cells:
+        rows as of its heights, or the one number that all have.
+
+        It lies where the terrain's raster does. Raises InputError for posts in the box that no value is for.
+        """
+        from scipy.ndimage import map_coordinates
+
+        from datasets.exchange.rasters import read_raster, same_system
+
+        raster = read_raster(path, coefficients=True)
+        require(same_system(self.crs, raster), "", f"the reference system of the terrain, {self.crs}", raster.crs)
+        shift = self.offset or (-raster.corner[0], -raster.corner[1])
+        shape = np.array(terrain.get("heights", [[]])).shape
+        ok = len(shape) == 2 and min(shape) > 1 and all(len(terrain.get(key, ())) == 2 for key in ("origin", "spacing"))
+        require(ok, "", "a terrain with heights on a grid beneath it", "none")
+        sides = zip(terrain["origin"], terrain["spacing"], shape, strict=True)
+        posts = [float(first) + step * np.arange(count) for first, step, count in sides]
+        grid = zip(posts, (raster.x, raster.z), shift, raster.spacing, strict=True)
+        axes = [(post - moved - own[0]) / step for post, own, moved, step in grid]
+        places = np.array(np.meshgrid(*axes, indexing="ij"))
+        values = map_coordinates(raster.values, places, order=1, mode="nearest")
+        # Beside a hole that of its own cell.
+        values = np.where(np.isnan(values), map_coordinates(raster.values, places, order=0, mode="nearest"), values)
+        counts = zip(axes, raster.values.shape, strict=True)
+        within = [(axis > -0.5 - NEARLY) & (axis < n - 0.5 + NEARLY) for axis, n in counts]
+        values[~np.logical_and.outer(*within)] = np.nan
+        # So that one value stays one.
+        values = np.round(self.around_box(posts, values)[1], 9)
+        return float(values[0, 0]) if np.ptp(values) == 0.0 else values.tolist()
 
     def field(self, path: Path, at: list[float] | None, name: str) -> Entry:
         """A raster as keys of a solid or a mass: of a terrain what lies in and around the box, of a layer where it is.

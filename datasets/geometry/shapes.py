@@ -93,6 +93,11 @@ def check_solid(solid: Solid, key: str, dimension: int) -> None:
     if solid.corner is not None:
         check_vector(solid.corner, f"{key}.corner", 2)
     check_friction(solid, key)
+    if isinstance(solid.turbulence, tuple):
+        require(solid.heights is not None, f"{key}.turbulence", f"a single number of a {solid.kind}", "more")
+        rows, heights = ([len(row) for row in values or ()] for values in (solid.turbulence, solid.heights))
+        expected = "a coefficient for every height, in the same rows"
+        require(rows == heights, f"{key}.turbulence", expected, f"{len(rows)} rows")
 
 
 def check_friction(solid: Solid, key: str) -> None:

@@ -212,8 +212,9 @@ class Solid(Record):
     """Coulomb coefficient [-]: a number, or one per vertex, point or height, linear between them."""
     contact: Annotated[str, Bounds("'coulomb' or 'no-slip'", words=("coulomb", "no-slip"))] = "coulomb"
     """`coulomb` or `no-slip`."""
-    turbulence: Turbulence = None
-    """Voellmy's turbulent coefficient xi [m/s^2] (`mpm.physics.contact`); no such term where absent."""
+    turbulence: Annotated[float | Rows | None, Bounds("positive coefficients in m/s^2", gt=0.0)] = None
+    """Voellmy's turbulent coefficient xi [m/s^2] (`mpm.physics.contact`): a number, or one per height
+    of a terrain in 3D, 1 / xi linear along x and z between them; no such term where absent."""
 
     def __hash__(self) -> int:
         """Of a raster from its first row: millions of heights take longer than what is looked up by them."""

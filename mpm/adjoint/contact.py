@@ -17,12 +17,13 @@ from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import add_face, depends, found_reverse, terrain_reverse
 from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar, impulse_bar
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import put_lane_numbers, vectors
+from mpm.arrays.access import TINY, lane_numbers, maximum, put_lane_numbers, vectors
 from mpm.arrays.layout import Contact, Offset, Property, Worker
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
     contact_at,
     contact_of,
+    drag_share,
     find_drags,
     holds_of_node,
     jump_at_contact,
@@ -124,7 +125,8 @@ def grid_motion(scratch, arrays: ti.template()):
 def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.template()):
     """From the bars of what a step leaves of contact to those of its stress, of C and of the contact before it.
 
-    Those of the grid's velocity come in `scratch` from `layout.scratch.foot`. Returns that of the shear modulus.
+    Those of the grid's velocity come in `scratch` from `layout.scratch.foot`, with turbulence those of the grid's mass
+    and distances in place of `drag` and `layer`. Returns that of the shear modulus.
     """
     features, layout = arrays.features, arrays.layout
     size = ti.static(features.dimension)
@@ -132,7 +134,10 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     stress = vectors(arrays.history, after + features.state.stress, features.stresses)
     affine = vectors(arrays.history, after + features.state.affine, size * size)
     if ti.static(features.turbulent):
-        find_drags(scene, block, scratch, arrays)
+        find_drags(scene, block, scratch, arrays.history_lanes, after * features.lanes, arrays)
+        around = maximum(arrays.scratch[scratch + layout.scratch.sums + size], TINY)
+        distance = arrays.scratch[scratch + layout.scratch.sums + features.node.distance]
+        arrays.scratch[scratch + features.scratch.layer] = distance / around
     turbulence = turbulence_at(scratch, property_of(scene, block, Property.DENSITY, arrays), arrays)
     motion = grid_motion(scratch, arrays), affine, contact_of(block, arrays)
     numbers = ti.static((motion, stress, shear, turbulence))
@@ -161,7 +166,12 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
     motion_bar, stress_bar, shear_bar, turbulence_bar = ti.static(sheared(q_bar))
     if ti.static(features.turbulent):
         add_property_bar(block, Property.DENSITY, turbulence_bar[0], arrays)
-        add_drag_bars(scene, block, scratch, turbulence_bar[1], arrays)
+        add_drag_bars(scene, block, scratch, after, turbulence_bar[1], arrays)
+        # Of the sums of mass and distance that particles see: D is their quotient.
+        around = maximum(arrays.scratch[scratch + layout.scratch.sums + size], TINY)
+        distance_bar = turbulence_bar[2] / around
+        arrays.scratch[scratch + features.scratch.drag] = 0.0 - turbulence[2] * distance_bar
+        arrays.scratch[scratch + features.scratch.layer] = distance_bar
     for k in ti.static(range(size)):
         arrays.scratch[scratch + layout.scratch.foot + k] = motion_bar[0][k]
     add_bars(own + features.state.affine, motion_bar[1], arrays)
@@ -171,16 +181,23 @@ def slip_reverse(worker, scene, block, scratch, after, shear, dt, arrays: ti.tem
 
 
 @ti.func
-def add_drag_bars(scene, block, scratch, bar, arrays: ti.template()):
-    """Add the bars of g / xi of the particles of a block to those of their solids."""
-    features, lanes = arrays.features, arrays.features.lanes
+def add_drag_bars(scene, block, scratch, after, bar, arrays: ti.template()):
+    """Add the bars of g / xi of the particles of a block to those of their solids and, where xi varies, of places."""
+    features, lanes, own = arrays.features, arrays.features.lanes, block * arrays.layout.width
     contact, drag = contact_at(block, 0, arrays), scratch + features.scratch.drag
     arrays.scratch[drag] = present(block, arrays) * bar
     for lane in range(lanes):
         if arrays.lanes[(contact + Contact.DELTA) * lanes + lane] > 0.0:
             face = face_number(arrays.lanes[(contact + Contact.FACE) * lanes + lane])
             value = ti.cast(arrays.scratch_lanes[drag * lanes + lane], ti.f64)
-            arrays.drag_adjoints[scene, solid_of(face, scene, arrays)] += value
+            solid = solid_of(face, scene, arrays)
+            x = lane_numbers(arrays.history_lanes, after * lanes + lane, arrays)
+            share, along, across = drag_share(solid, x, scene, arrays)
+            arrays.drag_adjoints[scene, solid] += ti.cast(share, ti.f64) * value
+            if ti.static(features.dimension == 3):
+                scaled = arrays.drags[scene, solid] * ti.cast(value, float)
+                arrays.adjoint_lanes[own * lanes + lane] += scaled * along
+                arrays.adjoint_lanes[(own + 2) * lanes + lane] += scaled * across
 
 
 @ti.func

@@ -190,6 +190,8 @@ def started(scene: Scene, base: Start | None = None) -> Start:
             stress = initial_tractions(scene, particles)[0]
         if len(faces) + len(terrain) and solids_with(scene) != solids_with(base.scene):
             faces, holds, terrain = faces_and_holds(scene, held, holds)
+        if varied_turbulence(scene) != varied_turbulence(base.scene):
+            raise InputError("expected the same turbulence at all posts of a terrain, it has no derivative")
         if len(particles.positions) != len(base.particles.positions):
             raise InputError("expected scenes with as many particles, a change of their number has no derivative")
         if faces.shape != base.faces.shape or terrain.shape != base.terrain.shape:
@@ -206,6 +208,11 @@ def started(scene: Scene, base: Start | None = None) -> Start:
         terrain=terrain,
         drags=np.array(drags_of(scene)),
     )
+
+
+def varied_turbulence(scene: Scene) -> list[Any]:
+    """What the solids have that is no number; it has no derivative."""
+    return [solid.turbulence for solid in scene.solids if isinstance(solid.turbulence, tuple)]
 
 
 def solids_with(scene: Scene) -> tuple[Any, ...]:

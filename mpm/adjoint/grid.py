@@ -115,6 +115,8 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
     result[dimension] = mass_bar + bar[dimension]
     if ti.static(features.channel):
         result[features.node.side_friction] = side_bar
+    if ti.static(features.turbulent):
+        result[features.node.distance] = bar[features.node.distance]
     for axis in ti.static(range(dimension)):
         result[axis] = v_bar[axis] * per_mass
         result[dimension] -= v[axis] * v_bar[axis] * per_mass

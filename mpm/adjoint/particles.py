@@ -11,13 +11,13 @@ import taichi as ti
 
 from mpm.adjoint.contact import push_reverse
 from mpm.adjoint.grid import add_kappa_bar
-from mpm.adjoint.layout import add_bars, add_property_bar
+from mpm.adjoint.layout import add_bars, add_property_bar, contact_bar
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
 from mpm.adjoint.transfer import affine_reverse, gather_moments, prepare_weights, transfer_reverse
-from mpm.arrays.access import dot, lane_sum, no_overflow, vectors
+from mpm.arrays.access import dot, lane_sum, minimum, no_overflow, vectors
 from mpm.arrays.features import NODE
-from mpm.arrays.layout import Offset, Property, Setting
+from mpm.arrays.layout import Contact, Offset, Property, Setting
 from mpm.physics.boundary import is_wall
 from mpm.physics.channel import side_friction
 from mpm.physics.contact import touches
@@ -45,6 +45,11 @@ def update_block_reverse(worker, table, scene, block, scratch, after, dt, kappa,
     if ti.static(features.channel):
         for k in ti.static(range(1 + size)):
             arrays.scratch[values + k * NODE + features.node.side_friction] = 0.0 * arrays.state[first]
+    if ti.static(features.turbulent):
+        for k in ti.static(range(1 + size)):
+            arrays.scratch[values + k * NODE + features.node.distance] = 0.0 * arrays.state[first]
+        for k in ti.static(range(2)):
+            arrays.scratch[scratch + features.scratch.drag + k] = 0.0 * arrays.state[first]
     f = weights_of(scene, block, scratch, per_dx, arrays)
     prepare_weights(scene, block, scratch, arrays)
     if ti.static(features.volume_correction):
@@ -92,6 +97,10 @@ def update_block_reverse(worker, table, scene, block, scratch, after, dt, kappa,
             value = value - slope * f[j]
             arrays.scratch[values + (1 + j) * NODE + size] = slope
         arrays.scratch[values + size] = value
+    if ti.static(features.turbulent):
+        mass_bar = arrays.scratch[scratch + features.scratch.drag]
+        arrays.scratch[values + size] = arrays.scratch[values + size] + mass_bar
+        arrays.scratch[values + features.node.distance] = arrays.scratch[scratch + features.scratch.layer]
     transfer_reverse(table, scene, block, scratch, True, arrays)
     square = 4.0 * per_dx * per_dx
     for j in ti.static(range(size)):
@@ -109,12 +118,13 @@ def update_block_reverse(worker, table, scene, block, scratch, after, dt, kappa,
     add_kappa_bar(worker, dt, kappa, lane_sum(kappa_bar, arrays), arrays)
 
 
-def given_of(carried, volume, density, pushed, grip, dx, features):
+def given_of(carried, volume, density, pushed, grip, distances, dx, width, features):
     """What a particle gives to a node at its own place, number by number, then the slopes of it per cell; traced."""
     mass, here = volume * density, [0.0] * features.dimension
     momentum, slopes, pull, forces = contributions(carried, mass, volume, pushed, here, dx, features)
     braked = [side_friction(carried[2], volume, grip)] if features.channel else []
-    return momentum, mass, pull, braked, slopes, forces
+    weighed = [mass * minimum(distance / width, 1.0) for distance in distances]
+    return momentum, mass, pull, braked, weighed, slopes, forces
 
 
 @ti.func
@@ -142,14 +152,17 @@ def block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays: ti.t
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     pushed = vectors(arrays.scratch, scratch + features.scratch.push, 2 * size * int(features.contact))
     grip = arrays.settings[scene, Setting.GRIP]
-    numbers = ti.static(((velocity, affine, stress), volume, density, pushed, grip))
-    given = ti.static([Pullback(given_of, numbers, (dx, features))])[0]
+    away = block * features.state.size + features.state.contacts + ti.static(int(Contact.DISTANCE))
+    distances = vectors(arrays.state, away, int(features.turbulent))
+    width = arrays.settings[scene, Setting.CONTACT_WIDTH]
+    numbers = ti.static(((velocity, affine, stress), volume, density, pushed, grip, distances))
+    given = ti.static([Pullback(given_of, numbers, (dx, width, features))])[0]
     # Of what is given at the particle itself, then of its slopes per cell.
     shifts = ti.static((0, features.node.force))
     places = ti.static([shift + (1 + k % size) * NODE + k // size for shift in shifts for k in range(size * size)])
     slopes = [per_dx * arrays.scratch[sums + n] for n in ti.static(places)]
     bars = vectors(arrays.scratch, sums, features.node.size) + slopes
-    carried_bar, volume_bar, density_bar, pushed_bar, grip_bar = ti.static(given(bars))
+    carried_bar, volume_bar, density_bar, pushed_bar, grip_bar, distances_bar = ti.static(given(bars))
     for k in ti.static(range(size)):
         moved = arrays.adjoints[own + k] + arrays.scratch[scratch + layout.scratch.forces + k]
         for i in ti.static(range(size)):
@@ -169,6 +182,7 @@ def block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays: ti.t
     add_property_bar(block, Property.DENSITY, density_bar, arrays)
     if ti.static(features.contact):
         push_reverse(worker, block, scratch, stress, pushed_bar, volume, dt, arrays)
+        add_bars(contact_bar(block, Contact.DISTANCE, arrays), distances_bar, arrays)
     v_bar = vectors(arrays.adjoints, own + features.state.velocity, size)
     within = dot(v_bar, v_bar) <= arrays.cuts[scene, 0]
     cut = lane_sum(ti.select(within, 0.0 * present, present), arrays)

@@ -11,7 +11,7 @@ from datasets.errors import InputError
 from datasets.flow.array_files import FrameWriter
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.scene.particles import Particles, initial_particles
-from mpm.arrays.features import NODE, drags_of, features_of
+from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import (
     ALIGNMENT,
     FIRST_FACE,
@@ -35,6 +35,7 @@ from mpm.arrays.layout import (
     node_shape,
 )
 from mpm.arrays.properties import (
+    drag_tables,
     elastic_energy,
     in_precision,
     properties_of,
@@ -87,11 +88,7 @@ class Batch:
         rows = [properties_row(material, float(p.volume[0])) for p in self.particles for material in p.materials]
         first = np.cumsum([0, *(len(p.materials) for p in self.particles)])[:-1]
         self.properties = in_precision(rows, [*Property, *features.law.Column], real)[first]
-        drags = [drags_of(scene) if features.turbulent else [] for scene in scenes]
-        self.drags = np.zeros((len(scenes), max(1, *map(len, drags))), real)
-        """g / xi of the solids of each scene [1/m], where one has `turbulence`."""
-        for row, values in zip(self.drags, drags, strict=True):
-            row[: len(values)] = values
+        self.drags, self.drag_places, self.drag_posts = drag_tables(scenes, real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
         self.add_contacts(real)
         self.add_barriers()

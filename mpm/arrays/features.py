@@ -191,7 +191,9 @@ class Features:
         """Numbers of a node, of which there are NODE; the others stay zero."""
         size, braked = self.dimension, int(self.channel)
         # The change of a node's velocity stands in place of its force, which is done with.
-        return Addresses(momentum=size, mass=1, change=0, force=size, side_friction=braked)
+        # Last the sum of w m d / h (`mpm.physics.contact`).
+        dragged = int(self.turbulent)
+        return Addresses(momentum=size, mass=1, change=0, force=size, side_friction=braked, distance=dragged)
 
     @cached_property
     def scratch(self) -> Addresses:
@@ -210,6 +212,7 @@ class Features:
             origin=size * contact,  # the positions before a step
             push=2 * size * contact,  # the contact's force per volume and its arm
             drag=int(self.turbulent),  # g / xi of the solid next to each particle [1/m]
+            layer=int(self.turbulent),  # mean distance from solids of what is around each particle [widths of contact]
             look=Look.SIZE * int(self.terrain),  # at the triangle of a height field near each particle
         )
 
@@ -249,9 +252,12 @@ def features_of(
 
 
 def drags_of(scene: Scene) -> list[float]:
-    """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 of those without `turbulence`."""
-    coefficients = [baffle.turbulence for baffle in scene.baffles] + [solid.turbulence for solid in scene.solids]
-    return [0.0 if each is None else scene.gravity / each for each in coefficients]
+    """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 of those without `turbulence`, g alone
+    [m/s^2] of those whose xi varies (`drag_tables`).
+    """
+    coefficients = [each.turbulence for each in (*scene.baffles, *scene.solids)]
+    fixed = [1.0 if isinstance(each, tuple) else each for each in coefficients]
+    return [0.0 if each is None else scene.gravity / each for each in fixed]
 
 
 def varies(scene: Scene) -> bool:

@@ -22,7 +22,7 @@ from datasets.geometry.placement import remembers_gaps
 from datasets.scene import NO_SLIP, Scene, coefficient
 from datasets.scene.material import Material
 from datasets.scene.particles import Particles
-from mpm.arrays.features import features_of
+from mpm.arrays.features import drags_of, features_of
 from mpm.arrays.layout import Property, Setting
 from mpm.laws import law_named
 from mpm.output.request import REST_ENERGY
@@ -89,6 +89,24 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.REST_ENERGY: REST_ENERGY * weight * scene_height(scene),
     }
     return [values[column] for column in Setting]
+
+
+def drag_tables(scenes: Sequence[Scene], real: np.dtype[Any]) -> tuple[Array, Array, Array]:
+    """`drags_of` of the solids of each scene [scenes, S]; where the posts of each begin whose xi varies, else 0, of the
+    same shape; of these x and posts per length, z and posts per length, their numbers and 1 / xi.
+    """
+    drags = [drags_of(scene) for scene in scenes]
+    table = np.zeros((len(scenes), max(1, *map(len, drags))), real)
+    places, posts = np.zeros(table.shape, np.int32), [np.zeros(1)]
+    for index, (scene, values) in enumerate(zip(scenes, drags, strict=True)):
+        table[index, : len(values)] = values
+        for number, solid in enumerate(scene.solids, len(scene.baffles)):
+            if isinstance(solid.turbulence, tuple):
+                per_xi, (x, z), steps = 1.0 / np.array(solid.turbulence), solid.origin or (), solid.spacing or ()
+                places[index, number] = sum(map(len, posts))
+                header = [x, 1.0 / steps[0], z, 1.0 / steps[1], *map(float, per_xi.shape)]
+                posts += [np.array(header), per_xi.ravel()]
+    return table, places, np.concatenate(posts).astype(real)
 
 
 def in_precision(

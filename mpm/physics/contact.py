@@ -27,16 +27,21 @@ particle's own stress as the multiplier and no penalty; the delta is that of an 
 shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma_nn) (Cundall & Strack 1979).
 
 **Turbulence.** A solid with a coefficient xi [m/s^2] brakes with the square of the speed besides (Voellmy 1955; Salm
-1993): with the particle's density rho and v_t = v_f - n (n . v_f),
+1993), a terrain perhaps with another xi at each place in plan. With the particle's density rho and
+v_t = v_f - n (n . v_f),
 
-    |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / xi
+    |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / (xi I(e)),    I(e) = e (8 - 7 e^2 + 3 e^3) / 4
+    e = min(2 D, 1),    D_p = sum_i w_ip H_i / sum_i w_ip m_i,    H_i = sum_p w_ip m_p min(d_p / h, 1)
 
-The traction is per area of the bed and delta's integral is 1, so a layer of thickness h that moves as a block on an
-incline has the speed v with dv/dt = g (sin a - mu cos a) - g v^2 / (xi h). The second term acts on all that is within
-the width of the contact, whether it presses at the moment or not: a flow over small bumps presses for a part of the
-time, with a mean pressure that bears its weight, and a drag of that part alone would be too small. The holds of deep
-nodes and the stop of a particle that meets a face take mu of an impulse, as without turbulence: the drag is no share of
-an impulse, and the delta gives all of it.
+I(e) is the integral of delta over a layer of e widths: the mean of 2 (e - e^3 + e^4 / 2) for many rows of particles and
+of e delta(e / 2) for one. D is the mean distance from the bed, half of that thickness, of what is around a particle: a
+quotient that hardly depends on where the bed cuts the grid, on the ends of the layer and on walls beside it. So the
+traction per area of the bed is whole under thin layers too: one of thickness t that moves as a block on an incline has
+the speed v with dv/dt = g (sin a - mu cos a) - g v^2 / (xi t). Below e = THINNEST it fades: a lone grain on the bed has
+no thickness. The second term acts on all that is within the width of the contact, whether it presses at the moment or
+not: a flow over small bumps presses for a part of the time, with a mean pressure that bears its weight, and a drag of
+that part alone would be too small. The holds of deep nodes and the stop of a particle that meets a face take mu of an
+impulse, as without turbulence: the drag is no share of an impulse, and the delta gives all of it.
 
 **Deep nodes.** A node deep in a solid is in the support of the first row alone, which could not keep it in balance.
 It is held like a node behind a wall of the box (`mpm.physics.boundary`), by each face k that it lies behind in part:
@@ -47,14 +52,16 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 
 import taichi as ti
 
-from mpm.arrays.access import add, maximum, minimum, over_lanes, vectors
-from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Worker, component
+from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, vectors
+from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.solids.face_lookup import TINY, entry_of, face_number, list_of, normal_of, solid_of
 from mpm.solids.terrain_holds import removed_by_terrain
 
 NO_FACE = -2.0 * FIRST_FACE
 """Less than the number of any face among reals."""
+THINNEST = 0.1
+"""Thickness [widths of contact] of the thinnest layer that feels the whole drag."""
 
 
 @ti.func
@@ -136,7 +143,7 @@ def sheared_traction(
 ):
     """The shear traction q [Pa] after a step, a list of D, within the bound for the new `stress`.
 
-    turbulence: rho [kg/m^3] and g / xi [1/m] where solids have it, else nothing; a list.
+    turbulence: rho [kg/m^3], g / xi [1/m] and D [-] where solids have it, else nothing; a list.
     """
     contact = motion[2]
     foot, opening = foot_velocity(motion, dimension)
@@ -148,22 +155,70 @@ def sheared_traction(
         square = square + q[k] * q[k]
     bound = contact[Contact.FRICTION] * maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
     if ti.static(len(turbulence) > 0):
+        drag = turbulence[0] * turbulence[1] / weight_in_layer(turbulence[2])
         for k in ti.static(range(dimension)):
-            bound = bound + turbulence[0] * turbulence[1] * slip[k] * slip[k]
+            bound = bound + drag * slip[k] * slip[k]
     scale = minimum(bound / ti.sqrt(square), 1.0)
     return [scale * q[k] for k in ti.static(range(dimension))]
 
 
 @ti.func
-def find_drags(scene, block, scratch, arrays: ti.template()):
-    """Leave g / xi [1/m] of the solid next to each particle of a block in `scratch`; 0 where it touches none."""
+def weight_in_layer(middle):
+    """I [-], the integral of delta over a layer from the bed on whose mean distance from it is `middle` [widths]."""
+    e = maximum(minimum(2.0 * middle, 1.0), THINNEST)
+    return 2.0 * e * (1.0 - e * e * (0.875 - 0.375 * e))
+
+
+@ti.func
+def distance_in_widths(scene, block, arrays: ti.template()):
+    """Distance of the particles of a block from solids [widths of contact], at most 1."""
+    width = arrays.settings[scene, Setting.CONTACT_WIDTH]
+    return minimum(arrays.state[contact_at(block, Contact.DISTANCE, arrays)] / width, 1.0)
+
+
+@ti.func
+def drag_share(solid, x, scene, arrays: ti.template()):
+    """1 / xi [s^2/m] at `x` [m] of a solid whose xi varies, and its slopes along x and z; 1 of others, without slopes.
+
+    Bilinear between the posts of its terrain, beyond them that of their edge.
+    """
+    share, along, across = 1.0 + 0.0 * x[0], 0.0 * x[0], 0.0 * x[0]
+    if ti.static(arrays.features.dimension == 3):
+        at = arrays.drag_places[scene, solid]
+        if at > 0:
+            per_x, per_z = arrays.drag_posts[at + 1], arrays.drag_posts[at + 3]
+            rows, columns = ti.cast(arrays.drag_posts[at + 4], ti.i32), ti.cast(arrays.drag_posts[at + 5], ti.i32)
+            u, v = (x[0] - arrays.drag_posts[at]) * per_x, (x[2] - arrays.drag_posts[at + 2]) * per_z
+            i, k = ti.cast(ti.floor(u), ti.i32), ti.cast(ti.floor(v), ti.i32)
+            i, k = ti.max(0, ti.min(i, rows - 2)), ti.max(0, ti.min(k, columns - 2))
+            u, v = ti.max(0.0, ti.min(u - i, 1.0)), ti.max(0.0, ti.min(v - k, 1.0))
+            first = at + 6 + i * columns + k
+            a, b = arrays.drag_posts[first], arrays.drag_posts[first + 1]
+            c, d = arrays.drag_posts[first + columns], arrays.drag_posts[first + columns + 1]
+            low, high = a + v * (b - a), c + v * (d - c)
+            share = low + u * (high - low)
+            if u > 0.0 and u < 1.0:
+                along = per_x * (high - low)
+            if v > 0.0 and v < 1.0:
+                across = per_z * (b - a + u * (d - c - b + a))
+    return share, along, across
+
+
+@ti.func
+def find_drags(scene, block, scratch, places: ti.template(), first, arrays: ti.template()):
+    """Leave g / xi [1/m] of the solid next to each particle of a block in `scratch`; 0 where it touches none.
+
+    places: numbers in whose `first` lanes the positions of the block stand.
+    """
     features, lanes = arrays.features, arrays.features.lanes
     contact, drag = contact_at(block, 0, arrays), scratch + features.scratch.drag
     for lane in range(lanes):
         value = 0.0 * arrays.drags[scene, 0]
         if arrays.lanes[(contact + Contact.DELTA) * lanes + lane] > 0.0:
             face = face_number(arrays.lanes[(contact + Contact.FACE) * lanes + lane])
-            value = arrays.drags[scene, solid_of(face, scene, arrays)]
+            solid = solid_of(face, scene, arrays)
+            share, _along, _across = drag_share(solid, lane_numbers(places, first + lane, arrays), scene, arrays)
+            value = arrays.drags[scene, solid] * share
         arrays.scratch_lanes[drag * lanes + lane] = value
 
 
@@ -171,7 +226,7 @@ def find_drags(scene, block, scratch, arrays: ti.template()):
 def turbulence_at(scratch, density, arrays: ti.template()):
     """What `sheared_traction` takes of a block, after `find_drags`; density: of its particles [kg/m^3]."""
     count = ti.static(int(arrays.features.turbulent))
-    drags = vectors(arrays.scratch, scratch + arrays.features.scratch.drag, count)
+    drags = vectors(arrays.scratch, scratch + arrays.features.scratch.drag, 2 * count)
     return [density for _ in ti.static(range(count))] + drags
 
 
@@ -202,7 +257,8 @@ def shear_traction_step(scene, block, scratch, dt, shear, density, arrays: ti.te
     """Bring the shear tractions q of a block forward by a step."""
     dimension = ti.static(arrays.features.dimension)
     if ti.static(arrays.features.turbulent):
-        find_drags(scene, block, scratch, arrays)
+        position = block * arrays.features.state.size * arrays.features.lanes
+        find_drags(scene, block, scratch, arrays.lanes, position, arrays)
     motion, stress = motion_and_stress(block, scratch, arrays)
     turbulence = turbulence_at(scratch, density, arrays)
     q = sheared_traction(motion, stress, shear, turbulence, dt, dimension)

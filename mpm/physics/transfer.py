@@ -30,12 +30,12 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.arrays.access import add, clamp, columns_deep, no_overflow, vectors, zero_node
+from mpm.arrays.access import TINY, add, clamp, columns_deep, no_overflow, vectors, zero_node
 from mpm.arrays.features import NODE, REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.columns import node_at
-from mpm.physics.contact import push, touches
+from mpm.physics.contact import distance_in_widths, push, touches
 from mpm.physics.volume_correction import held_affine, is_loose, looseness
 
 
@@ -75,7 +75,7 @@ def lowest_column(arrays: ti.template(), scratch, lane, table, deep):
 def node_vector(arrays: ti.template(), scratch, group: ti.template(), lane, varies: ti.template()):
     """What a block has left for the nodes of the particle in `lane`: value (group 0) or slope along an axis.
 
-    Unless `varies`, each node is given the same mass and side friction but for the weight: their slopes are zero.
+    Unless `varies`, each node is given the same mass, side friction and distance but for the weight: without slopes.
     """
     features = arrays.features
     first = ti.static(features.scratch.values + group * NODE)
@@ -217,6 +217,8 @@ def leave_contributions(
     if ti.static(features.channel):
         grip = arrays.settings[scene, Setting.GRIP]
         arrays.scratch[values + features.node.side_friction] = side_friction(stress, volume, grip)
+    if ti.static(features.turbulent):
+        arrays.scratch[values + features.node.distance] = mass * distance_in_widths(scene, block, arrays)
 
 
 @ti.func
@@ -351,6 +353,9 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, loose, arrays: ti
     own = no_overflow(scratch * lanes + lane)
     at = own + (features.scratch.lowest + size) * lanes
     affine = no_overflow(first * lanes + lane) + features.state.affine * lanes
+    if ti.static(features.turbulent):
+        layer = v[features.node.distance] / ti.max(v[size], TINY)
+        arrays.scratch_lanes[own + features.scratch.layer * lanes] = layer
     for i in ti.static(range(size)):
         arrays.scratch_lanes[at + i * lanes] = v[i]
         arrays.scratch_lanes[at + (size + i) * lanes] = v[features.node.change + i]

@@ -73,14 +73,34 @@ def test_several_polygons_and_holes_of_the_raster(tmp_path: Path) -> None:
     assert (tmp_path / "new" / "site.dem.tif").is_file()
 
 
+def test_a_bed_by_rasters(tmp_path: Path) -> None:
+    """The least friction bounds the box; paths count from the scene."""
+    place = {"transform": Affine(10.0, 0.0, EAST, 0.0, -10.0, NORTH + 200.0)}
+    rows = np.tile(np.linspace(0.7, 0.9, 50), (20, 1))
+    write_raster(tmp_path / "mu.tif", rows, "EPSG:2056", **place)
+    write_raster(tmp_path / "xi.asc", np.where(rows < 0.75, 400.0, 1500.0), None, **place)
+    flags = [("--friction", tmp_path / "mu.tif"), ("--turbulence", tmp_path / "xi.asc"), ("--cell", 4)]
+    found = made(tmp_path, *(str(each) for pair in flags for each in pair))
+    (bed,), written_as = found.solids, (tmp_path / "new" / "site.toml").read_text()
+    assert 'friction = "../mu.tif"' in written_as
+    assert (np.min(bed.friction), np.max(bed.turbulence)) == pytest.approx((0.7, 1500.0), rel=0.02)
+    assert found.domain.origin[0] + found.domain.size[0] < EAST + 450.0
+
+
+def test_no_layer_lies_in_the_holes_of_a_release(tmp_path: Path) -> None:
+    """Two of them, side by side."""
+    holes = [shapely.box(EAST + x, NORTH + 90.0, EAST + x + 10.0, NORTH + 110.0) for x in (35.0, 55.0)]
+    ring = shapely.Polygon(FIELD.exterior.coords, [hole.exterior.coords for hole in holes])
+    found = made(tmp_path, "--cell", "2", shape=ring)
+    assert mass_volumes(found).sum() == pytest.approx(1.5 / math.cos(SLOPE) * 1200.0, rel=1e-3)
+    plan = shapely.points((initial_particles(found).positions + found.domain.corner)[:, ::2])
+    assert not any(shapely.contains(hole, plan).any() for hole in holes)
+
+
 def test_what_makes_no_site_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ground, out = dem(tmp_path), tmp_path / "site.toml"
-    ring = shapely.Polygon(
-        FIELD.exterior.coords, [shapely.box(EAST + 40.0, NORTH + 90.0, EAST + 50.0, NORTH + 99.0).exterior.coords]
-    )
     far = shapely.box(EAST - 30.0, NORTH, EAST + 10.0, NORTH + 20.0)
     for shape, flags, said in (
-        (ring, [], "polygons without holes"),
         (far, [], "polygons that lie on the raster"),
         (FIELD, ["--thickness", "0"], "--thickness: expected a thickness above 0 m"),
         (FIELD, ["--friction", "-1"], "--friction: expected a coefficient"),

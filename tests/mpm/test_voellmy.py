@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 from typing import Any
 
 import numpy as np
@@ -30,9 +31,9 @@ class VoellmyBlock:
     a = g (sin theta - mu cos theta) > 0, v_inf^2 = xi h (sin theta - mu cos theta), h normal to the bed.
     """
 
-    def __init__(self, slope_deg: float) -> None:
+    def __init__(self, slope_deg: float, thickness: float = THICKNESS) -> None:
         self.acceleration = SlidingBlock.on_incline(slope_deg, FRICTION).acceleration
-        self.terminal_speed = math.sqrt(TURBULENCE * THICKNESS * self.acceleration / 9.81)
+        self.terminal_speed = math.sqrt(TURBULENCE * thickness * self.acceleration / 9.81)
 
     def speed(self, time: ArrayLike) -> np.ndarray[Any, Any]:
         """[m/s] after `time` [s]."""
@@ -93,6 +94,37 @@ def test_a_block_on_a_polyline_reaches_the_terminal_speed(seed: int) -> None:
     check_motion(centre_displacement(flow) @ ALONG, flow.time, 0.01)
 
 
+def check_thin_layer(cells: float, offset: float, width: tuple[float, ...] = ()) -> None:
+    """A layer `cells` thick on a bed that ends `offset` cells above a row of nodes, in 3D `width` wide."""
+    top, exact = (4.0 + offset) * CELL, VoellmyBlock(SLOPE_DEG, cells * CELL)
+    across = (0.0,) * len(width)
+    bed = Solid(lower=(0.0, 0.0, *across), size=(0.8, top, *width), **BED)
+    body = Mass(lower=(0.1, top, *across), size=(0.3, cells * CELL, *width))
+    frames = math.ceil(3.0 * exact.terminal_speed / exact.acceleration / 0.02)
+    settings: dict[str, Any] = {"size": (0.8, 0.2, *width), "slope_deg": SLOPE_DEG, "frame_dt": 0.02}
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r".*hardly resolves it")
+        scene = scene_of(body, material=STRONG, jitter=0.0, solids=(bed,), duration=0.02 * frames, **settings)
+        flow = simulate(scene, record=WITH_FIELDS)
+    assert flow.velocities is not None
+    speeds = flow.velocities[:, :, 0].mean(axis=1)
+    assert np.abs(speeds - exact.speed(flow.time)).max() < 0.03 * exact.terminal_speed
+    assert exact.speed(flow.time[-1]) > 0.99 * exact.terminal_speed
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.4])
+@pytest.mark.parametrize("cells", [0.25, 0.375, 0.75, 1.5, 3.0])
+def test_thin_layers_feel_all_of_the_drag(cells: float, offset: float) -> None:
+    """v = v_inf tanh(a t / v_inf) with v_inf^2 = xi h (sin - mu cos), within 3 % from the start on."""
+    check_thin_layer(cells, offset)
+
+
+@pytest.mark.parametrize("cells", [0.375, 1.5])
+def test_thin_layers_in_3d_feel_all_of_the_drag(cells: float) -> None:
+    """Between walls of the box, four cells apart."""
+    check_thin_layer(cells, 0.3, (4 * CELL,))
+
+
 @pytest.mark.slow
 def test_a_block_on_a_raster_reaches_the_terminal_speed() -> None:
     length, cell, width = 1.4, 0.04, 0.24
@@ -130,12 +162,38 @@ def test_the_middle_of_a_sheet_of_sand_has_the_speed_of_the_block(bump: float, s
     assert speed.mean() == pytest.approx(float(exact.speed(flow.time[-1])), rel=share)
 
 
+@pytest.mark.slow
+def test_blocks_on_a_bed_whose_turbulence_varies_have_the_speeds_of_their_places() -> None:
+    """Side by side on xi of 10 and 40 m/s^2 by columns of a raster; of one value it is the number."""
+    low, high = 10.0, 40.0
+    columns = (low, low, low, high, high, high)
+
+    def scene(turbulence: float | tuple[tuple[float, ...], ...]) -> Scene:
+        ground: dict[str, Any] = {"origin": (0.0, 0.0), "spacing": (1.2, 0.08), "heights": ((0.088,) * 6,) * 2}
+        bed = Solid(kind="terrain", friction=FRICTION, turbulence=turbulence, **ground)
+        bodies = [Mass(lower=(0.1, 0.088, z), size=(0.2, 0.04, 0.08)) for z in (0.04, 0.28)]
+        settings: dict[str, Any] = {"size": (1.2, 0.2, 0.4), "slope_deg": SLOPE_DEG, "duration": 0.6, "frame_dt": 0.1}
+        return scene_of(*bodies, material=STRONG, solids=(bed,), **settings)
+
+    flow = simulate(scene((columns,) * 2), record=WITH_FIELDS)
+    assert flow.velocities is not None
+    first = flow.positions[0, :, 2] < 0.2
+    scale = VoellmyBlock(SLOPE_DEG, 0.04).terminal_speed / math.sqrt(TURBULENCE)
+    for mine, xi in ((first, low), (~first, high)):
+        exact = math.sqrt(xi) * scale
+        assert flow.velocities[-1, mine, 0].mean() == pytest.approx(
+            exact * math.tanh(VoellmyBlock(SLOPE_DEG).acceleration * 0.6 / exact), rel=0.03
+        )
+    even = [simulate(scene(xi)) for xi in (20.0, ((20.0,) * 6,) * 2)]
+    np.testing.assert_allclose(even[1].positions[-1], even[0].positions[-1], atol=1e-6)
+
+
 def test_scenes_without_turbulence_pay_for_none() -> None:
     scene = tilted(Solid, 0.0)
     plain = dataclasses.replace(scene, solids=(dataclasses.replace(scene.solids[0], turbulence=None),))
     assert features_of([scene], "f32").turbulent
     assert not features_of([plain], "f32").turbulent
-    assert features_of([plain], "f32").scratch.size == features_of([scene], "f32").scratch.size - 1
+    assert features_of([plain], "f32").scratch.size == features_of([scene], "f32").scratch.size - 2
 
 
 def test_what_turbulence_does_not_go_with_is_refused() -> None:
@@ -145,6 +203,8 @@ def test_what_turbulence_does_not_go_with_is_refused() -> None:
     refused(dataclasses.replace, scene, solids=(stuck,), said="solids[0].turbulence: expected none of a surface on")
     rough = (Baffle(lower=(0.0, 0.0), size=(0.1, 0.1), friction="rough", turbulence=9.0),)
     refused(dataclasses.replace, scene, solids=(), baffles=rough, said="baffles[0].turbulence: expected none of a")
-    refused(dataclasses.replace, bed, turbulence=0.0, said="turbulence: expected a positive coefficient in m/s^2")
+    refused(dataclasses.replace, bed, turbulence=0.0, said="turbulence: expected positive coefficients in m/s^2")
+    rows = (dataclasses.replace(bed, turbulence=((9.0, 9.0), (9.0, 9.0))),)
+    refused(dataclasses.replace, scene, solids=rows, said="solids[0].turbulence: expected a single number of a box")
     line = dataclasses.replace(on_polyline(0), masses=(Mass(lower=(0.4, 0.9), size=(0.1, 0.1)),))
     refused(check, line, ModelSettings(dimension=2), said="solids[0].turbulence: expected Coulomb friction alone")

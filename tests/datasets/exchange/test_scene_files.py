@@ -181,6 +181,32 @@ def test_only_holes_that_the_box_needs_are_holes(tmp_path: Path) -> None:
     np.testing.assert_allclose(ground(found, [(0.01, 0.3, 0.5), (1.0, 0.3, 0.01), (1.99, 0.3, 0.99)]), 0.1, atol=1e-6)
 
 
+def test_friction_and_turbulence_of_the_ground_by_raster(tmp_path: Path) -> None:
+    """Bilinear between the centres of cells of 0.2 m, level beyond them; one value is a number."""
+    x, z = 0.1 + 0.2 * np.arange(10), 0.1 + 0.2 * np.arange(5)[::-1]
+    place = {"transform": Affine(0.2, 0, 5e5, 0, -0.2, 5e6 + 1.0)}
+    write_raster(tmp_path / "dem.tif", tilted())
+    write_raster(tmp_path / "mu.asc", 0.1 + 0.2 * x[None] + 0.1 * z[:, None], None, **place)
+    write_raster(tmp_path / "xi.tif", 500.0 + 2000.0 * (x[None] > 1.0) + 0.0 * z[:, None], **place)
+    named = SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\nfriction = "mu.asc"\nturbulence = "xi.tif"\n'
+    (bed,) = scene(tmp_path, named).solids
+    posts = [0.05 + 0.1 * np.arange(count) for count in (20, 10)]
+    clamped = [np.clip(axis, 0.1, length - 0.1) for axis, length in zip(posts, (2.0, 1.0), strict=True)]
+    np.testing.assert_allclose(bed.friction, 0.1 + 0.2 * clamped[0][:, None] + 0.1 * clamped[1], rtol=1e-9)
+    np.testing.assert_allclose(bed.turbulence, np.tile(np.interp(posts[0], (0.9, 1.1), (500.0, 2500.0)), (10, 1)).T)
+    write_raster(tmp_path / "mu.asc", np.full((5, 10), 0.3), None, **place)
+    assert scene(tmp_path, named).solids[0].friction == 0.3
+    rows = np.full((5, 10), 0.3)
+    rows[2, 3] = -9999.0
+    for values, cells in ((rows, 4), (rows[:, 4:], 80)):
+        write_raster(tmp_path / "mu.asc", values, None, **place)
+        said = f"expected a raster without holes in the box, got {cells} cells without data, the first at x = "
+        error = refused(scene, tmp_path, named, said=said)
+        assert (error.key, Path(error.where).name) == ("solids[0].friction", "mu.asc")
+    line = PLANE + BODY + TERRAIN + 'points = [[0.0, 0.1], [2.0, 0.1]]\nfriction = "mu.asc"\n'
+    assert refused(scene, tmp_path, line, said="").key.startswith("solids[0].friction")
+
+
 @pytest.mark.parametrize("crs", ["EPSG:32632", "EPSG:25832", None])
 def test_a_raster_of_thickness_lies_beside_the_terrains(tmp_path: Path, crs: str | None) -> None:
     """0.4 x 0.3 m, 1.0 and 0.5 m from its corner, by the same map: UTM of ETRS89 and of WGS 84 lie on each other."""

@@ -46,6 +46,11 @@ ABOVE = (
     Mass(lower=(0.1, 0.033), size=(0.2, 0.12), velocity=(1.0, -0.3)),
     Mass(lower=(0.3, 0.04), size=(0.1, 0.1), velocity=(0.5, -0.5)),
 )
+# Two rows of particles.
+THIN = (
+    Mass(lower=(0.1, 0.032), size=(0.1, 0.014), velocity=(2.0, -0.5)),
+    Mass(lower=(0.2, 0.034), size=(0.06, 0.015), velocity=(1.7, -0.3)),
+)
 HELD = (
     Mass(lower=(0.1, 0.0), size=(0.2, 0.2), release=0.0125),
     Mass(lower=(0.5, 0.0), size=(0.1, 0.2), velocity=(-0.5, 0.0)),
@@ -68,6 +73,7 @@ HILL = Solid(
     heights=((0.05, 0.07, 0.05), (0.06, 0.05, 0.05), (0.05, 0.05, 0.06)),
     friction=((0.1, 0.6, 0.2), (0.5, 0.1, 0.4), (0.1, 0.5, 0.3)),
 )
+XI = ((40.0, 20.0, 50.0), (15.0, 60.0, 30.0), (50.0, 20.0, 40.0))
 BAFFLED: dict[str, Any] = {"masses": NEAR, "baffles": (LEANING,), "baffle_friction": 0.3}
 FRICTIONS = Field(
     quantity="friction_deg", values=(25.0, 35.0), origin=(0.0, 0.1), spacing=(0.3, 1.0), nodes=(2, 1), mass=None
@@ -106,8 +112,14 @@ SCENES = {
     "turbulent baffle": plane(
         masses=NEAR, baffles=(dataclasses.replace(LEANING, turbulence=20.0),), baffle_friction=0.3, duration=0.04
     ),
+    "thin layer on turbulent ground": plane(
+        masses=THIN, solids=(dataclasses.replace(SLOPE, turbulence=40.0),), duration=0.02
+    ),
     "3D turbulent ground": room(
         masses=RAISED, solids=(dataclasses.replace(HILL, turbulence=40.0),), volume_correction=False, duration=0.015
+    ),
+    "3D ground whose turbulence varies": room(
+        masses=RAISED, solids=(dataclasses.replace(HILL, turbulence=XI),), duration=0.015
     ),
     "3D ground": room(masses=RAISED, solids=(HILL,), volume_correction=False, duration=0.015),
 }
@@ -167,7 +179,8 @@ def paths_of(scene: Scene) -> Iterator[tuple[Way, float]]:
     absent = {"young"} if any(each.release for each in scene.masses) else set()
     absent |= set() if scene.material.friction_limit_deg else {"inertial_number", "grain_density"}
     for way, step in STEPS.items():
-        if value_at(scene, way) and way[-1] not in absent and ("points" not in way or scene.solids == (GROUND,)):
+        given = value_at(scene, way) and way[-1] not in absent and value_at(scene, way) != XI
+        if given and ("points" not in way or scene.solids == (GROUND,)):
             yield way, step
 
 
@@ -216,6 +229,13 @@ def test_the_gradient_is_that_of_central_differences(name: str) -> None:
     if scene.baffles:
         more = Solid(kind="box", lower=(0.6,) * scene.dimension, size=(0.1,) * scene.dimension)
         refused(slope.along, lambda h: dataclasses.replace(scene, solids=(more,)), 0.0, said="as many faces")
+
+
+def test_turbulence_by_posts_has_no_derivative() -> None:
+    scene = SCENES["3D ground whose turbulence varies"]
+    (bed,) = scene.solids
+    mirrored = dataclasses.replace(scene, solids=(dataclasses.replace(bed, turbulence=XI[::-1]),))
+    refused(started, mirrored, started(scene), said="expected the same turbulence at all posts of a terrain")
 
 
 def test_in_3d_it_is_that_of_central_differences_along_one_direction() -> None:
