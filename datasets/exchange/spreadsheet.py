@@ -24,6 +24,7 @@ UNITS = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254},
     "time": {"s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0},
     "impulse": {"N s": 1.0, "Ns": 1.0, "kN s": 1000.0, "kNs": 1000.0, "N s/m": 1.0, "kN s/m": 1000.0},
+    "speed": {"m/s": 1.0, "cm/s": 0.01, "km/h": 1.0 / 3.6},
     "friction": {"-": 1.0, "1": 1.0},
 }
 """Of each quantity: its units, and what one is in SI."""

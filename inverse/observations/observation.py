@@ -145,6 +145,20 @@ class Observation:
         return f"{factor * root:.3g} {unit}"
 
 
+class SmoothObservation(Observation):
+    """One whose smooth form is the exact one too: a run is observed as a rollout is, by its own volumes."""
+
+    def observe(self, trajectory: Trajectory) -> Values:
+        impulse = trajectory.solid_impulse
+        rollout = Rollout(
+            positions=torch.from_numpy(np.asarray(trajectory.positions)),
+            times=trajectory.time,
+            volumes=torch.from_numpy(trajectory.volumes),
+            impulses=None if impulse is None else torch.from_numpy(impulse),
+        )
+        return np.asarray(self.predict(rollout).numpy())
+
+
 class Joint(Observation):
     """Several observations, each number over its standard deviation, so that all are compared in one sum.
 
@@ -187,6 +201,11 @@ def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: V
     between = zip(before.tolist(), after.tolist(), share.tolist(), strict=True)
     rows = [operator((1.0 - s) * series[b] + s * series[a]) for b, a, s in between]
     return torch.stack(rows)[torch.from_numpy(which)] if isinstance(rows[0], Tensor) else np.stack(rows)[which]
+
+
+def relative_scatter(values: Values, share: float) -> Values:
+    """`share` of each of `values` [M], of small ones that of a tenth of the largest, shape [M]."""
+    return np.asarray(share * np.maximum(np.abs(values), 0.1 * np.abs(values).max()))
 
 
 def fitted_tail(values: Tensor, volumes: Tensor) -> Tensor:
