@@ -19,12 +19,13 @@ from inverse.observations.motion import SpeedSettings as SpeedSettings
 from inverse.observations.observation import Observation as Observation
 from inverse.observations.observation import Rollout as Rollout
 from inverse.observations.observation import Values as Values
+from inverse.observations.plan import ThicknessSettings as ThicknessSettings
 from inverse.observations.profile import ProfileSettings as ProfileSettings
 from inverse.observations.settings import ObservationSettings as ObservationSettings
 
 _DEPOSIT = (FrontSettings, RunoutSettings, ToeSettings, DepositSettings, PassedSettings, OutlineSettings)
 _INSTRUMENTS = (GaugesSettings, ImpulseSettings, PeakForceSettings, ArrivalSettings, SpeedSettings)
 KINDS: dict[str, type[ObservationSettings]] = {
-    settings.operator_type.kind: settings for settings in (*_DEPOSIT, ProfileSettings, *_INSTRUMENTS)
+    settings.operator_type.kind: settings for settings in (*_DEPOSIT, ProfileSettings, ThicknessSettings, *_INSTRUMENTS)
 }
 """The settings of every kind of observation by its name in TOML."""

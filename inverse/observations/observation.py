@@ -79,6 +79,8 @@ class Observation:
     """Whether it needs more of a trajectory than its last frame."""
     of_positions: bool = True
     """Whether it follows from positions alone: what the surrogate predicts."""
+    dense: ClassVar[bool] = False
+    """Whether it follows from positions all the same, of more particles than a surrogate has."""
 
     def __init__(self, scene: Scene, times: Numbers = None) -> None:
         """The operator for flows of `scene`. Raises InputError, which names the key of the settings."""

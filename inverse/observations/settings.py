@@ -17,8 +17,9 @@ from inverse.observations.errors import Covariance, Noise
 from inverse.observations.observation import Observation, Values
 from inverse.observations.target import Target
 
-SOURCES = ("value", "values", "csv")
-"""Keys under which measured numbers stand."""
+FILES = ("csv", "file")
+SOURCES = ("value", "values", *FILES)
+"""Keys under which measured numbers stand: of those that name a file, and all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +37,7 @@ class ObservationSettings(Record):
 
     def __post_init__(self) -> None:
         Noise.stated(self.noise)
-        require(len(self.given) < 2, "", "one of value, values and csv", " and ".join(self.given))
+        require(len(self.given) < 2, "", f"one of {', '.join(self.sources)}", " and ".join(self.given))
 
     def operator(self, scene: Scene) -> Observation:
         """The operator for flows of `scene`. Raises InputError, which names the key."""
