@@ -95,6 +95,8 @@ class TabulatedSettings(ObservationSettings):
     csv: str | None = None
     """A table with the `columns` of the kind and maybe others."""
 
+    blanks: ClassVar[bool] = False
+    """Whether rows of it may be empty."""
     columns: ClassVar[dict[str, str]] = {}
     """Its columns, and the key that each stands for."""
     optional: ClassVar[tuple[str, ...]] = ()
@@ -107,7 +109,7 @@ class TabulatedSettings(ObservationSettings):
 
     def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
         """Columns of a CSV in SI units, each of shape [R], and `optional` ones that it has. Raises InputError."""
-        table = spreadsheet.read_columns(path, needed, optional, others=True, metres=self.metres)
+        table = spreadsheet.read_columns(path, needed, optional, others=True, metres=self.metres, blanks=self.blanks)
         if len(table[needed[0]]) < 2:
             raise InputError(f"expected the columns {' and '.join(needed)} and at least two rows", where=str(path))
         factors = {name: 1.0 if name in spreadsheet.UNITS else self.metres for name in table}
