@@ -294,4 +294,13 @@ def read_problem(name: str) -> Problem:
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         scene = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
         keys = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
-        return Problem(parameters=keys.pop("unknowns"), **keys)
+        if scene.domain.origin is None:
+            return Problem(parameters=keys.pop("unknowns"), **keys)
+        keys["observations"] = tuple(each.in_box(scene.domain.corner) for each in file.observations)
+        try:
+            return Problem(parameters=keys.pop("unknowns"), **keys)
+        except InputError as error:
+            if not error.key.startswith("observations["):
+                raise
+            place = ", ".join(f"{each:.10g}" for each in scene.domain.origin)
+            raise InputError(f"{error.message}, from the origin of the scene, {place}", key=error.key) from None

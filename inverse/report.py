@@ -225,6 +225,9 @@ def question(result: Result) -> str:
             row |= {"truth": text(truth[each.name]), "error": text(value - truth[each.name])}
             row["truth inside"] = "yes" if each.name in result.inside else "**no**"
         rows.append(row)
+    if (origin := result.problem.scene.domain.origin) is not None:
+        place = ", ".join(f"{each:.10g}" for each in origin)
+        observed += f" Lengths below count from the lower corner of the box, at {place} m on the map."
     return observed + (f"\n\n{table(rows)}" if rows else "")
 
 
@@ -250,6 +253,7 @@ def comparison(result: Result) -> str:
         row["noise"] = root(rms(deviation[own]))
         off = rms(shown[own] - measured[own]) if len(shown) == len(measured) else np.nan
         row["residual (root mean square)"] = root(off)
+        row |= {name.replace("_", " "): f"{score:.3f}" for name, score in result.scores.get(part.name, {}).items()}
         rows.append(row)
     return table(rows)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.scene import Scene
+from datasets.scene.particles import particle_volumes
 from datasets.schema import changed
 from inverse.answer import UNIFORM, Answer, Combination, MpmRun, Verdict, peak_memory_mib, plain
 from inverse.field_posterior import FieldPosterior
@@ -108,6 +109,15 @@ class Result:
         return errors
 
     @property
+    def scores(self) -> dict[str, dict[str, float]]:
+        """How well the deposit at the first answer covers each observation that has an area, by its name [-]."""
+        checks, count = self.answers[0].checks, len(self.deposit)
+        volumes = checks[0].trajectory.volumes if checks else particle_volumes(self.problem.scene, count)
+        parts = self.target.observation.parts
+        found = {each.name: each.observation.scores(self.deposit, volumes) for each in parts}
+        return {name: scores for name, scores in found.items() if scores}
+
+    @property
     def remarks(self) -> list[str]:
         """What a user must know of the flow at the first answer (`datasets.flow.caveats`)."""
         checks = self.answers[0].checks
@@ -156,6 +166,8 @@ class Result:
             observation["deviation"] = np.asarray(whole.scale).tolist()
         if math.isfinite(target.front):
             observation["front"] = target.front
+        if scores := self.scores:
+            observation["scores"] = scores
         if target.profile is not None:
             observation["profile"] = {"x": target.profile.x.tolist(), "height": target.profile.height.tolist()}
         same = len(self.predicted) == len(target.values)

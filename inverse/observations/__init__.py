@@ -7,7 +7,6 @@
 
 from inverse.observations.deposit import DepositSettings as DepositSettings
 from inverse.observations.deposit import FrontSettings as FrontSettings
-from inverse.observations.deposit import OutlineSettings as OutlineSettings
 from inverse.observations.deposit import PassedSettings as PassedSettings
 from inverse.observations.deposit import RunoutSettings as RunoutSettings
 from inverse.observations.deposit import ToeSettings as ToeSettings
@@ -19,6 +18,7 @@ from inverse.observations.motion import SpeedSettings as SpeedSettings
 from inverse.observations.observation import Observation as Observation
 from inverse.observations.observation import Rollout as Rollout
 from inverse.observations.observation import Values as Values
+from inverse.observations.outline import OutlineSettings as OutlineSettings
 from inverse.observations.plan import ThicknessSettings as ThicknessSettings
 from inverse.observations.profile import ProfileSettings as ProfileSettings
 from inverse.observations.settings import ObservationSettings as ObservationSettings

@@ -83,6 +83,7 @@ class GaugesSettings(LengthsSettings):
     """Height of the floor in a table [`unit`]."""
 
     operator_type, options = Gauges, ("x", "z", "times", "spacing")
+    places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
 

@@ -106,6 +106,7 @@ class ArrivalSettings(LengthsSettings):
     """Half width over which this height is a mean [m]."""
 
     operator_type, options = Arrival, ("x", "z", "thickness", "spacing")
+    places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"x": "x", "time": "values"}
 
 
@@ -187,4 +188,5 @@ class SpeedSettings(TabulatedSettings):
     """Time over which a particle's speed is a mean [s]; a frame of the scene where absent."""
 
     operator_type, options = Speed, ("x", "z", "times", "window")
+    places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"time": "times", "speed": "values"}

@@ -131,6 +131,10 @@ class Observation:
         """Mean over numbers or points of the squared distance from the target [unit^2], as in the paper."""
         return self.components * float(np.mean((values - target) ** 2))
 
+    def scores(self, positions: NDArray[np.floating], volumes: Values) -> dict[str, float]:
+        """How well a deposit [m], shape [N, D], of `volumes` [N] covers what was observed, by name [-]."""
+        return {}
+
     def prior_scatter(self, values: Values) -> Values:
         """Expected standard deviation of each of `values` [M] from flow to flow, shape [M]."""
         return np.full(len(values), SCATTER_CELLS * self.scene.domain.cell)

@@ -175,8 +175,10 @@ class ProfileSettings(LengthsSettings):
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         path = folder / str(self.csv)
         x, height = self.table(path, ("x", "height")).values()
+        corner = scene.domain.corner
+        floor = self.datum * self.metres + (corner[1] if self.heights is Heights.ELEVATION else 0.0)
         with naming(path):
-            profile = checked_profile(x, height - self.datum * self.metres, scene, self.heights, released)
+            profile = checked_profile(x - corner[0], height - floor, scene, self.heights, released)
         operator = self.operator(scene, profile.x, profile.ends)
         return self.sampled(operator, operator.of_heights(profile.at(operator.stations)), profile)
 

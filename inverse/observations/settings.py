@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -34,10 +34,24 @@ class ObservationSettings(Record):
     operator_type: ClassVar[type[Observation]]
     options: ClassVar[tuple[str, ...]] = ()
     """Keys that the operator takes."""
+    places: ClassVar[dict[str, int | None]] = {}
+    """Keys that say where something is, and along which axis of the scene; None: a whole vector."""
 
     def __post_init__(self) -> None:
         Noise.stated(self.noise)
         require(len(self.given) < 2, "", f"one of {', '.join(self.sources)}", " and ".join(self.given))
+
+    def in_box(self, corner: Floats, keys: Sequence[str] | None = None) -> Self:
+        """With places from the box's lower corner, in place of a map's on which that is `corner` [m], shape [D].
+
+        keys: those that are on the map; all where absent.
+        """
+        moved: dict[str, Any] = {}
+        for key, axis in self.places.items():
+            if (given := getattr(self, key)) is not None and (keys is None or key in keys):
+                places = np.subtract(given, corner if axis is None else corner[axis]).tolist()
+                moved[key] = places if isinstance(places, float) else tuple(places)
+        return replace(self, **moved)
 
     def operator(self, scene: Scene) -> Observation:
         """The operator for flows of `scene`. Raises InputError, which names the key."""
@@ -122,7 +136,8 @@ class TabulatedSettings(ObservationSettings):
         table = self.table(path, [name for name in self.columns if name not in self.optional], self.optional)
         numbers: dict[str, Any] = {self.columns[name]: tuple(column.tolist()) for name, column in table.items()}
         try:
-            return replace(self, csv=None, **numbers).read(scene, folder, released)
+            read = replace(self, csv=None, **numbers).in_box(scene.domain.corner, [*numbers])
+            return read.read(scene, folder, released)
         except InputError as error:
             # A mistake in a column is none of the problem's file.
             raise error.at(str(path)) if error.key in ("", *numbers) else error from None

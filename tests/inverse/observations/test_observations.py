@@ -21,10 +21,10 @@ from inverse.observations import (
     Rollout,
     SpeedSettings,
 )
-from inverse.observations.deposit import Outline
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.gauges import Gauges, Impulse, PeakForce
 from inverse.observations.observation import Joint, fitted_tail
+from inverse.observations.outline import Extents
 from inverse.target import read_target
 from tests.refusals import refused
 from tests.scenes import flow_of, scene_of
@@ -259,11 +259,10 @@ def test_the_impulse_is_that_of_the_solid() -> None:
 
 def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
     scene = scene_of(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)), size=(1.0, 0.5, 1.0), cell=0.05)
-    outline = Outline(scene, (0.0, 90.0, 180.0, 270.0))
+    outline = Extents(scene, (0.0, 90.0, 180.0, 270.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
     rim = np.stack([0.5 + 0.3 * np.cos(angle), np.zeros(4000), 0.5 + 0.2 * np.sin(angle)], axis=1)
     np.testing.assert_allclose(outline.exact(rim), [0.3, 0.2, 0.3, 0.2], rtol=0.001)
-    np.testing.assert_allclose(outline.of_line(rim[::100, [0, 2]]), [0.3, 0.2, 0.3, 0.2], rtol=0.01)
     smooth = outline.smooth(torch.from_numpy(rim), torch.ones(4000)).numpy()
     np.testing.assert_allclose(smooth, outline.exact(rim), atol=0.001)
 

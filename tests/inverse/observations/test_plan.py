@@ -5,11 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 import torch
 
 from datasets import Domain, Mass, Scene, Solid, Trajectory
 from datasets.exchange.rasters import write_raster
-from inverse.observations import ThicknessSettings
+from inverse.observations import OutlineSettings, ThicknessSettings
+from inverse.observations.outline import Boundary
+from inverse.problem import read_problem
 from tests.refusals import refused
 from tests.scenes import flow_of, scene_of
 
@@ -108,3 +111,102 @@ def test_what_is_no_raster_of_this_flow_is_refused(tmp_path: Path) -> None:
     refused(ThicknessSettings(file="cm.tif").read, made, tmp_path, 0.04, said="cm.tif: expected a volume of at most")
     refused(ThicknessSettings(file="far.tif").read, made, tmp_path, 0.04, said="far.tif: expected cells between 0 and")
     refused(lambda: ThicknessSettings(cell=-1.0), said="a length above 0")
+
+
+def disc(scene: Scene, radius: float, middle: tuple[float, float] = (2.0, 2.0)) -> Trajectory:
+    """A layer 0.1 m thick within a circle."""
+    x, z = np.meshgrid(*(np.arange(0.0125, 4.0, 0.025),) * 2, indexing="ij")
+    inside = np.hypot(x - middle[0], z - middle[1]) < radius
+    points = np.stack([x[inside], np.zeros(inside.sum()), z[inside]], axis=1)
+    return dataclasses.replace(flow_of(scene, points[None]), volume=np.full(len(points), 0.025**2 * 0.1, np.float32))
+
+
+def ring(radius: float) -> list[list[float]]:
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)[:-1]
+    return (2.0 + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)).tolist()
+
+
+@pytest.mark.parametrize("suffix", ["csv", "geojson", "gpkg"])
+def test_an_outline_is_signed_distances_along_the_boundary(suffix: str, tmp_path: Path) -> None:
+    """Circles of 1.3 and 1.0 m about an observed one of 1.15 m, on the map: 0.15 m beyond and short all around."""
+    made = scene(origin=True)
+    vertices = np.array(ring(1.15)) + CORNER
+    path = tmp_path / f"seen.{suffix}"
+    if suffix == "csv":
+        path.write_text("x,z\n" + "".join(f"{x:.6f},{z:.6f}\n" for x, z in vertices))
+    else:
+        import pyogrio
+
+        polygon = shapely.to_wkb(np.array([shapely.Polygon(vertices)]))
+        pyogrio.raw.write(path, polygon, [], [], geometry_type="Polygon", crs="EPSG:2056")
+    key = "csv" if suffix == "csv" else "file"
+    settings = OutlineSettings(**{key: path.name}, noise=0.05, length=1.0, thickness=0.05)
+    made = dataclasses.replace(made, domain=dataclasses.replace(made.domain, crs="EPSG:2056"))
+    target = settings.read(made, tmp_path, None)
+    assert not target.values.any()
+    for radius in (1.3, 1.0):
+        run = disc(made, radius)
+        np.testing.assert_allclose(target.observation.observe(run), radius - 1.15, atol=0.03)
+        scores = target.observation.scores(run.positions[-1], run.volumes)
+        assert scores["intersection_over_union"] == pytest.approx(min(1.15 / radius, radius / 1.15) ** 2, abs=0.02)
+        both, beyond, missed = min(radius, 1.15) ** 2, max(0.0, radius**2 - 1.15**2), max(0.0, 1.15**2 - radius**2)
+        assert scores["tversky"] == pytest.approx(both / (both + 0.3 * beyond + 0.7 * missed), abs=0.02)
+    # Neighbours share their error: 36 points, 0.2 m apart.
+    matrix = target.errors.matrix / 0.05**2
+    step = 2.0 * 1.15 * np.sin(np.pi / len(matrix))
+    assert matrix[0, 1] == pytest.approx(np.exp(-step), rel=1e-3)
+
+
+def test_the_slope_of_a_distance_is_that_of_the_boundary() -> None:
+    """As a disc is scaled about its middle, the boundary moves with its radius."""
+    made = scene()
+    run, factor = disc(made, 1.0), torch.tensor(1.0, dtype=torch.float64, requires_grad=True)
+    boundary = Boundary(made, shapely.Polygon(ring(1.15)), thickness=0.05)
+    points, middle = torch.from_numpy(run.positions[0]).double(), torch.tensor([2.0, 0.0, 2.0])
+    numbers = boundary.smooth(middle + factor * (points - middle), torch.from_numpy(run.volumes) * factor**2)
+    (slope,) = torch.autograd.grad(numbers.mean(), factor)
+    assert float(slope) == pytest.approx(1.0, rel=0.1)
+
+
+def test_a_twins_outline_is_its_own_and_a_wrong_one_is_refused(tmp_path: Path) -> None:
+    made = scene()
+    target = OutlineSettings(noise=0.05).of_run(made, disc(made, 1.0))
+    np.testing.assert_allclose(target.observation.observe(disc(made, 1.0)), 0.0, atol=1e-9)
+    assert target.observation.scores(disc(made, 1.0).positions[-1], disc(made, 1.0).volumes)["tversky"] > 0.999
+    (tmp_path / "far.csv").write_text("x,z\n10,0\n12,0\n12,2\n")
+    (tmp_path / "bow.csv").write_text("x,z\n1,1\n2,2\n2,1\n1,2\n")
+    for name, said in (("far", "within the box"), ("bow", "in order along the outline")):
+        refused(OutlineSettings(csv=f"{name}.csv", noise=0.1).read, made, tmp_path, None, said=said)
+    refused(OutlineSettings(noise="5%").of_run, made, disc(made, 1.0), said="a distance in m")
+
+
+def test_places_of_a_problem_are_on_the_map_of_its_scene(tmp_path: Path) -> None:
+    """The same problem in a box at (500, 1300) as in one without a place: TOML and CSV alike."""
+    targets = []
+    for x, text in ((0.0, ""), (500.0, "origin = [500.0, 1300.0]\n")):
+        lower = 1300.0 if text else 0.0
+        (tmp_path / "scene.toml").write_text(
+            f"[domain]\nsize = [1.0, 0.5]\ncell = 0.02\n{text}[material]\nfriction_deg = 30.0\n"
+            f"[[masses]]\nlower = [{x}, {lower}]\nsize = [0.2, 0.4]\n"
+        )
+        (tmp_path / "gauges.csv").write_text(f"x,height\n{x + 0.1},0.2\n{x + 0.3},0.1\n")
+        rows = "".join(f"{x + a},{0.2 - 0.25 * a}\n" for a in np.linspace(0.0, 0.8, 9))
+        (tmp_path / "profile.csv").write_text("x,height\n" + rows)
+        (tmp_path / "problem.toml").write_text(
+            'scene = "scene.toml"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 20.0\nupper = 40.0\n'
+            f'[[observations]]\nkind = "front"\nvalue = {x + 0.6}\nnoise = 0.01\n'
+            f'[[observations]]\nkind = "toe"\nvalues = [{x + 0.5}, {lower + 0.02}]\nnoise = 0.01\n'
+            f'[[observations]]\nkind = "passed"\nline = {x + 0.4}\nvalue = 0.3\nnoise = 0.01\n'
+            f'[[observations]]\nkind = "arrival"\nx = [{x + 0.4}]\nvalues = [0.3]\nnoise = 0.01\n'
+            f'[[observations]]\nkind = "speed"\nx = [{x + 0.3}, {x + 0.4}]\nvalue = 1.0\nnoise = 0.1\n'
+            '[[observations]]\nkind = "height"\ncsv = "gauges.csv"\nnoise = 0.01\n'
+            '[[observations]]\nkind = "profile"\ncsv = "profile.csv"\nnoise = 0.01\n'
+        )
+        targets.append(read_problem(str(tmp_path / "problem.toml")).measured)
+    for here, there in zip(*targets, strict=True):
+        np.testing.assert_allclose(there.values, here.values, atol=1e-9)
+        assert getattr(there.observation, "line", 0.0) == pytest.approx(getattr(here.observation, "line", 0.0))
+        np.testing.assert_allclose(getattr(there.observation, "x", 0.0), getattr(here.observation, "x", 0.0))
+    problem = (tmp_path / "problem.toml").read_text().replace("value = 500.6", "value = 0.6")
+    (tmp_path / "problem.toml").write_text(problem)
+    refused(read_problem, str(tmp_path / "problem.toml"), said="from the origin of the scene, 500, 1300")
