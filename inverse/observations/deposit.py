@@ -207,3 +207,4 @@ class DepositSettings(ObservationSettings):
     """Of `Deposit`, whose numbers are those of a twin or a trajectory."""
 
     operator_type = Deposit
+    robust = False

@@ -158,6 +158,7 @@ class OutlineSettings(LengthsSettings):
     """Correlation length of the errors along the boundary [m]: exp(-distance / length); independent where absent."""
 
     operator_type = Boundary
+    robust = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -138,6 +138,7 @@ class ThicknessSettings(ObservationSettings):
     """Correlation length of their errors in plan [m]: exp(-distance / length); independent where absent."""
 
     operator_type = Thickness
+    robust = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

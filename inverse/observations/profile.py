@@ -166,6 +166,7 @@ class ProfileSettings(LengthsSettings):
     """Height of the floor in a table [`unit`]."""
 
     operator_type, blanks = Profile, True
+    robust = False
 
     def operator(self, scene: Scene, rows: Values | None = None, ends: tuple[float, float] | None = None) -> Profile:
         """See `ObservationSettings.operator`; rows, ends: see `Profile`."""

@@ -13,7 +13,7 @@ from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.schema import Record
-from inverse.observations.errors import Covariance, Noise
+from inverse.observations.errors import Covariance, Noise, StatedNoise, Student
 from inverse.observations.observation import Observation, Values
 from inverse.observations.target import Target
 
@@ -28,9 +28,11 @@ class ObservationSettings(Record):
 
     name: str | None = None
     """As it is called in reports; its kind where absent."""
-    noise: float | str = 0.0
+    noise: StatedNoise = 0.0
     """Standard deviation of each number, of a profile of each height: in their unit, or a percentage such as "3%"."""
 
+    robust: ClassVar[bool] = True
+    """Whether its numbers have errors of their own, so that one may be an outlier."""
     operator_type: ClassVar[type[Observation]]
     options: ClassVar[tuple[str, ...]] = ()
     """Keys that the operator takes."""
@@ -39,6 +41,8 @@ class ObservationSettings(Record):
 
     def __post_init__(self) -> None:
         Noise.stated(self.noise)
+        plain = self.robust or not isinstance(self.noise, Student)
+        require(plain, "noise", "a number or a percentage for numbers whose errors depend on each other", "student")
         require(len(self.given) < 2, "", f"one of {', '.join(self.sources)}", " and ".join(self.given))
 
     def in_box(self, corner: Floats, keys: Sequence[str] | None = None) -> Self:
@@ -86,7 +90,8 @@ class ObservationSettings(Record):
     def compared(self, operator: Observation, values: Values) -> Target:
         """`values` [M] with errors that are independent of each other."""
         errors = Covariance(Noise.stated(self.noise).of(values))
-        return Target(observation=operator, values=values, errors=errors)
+        dof = np.full(len(values), self.noise.dof) if isinstance(self.noise, Student) else None
+        return Target(observation=operator, values=values, errors=errors, dof=dof)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         """What was measured. Raises InputError, which names the key or the table.

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,10 @@ class Target:
     """Shape [M]."""
     errors: Covariance
     """Of the values by errors of the measurement."""
+    dof: Values | None = None
+    """Degrees of freedom of Student's t of each error, inf of normal ones, shape [M]; all are normal where absent."""
+    stated: Covariance | None = None
+    """The errors as they were stated, where `errors` count outliers for what they are (`reweighted`)."""
     profile: MeasuredProfile | None = None
     """Where heights of a profile have errors."""
     roughness: float = 1.0
@@ -41,6 +45,23 @@ class Target:
     def deviation(self) -> Values:
         """Standard deviation of each value by errors of the measurement, shape [M]."""
         return self.errors.deviation
+
+    def reweighted(self, square: Values) -> "Target":
+        """With the errors that residuals show whose expected squares are `square` [M].
+
+            s_i^2 / l_i,    l_i = (nu + 1) / (nu + r_i^2 / s_i^2)
+
+        Student's t is a normal distribution whose variance is itself drawn; l is the mean of its precision given the
+        residual (Lange, Little & Taylor, Robust statistical modeling using the t distribution, J. Am. Stat. Assoc. 84
+        (1989) 881-896; over a posterior Tipping & Lawrence, Neurocomputing 69 (2005) 123-141).
+        """
+        assert self.dof is not None, "normal errors have one weight"
+        stated = self.stated or self.errors
+        ratio = square / np.maximum(stated.deviation, 1e-300) ** 2
+        robust = np.isfinite(self.dof)
+        finite = np.where(robust, self.dof, 1.0)
+        weights = np.where(robust, (finite + 1.0) / (finite + ratio), 1.0)
+        return replace(self, errors=stated.over(np.sqrt(weights)), stated=stated)
 
     def misfit(self, values: Values) -> float:
         """Misfit of `values` [M]; see `Observation.misfit`."""
@@ -66,7 +87,9 @@ def joined(targets: Sequence[Target], names: Sequence[str]) -> Target:
     for part in parts:
         if not np.all(scale[part.numbers] > 0.0):
             raise InputError(f"expected a noise above 0 for {part.name}, whose numbers are all 0", key="observations")
+    dofs = [np.full(len(each.values), math.inf) if each.dof is None else each.dof for each in targets]
     return Target(
+        dof=np.concatenate(dofs) if any(each.dof is not None for each in targets) else None,
         observation=Joint(parts, scale, prior),
         values=np.concatenate([each.values for each in targets]) / scale,
         errors=errors.over(scale),

@@ -27,6 +27,10 @@ from inverse.search.waves import ModelRun, WaveSearch, filling
 
 EXCLUDED = 1e-3
 """Probability of parameters beyond the region of a surrogate, were its band right."""
+REWEIGHTED = 0.05
+"""Change of the deviation of an error, over it, that changes no interval."""
+UPDATES = 12
+"""Of the errors of outliers, at most."""
 STEEP = 4.0
 """By how much the logarithm of the probability falls beyond the region, for each that the likelihood falls."""
 R = TypeVar("R", bound=ModelRun)
@@ -68,21 +72,30 @@ class Inference:
         """With the posterior by all runs of `search`."""
         points, guide = search.points, self.guide
         many = points.shape[1] > CONSTANTS.few_parameters
-        found = posterior(
-            points,
-            search.numbers,
-            self.target,
-            scatter=self.scatter,
-            region=self.region or self.left(points, known=len(search.known) > 0),
-            rng=search.generator(),
-            factor=self.factor,
-            discretisation=self.discretisation,
-            extrapolated=self.extrapolated,
-            trends=(linear,) if guide is None else (guide.trend, linear),
-            within=None if guide is None or (many and search.waves) else guide.within,
-            prior=self.problem.prior,
-        )
-        return replace(self, latest=found, region=None)
+        target, region = self.target, self.region or self.left(points, known=len(search.known) > 0)
+        for _ in range(UPDATES):
+            found = posterior(
+                points,
+                search.numbers,
+                target,
+                scatter=self.scatter,
+                region=region,
+                rng=search.generator(),
+                factor=self.factor,
+                discretisation=self.discretisation,
+                extrapolated=self.extrapolated,
+                trends=(linear,) if guide is None else (guide.trend, linear),
+                within=None if guide is None or (many and search.waves) else guide.within,
+                prior=self.problem.prior,
+            )
+            if target.dof is None:
+                break
+            # Robust noise: what the posterior so far shows of each error, until it shows the same again.
+            square = (found.expected(found.samples.points) - target.values) ** 2
+            before, target = target.deviation, target.reweighted(found.samples.weights @ square)
+            if np.all(np.abs(target.deviation - before) <= REWEIGHTED * before):
+                break
+        return replace(self, latest=found, region=None, target=target)
 
     def left(self, points: Matrix, *, known: bool) -> Region | None:
         """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there.

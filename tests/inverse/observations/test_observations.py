@@ -25,6 +25,7 @@ from inverse.observations.errors import Covariance, Noise
 from inverse.observations.gauges import Gauges, Impulse, PeakForce
 from inverse.observations.observation import Joint, fitted_tail
 from inverse.observations.outline import Extents
+from inverse.observations.target import joined
 from inverse.target import read_target
 from tests.refusals import refused
 from tests.scenes import flow_of, scene_of
@@ -189,6 +190,17 @@ def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
         ('kind = "front"', "observations[0]", "expected what was measured for front: value"),
         ('kind = "front"\nvalue = 0.7\nnoise = "3 per cent"', "observations[0].noise", "percentage"),
         ('kind = "front"\nvalue = 0.7\nnoise = -1.0', "observations[0].noise", "at least 0"),
+        ('kind = "front"\nvalue = 0.7\nnoise = { kind = "cauchy" }', "observations[0].noise.kind", "student"),
+        (
+            'kind = "front"\nvalue = 0.7\nnoise = { kind = "student", dof = 0.5, deviation = 1.0 }',
+            "observations[0].noise.dof",
+            "at least 1",
+        ),
+        (
+            'kind = "profile"\nnoise = { kind = "student", deviation = 0.1 }',
+            "observations[0].noise",
+            "depend on each other",
+        ),
         ('kind = "profile"\ntimes = [0.1, 0.2]', "observations[0].times", "one time"),
         ('kind = "impulse"\nvalue = 1.0', "observations[0].solid", "the scene has no solids"),
         ('kind = "outline"\nvalues = [1.0]', "observations[0].kind", "in 3D"),
@@ -337,3 +349,23 @@ def test_the_peak_force_is_the_largest_mean_over_its_window() -> None:
     np.testing.assert_allclose(PeakForce(BAFFLED, window=0.1).predict(rollout).numpy(), 3.8)
     assert not PeakForce.of_positions
     refused(PeakForce, BAFFLED, window=5.0, said="a time from")
+
+
+def test_robust_noise_is_stated_in_a_table_and_drawn_with_its_tails(tmp_path: Path) -> None:
+    times = ", ".join(f"{time:.3f}" for time in np.linspace(0.0, 1.0, 400))
+    text = f'[[observations]]\nkind = "front"\ntimes = [{times}]\nnoise = {{ kind = "student", deviation = 0.01 }}\n'
+    (tmp_path / "twin").mkdir()
+    asked = written(tmp_path / "twin", text + "[target]\ntwin = true\n")
+    target = read_target(asked, flow)
+    assert target.dof is not None
+    np.testing.assert_array_equal(target.dof, 4.0)
+    off = (target.values - target.observation.observe(flow(asked.scene))) / 0.01
+    # Of 400 normal numbers 1 is beyond 3, of Student's t 16; and half of either within 0.67 and 0.74.
+    assert 6 <= np.sum(np.abs(off) > 3.0) <= 32
+    assert np.median(np.abs(off)) == pytest.approx(0.74, abs=0.12)
+    # Beside normal noise one number is down-weighted, the other never.
+    both = joined([target, dataclasses.replace(target, dof=None)], ["a", "b"])
+    shown = both.reweighted((both.deviation * 10.0) ** 2)
+    np.testing.assert_allclose(shown.deviation[:400] / both.deviation[:400], np.sqrt(104.0 / 5.0))
+    np.testing.assert_allclose(shown.deviation[400:], both.deviation[400:])
+    np.testing.assert_allclose(shown.reweighted(both.deviation**2).deviation, both.deviation)
