@@ -49,6 +49,8 @@ class Result:
     """Of numbers, over the whole box."""
     further: dict[str, float] = field(default_factory=dict)
     """Where the answer is ambiguous: the measurements of a deposit that would decide most, with their information."""
+    without: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Half-widths by name without each of several observations, and with all (`ALL_DATA`), from the same runs."""
     fields: tuple[FieldPosterior, ...] = ()
     notes: tuple[str, ...] = ()
     """What else is to be known of the uncertainty, in sentences."""
@@ -211,6 +213,8 @@ class Result:
         if problem.prior is not None:
             keys["prior"] = {each.name: changed(each.prior) for each in problem.numbers if each.prior is not None}
             keys["correlations"] = [changed(each) for each in problem.correlations]
+        if self.without:
+            keys["without"] = self.without
         if self.fields:
             keys["fields"] = [each.as_json() for each in self.fields]
         return keys | self.record

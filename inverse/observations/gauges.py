@@ -53,6 +53,11 @@ class Gauges(SmoothObservation):
             width = scene.domain.size[2]
             self.area = self.area * (width if z is None else float(hat_area(np.array([z]), self.spacing, width)[0]))
 
+    @property
+    def places(self) -> tuple[str, Values]:
+        together = self.times is None or len(np.unique(self.times)) == 1
+        return ("x [m]", self.x) if together else super().places
+
     def gathered(self, rows: Any) -> Any:
         return rows.diagonal()
 

@@ -61,6 +61,10 @@ class Arrival(SmoothObservation):
         self.gauges = None if thickness is None else Gauges(scene, x, z=z, spacing=spacing)
         self.count, self.limits = len(self.x), (0.0, scene.duration)
 
+    @property
+    def places(self) -> tuple[str, Values]:
+        return "x [m]", self.x
+
     def predict(self, rollout: Rollout) -> Tensor:
         if self.gauges is None:
             front = torch.stack([fitted_tail(frame[:, 0], rollout.volumes) for frame in rollout.positions])

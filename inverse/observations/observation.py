@@ -131,6 +131,13 @@ class Observation:
         """Mean over numbers or points of the squared distance from the target [unit^2], as in the paper."""
         return self.components * float(np.mean((values - target) ** 2))
 
+    @property
+    def places(self) -> tuple[str, Values]:
+        """Where or when its numbers were observed, shape [M], and what that is; numbers from 1 on where neither is."""
+        if self.times is not None and len(self.times) == self.count:
+            return "time [s]", self.times
+        return "number", np.arange(1.0, self.count + 1.0)
+
     def scores(self, positions: NDArray[np.floating], volumes: Values) -> dict[str, float]:
         """How well a deposit [m], shape [N, D], of `volumes` [N] covers what was observed, by name [-]."""
         return {}

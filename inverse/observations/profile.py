@@ -122,6 +122,10 @@ class Profile(Observation):
         # The root of low s + bend s^2 / 4 = rest that goes over into rest / low where there is no bend.
         return stations[right - 1] + 2.0 * rest / (low + torch.sqrt((low**2 + bend * rest).clamp(min=1e-300)))
 
+    @property
+    def places(self) -> tuple[str, Values]:
+        return "share of the area [-]", np.array(SHARES)
+
     def front(self, values: Values) -> float:
         return float(values[-1])
 

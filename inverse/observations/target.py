@@ -14,6 +14,9 @@ from inverse.observations.errors import Covariance
 from inverse.observations.measured_profile import MeasuredProfile
 from inverse.observations.observation import Joint, JointPart, Observation, Values
 
+ALL_DATA = "none"
+"""What is left out where nothing is."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
@@ -70,6 +73,29 @@ class Target:
     def front_error(self, run: Trajectory) -> float:
         """Relative error of the front of the deposit of `run`; nan where the target has none."""
         return (measures.front(run.positions[-1], run.volumes) - self.front) / self.front
+
+
+def without(target: Target, name: str) -> tuple[Target, NDArray[np.int64]]:
+    """Several observations as one without one of them, or all for a name that none has, and which numbers are left."""
+    parts, kept, index = [], 0, []
+    for each in target.observation.parts:
+        if each.name != name:
+            own = np.arange(len(target.values))[each.numbers]
+            parts.append(replace(each, numbers=slice(kept, kept + len(own))))
+            index.append(own)
+            kept += len(own)
+    left, whole = np.concatenate(index), target.observation
+    scale = np.broadcast_to(whole.scale, len(target.values))[left]
+    prior = scale * whole.prior_scatter(target.values)[left]
+    some = replace(
+        target,
+        observation=Joint(parts, scale, prior),
+        values=target.values[left],
+        errors=target.errors.some(left),
+        dof=None,
+        stated=None,
+    )
+    return some, left
 
 
 def joined(targets: Sequence[Target], names: Sequence[str]) -> Target:

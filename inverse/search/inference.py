@@ -16,9 +16,9 @@ from scipy.stats import chi2
 
 from inverse.forward import Forward
 from inverse.observations import Values
-from inverse.observations.target import Target
+from inverse.observations.target import ALL_DATA, Target, without
 from inverse.posterior import Matrix
-from inverse.posterior.answers import Part, parts
+from inverse.posterior.answers import Part, parts, quantiles
 from inverse.posterior.emulator import fewest_runs, linear
 from inverse.posterior.posterior import SMALLEST, Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
@@ -231,6 +231,34 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         square = np.einsum("sr,rs->s", residual, np.linalg.solve(found.likelihood.fixed / factor**2, residual.T))
         contradiction = float(np.sqrt(square.max() / chi2.isf(0.05, residual.shape[1])))
         return self if contradiction <= factor else self.refined(factor=contradiction)
+
+
+def left_out(search: WaveSearch[Any, Any]) -> dict[str, dict[str, float]]:
+    """Half-widths of the numbers without each of several observations, and with all (`ALL_DATA`), by their names.
+
+    By an emulator of all runs over the whole box: the posterior without an observation may lie anywhere in it.
+    """
+    known: Inference = search.knowledge
+    names, found = [each.name for each in known.target.observation.parts], {}
+    if len(names) < 2:
+        return {}
+    for name in (ALL_DATA, *names):
+        target, index = without(known.target, name)
+        cells = None if known.discretisation is None else known.discretisation[index]
+        samples = posterior(
+            search.points,
+            search.numbers[:, index],
+            target,
+            scatter=known.scatter[index],
+            rng=search.generator(),
+            factor=known.factor,
+            discretisation=cells,
+            extrapolated=known.extrapolated,
+            prior=known.problem.prior,
+        ).samples
+        low, _, high = quantiles(samples.points, samples.weights)
+        found[name] = known.problem.named(0.5 * known.box.range * (high - low))
+    return found
 
 
 def begun(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:
