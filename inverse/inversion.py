@@ -16,6 +16,7 @@ from inverse.problem import Problem
 from inverse.result import Result
 from inverse.saving import save
 from inverse.search.descent import ROUGH, inverted
+from inverse.search.inference import left_out
 from inverse.settings import ForwardModel, Surrogate
 from inverse.target import read_target
 from mpm import simulate, simulate_many
@@ -98,6 +99,7 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
             for each, misfit in zip(found.runs, misfits, strict=True)
         ],
         posterior=found.posterior,
+        without=left_out(found),
         seconds={"per_iteration": total / len(misfits), "mpm": total if by_mpm else 0.0, "total": total},
         record={"loss": loss | {"initial": misfits[0]}} | ({"flows": len(misfits) + 2} if by_mpm else {}),
     )

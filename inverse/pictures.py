@@ -27,6 +27,7 @@ from inverse.field_posterior import FieldPosterior
 from inverse.observations.deposit import Passed, Toe
 from inverse.observations.profile import Profile
 from inverse.parameters.field import LABELS
+from inverse.residuals import draw, residuals
 from inverse.result import Result
 
 Deposit = NDArray[np.floating]
@@ -61,6 +62,8 @@ def write(result: Result, folder: Path) -> list[str]:
     if len(result.problem.numbers) > 2:
         figures["unknowns.png"] = unknowns(result)
     figures |= {f"{each.stem}.png": field(each) for each in result.fields}
+    if fits := residuals(result):
+        figures["fit.png"] = draw(fits)
     if result.posterior is not None:
         figures["posterior.png"] = posterior(result)
     for name, figure in figures.items():

@@ -17,6 +17,7 @@ from datasets.scene.library import find, read_scene
 from datasets.scene.particles import released_volume
 from datasets.schema import Record, from_mapping, one_of
 from inverse.observations import KINDS, Observation, ObservationSettings
+from inverse.observations.settings import FILES
 from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, check_parameters, check_scene, with_kinds, with_parameters
 from inverse.parameters.field import UnknownField
@@ -227,7 +228,7 @@ class Problem(ProblemKeys):
                 alone = len(self.observations) == 1 or not settings.operator_type.every_particle
                 require(alone, "kind", "an observation of few numbers beside others", repr(settings.kind))
                 given = settings.given
-                if "csv" not in given:
+                if not given.keys() & {*FILES}:
                     operator = settings.operator(self.scene)
                     if given:
                         settings.stated(operator)
@@ -274,7 +275,7 @@ class Problem(ProblemKeys):
         require(not self.correlations, "correlations", "none beside a field", "some")
         for index, observation in enumerate(self.observations):
             operator = observation.operator_type
-            jointly = operator.of_positions and not operator.every_particle
+            jointly = (operator.of_positions or operator.dense) and not operator.every_particle
             expected = "an observation of positions of few numbers"
             require(jointly, f"observations[{index}].kind", expected, observation.kind)
         expected = f"none of the {len(self.seeds)} seeds from {self.seeds[0]} on, which the search has"
@@ -293,4 +294,13 @@ def read_problem(name: str) -> Problem:
         # A scene named by path lies beside the problem; a shipped one goes by its name.
         scene = read_scene(path.parent / file.scene if file.scene.endswith(".toml") else file.scene)
         keys = vars(file) | {"name": path.stem, "asked": str(name), "folder": path.parent, "scene": scene}
-        return Problem(parameters=keys.pop("unknowns"), **keys)
+        if scene.domain.origin is None:
+            return Problem(parameters=keys.pop("unknowns"), **keys)
+        keys["observations"] = tuple(each.in_box(scene.domain.corner) for each in file.observations)
+        try:
+            return Problem(parameters=keys.pop("unknowns"), **keys)
+        except InputError as error:
+            if not error.key.startswith("observations["):
+                raise
+            place = ", ".join(f"{each:.10g}" for each in scene.domain.origin)
+            raise InputError(f"{error.message}, from the origin of the scene, {place}", key=error.key) from None

@@ -12,7 +12,9 @@ from datasets.flow.measures import rms
 from inverse.answer import Answer, Combination, Purpose, Verdict, peak_memory_mib, unidentified
 from inverse.field_posterior import IDENTIFIED, FieldPosterior
 from inverse.noise import CONFIDENCE
+from inverse.observations.target import ALL_DATA
 from inverse.parameters import Parameter
+from inverse.residuals import outlying, residuals
 from inverse.result import Result
 
 NAMED = 4
@@ -40,6 +42,16 @@ def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
     for field in result.fields:
         parts += [f"## {field.name}", field_table(field), shown(f"{field.stem}.png", field.name)]
     parts += ["## Comparison with the target", comparison(result), shown("deposit.png", "deposits")]
+    if fits := residuals(result):
+        listed = table([row for each in fits for row in each.rows])
+        parts += [
+            "## The fit, number by number",
+            outlying(fits),
+            listed,
+            shown("fit.png", "the fit over time or place"),
+        ]
+    if result.without:
+        parts += ["## Which data matter", data_that_matter(result)]
     if notes := uncertainty(result):
         parts += ["## Uncertainty", *notes]
     parts.append(shown("posterior.png", "prior and posterior"))
@@ -225,6 +237,9 @@ def question(result: Result) -> str:
             row |= {"truth": text(truth[each.name]), "error": text(value - truth[each.name])}
             row["truth inside"] = "yes" if each.name in result.inside else "**no**"
         rows.append(row)
+    if (origin := result.problem.scene.domain.origin) is not None:
+        place = ", ".join(f"{each:.10g}" for each in origin)
+        observed += f" Lengths below count from the lower corner of the box, at {place} m on the map."
     return observed + (f"\n\n{table(rows)}" if rows else "")
 
 
@@ -250,8 +265,22 @@ def comparison(result: Result) -> str:
         row["noise"] = root(rms(deviation[own]))
         off = rms(shown[own] - measured[own]) if len(shown) == len(measured) else np.nan
         row["residual (root mean square)"] = root(off)
+        row |= {name.replace("_", " "): f"{score:.3f}" for name, score in result.scores.get(part.name, {}).items()}
         rows.append(row)
     return table(rows)
+
+
+def data_that_matter(result: Result) -> str:
+    """Half-widths of the numbers without each observation, by the emulator of the same runs."""
+    whole, rows = result.without[ALL_DATA], []
+    for name, widths in result.without.items():
+        row = {"left out": "nothing" if name == ALL_DATA else name}
+        for number in result.problem.numbers[:NAMED]:
+            own, share = widths[number.name], widths[number.name] / max(whole[number.name], 1e-300)
+            row[f"± `{number.name}` (95 %)"] = f"{number.kind.text(own)} ({share:.2g} times)"
+        rows.append(row)
+    said = "Half-widths without each observation, from the runs that there are, by an emulator of the whole box."
+    return f"{said}\n\n{table(rows)}"
 
 
 def identified(field: FieldPosterior) -> str:

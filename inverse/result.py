@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.scene import Scene
+from datasets.scene.particles import particle_volumes
 from datasets.schema import changed
 from inverse.answer import UNIFORM, Answer, Combination, MpmRun, Verdict, peak_memory_mib, plain
 from inverse.field_posterior import FieldPosterior
@@ -48,6 +49,8 @@ class Result:
     """Of numbers, over the whole box."""
     further: dict[str, float] = field(default_factory=dict)
     """Where the answer is ambiguous: the measurements of a deposit that would decide most, with their information."""
+    without: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Half-widths by name without each of several observations, and with all (`ALL_DATA`), from the same runs."""
     fields: tuple[FieldPosterior, ...] = ()
     notes: tuple[str, ...] = ()
     """What else is to be known of the uncertainty, in sentences."""
@@ -108,6 +111,15 @@ class Result:
         return errors
 
     @property
+    def scores(self) -> dict[str, dict[str, float]]:
+        """How well the deposit at the first answer covers each observation that has an area, by its name [-]."""
+        checks, count = self.answers[0].checks, len(self.deposit)
+        volumes = checks[0].trajectory.volumes if checks else particle_volumes(self.problem.scene, count)
+        parts = self.target.observation.parts
+        found = {each.name: each.observation.scores(self.deposit, volumes) for each in parts}
+        return {name: scores for name, scores in found.items() if scores}
+
+    @property
     def remarks(self) -> list[str]:
         """What a user must know of the flow at the first answer (`datasets.flow.caveats`)."""
         checks = self.answers[0].checks
@@ -156,6 +168,8 @@ class Result:
             observation["deviation"] = np.asarray(whole.scale).tolist()
         if math.isfinite(target.front):
             observation["front"] = target.front
+        if scores := self.scores:
+            observation["scores"] = scores
         if target.profile is not None:
             observation["profile"] = {"x": target.profile.x.tolist(), "height": target.profile.height.tolist()}
         same = len(self.predicted) == len(target.values)
@@ -199,6 +213,8 @@ class Result:
         if problem.prior is not None:
             keys["prior"] = {each.name: changed(each.prior) for each in problem.numbers if each.prior is not None}
             keys["correlations"] = [changed(each) for each in problem.correlations]
+        if self.without:
+            keys["without"] = self.without
         if self.fields:
             keys["fields"] = [each.as_json() for each in self.fields]
         return keys | self.record

@@ -31,7 +31,12 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
             parts.append(settings.of_run(problem.scene, run))
     target = joined(parts, part_names(problem))
     if problem.target.twin and target.deviation.any():
-        errors = target.errors.drawn(np.random.default_rng(problem.target.seed))
+        rng = np.random.default_rng(problem.target.seed)
+        errors = target.errors.drawn(rng)
+        if target.dof is not None:
+            # Student's t: a normal number over the root of a chi-square over its degrees of freedom.
+            dof = np.minimum(target.dof, 1e9)
+            errors = errors * np.sqrt(dof / rng.chisquare(dof))
         target = dataclasses.replace(target, values=target.values + errors)
     return dataclasses.replace(
         target,

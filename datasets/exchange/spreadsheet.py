@@ -7,6 +7,7 @@ are the columns `x` and `height`, in metres 0.105 and 0.021. What was understood
 """
 
 import csv
+import math
 import re
 import warnings
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ UNITS = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254},
     "time": {"s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0},
     "impulse": {"N s": 1.0, "Ns": 1.0, "kN s": 1000.0, "kNs": 1000.0, "N s/m": 1.0, "kN s/m": 1000.0},
+    "speed": {"m/s": 1.0, "cm/s": 0.01, "km/h": 1.0 / 3.6},
     "friction": {"-": 1.0, "1": 1.0},
 }
 """Of each quantity: its units, and what one is in SI."""
@@ -33,24 +35,34 @@ DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
 
 
 def read_columns(
-    path: Path, needed: Sequence[str], optional: Sequence[str] = (), *, others: bool = False, metres: float = 1.0
+    path: Path,
+    needed: Sequence[str],
+    optional: Sequence[str] = (),
+    *,
+    others: bool = False,
+    metres: float = 1.0,
+    blanks: bool = False,
 ) -> dict[str, NDArray[np.float64]]:
     """Columns of a table with a header, each of shape [R]: `needed` ones and the `optional` ones that are there.
 
     others: whether the file may have more columns, of anything. metres: the length in which columns without a unit of
-    their own are, and in which those that have one are returned; times are in seconds. Lines that begin with # are
-    comments. Raises InputError, which names the file.
+    their own are, and in which those that have one are returned; times are in seconds. blanks: whether empty rows and
+    cells are NaN; else rows are left out, cells refused. Lines that begin with # are comments. Raises InputError, which
+    names the file.
     """
     text = read_text(path, "a CSV")
     with reading(path, "a readable CSV"):
-        lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
+        lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line[:1] != "#"]
+        lines = [each for each in lines if blanks or each[1].strip()]
+        while lines and not lines[0][1].strip():
+            lines = lines[1:]
         if lines and (stated := re.fullmatch(r"sep=(.)", lines[0][1].strip(), re.IGNORECASE)):
             lines, separator = lines[1:], stated[1]
         else:
             separator = max(SEPARATORS, key=lines[0][1].count) if lines else ","
         # Line by line and strictly: a quotation mark that nothing closes would swallow others.
         rows = [next(csv.reader([line], delimiter=separator, strict=True)) for _, line in lines]
-        numbered = [(number, row) for (number, _), row in zip(lines, rows, strict=True) if any(map(str.strip, row))]
+        numbered = [(n, row) for (n, _), row in zip(lines, rows, strict=True) if blanks or any(map(str.strip, row))]
         header = [cell.strip() for cell in numbered[0][1]] if numbered else []
         while header and not header[-1]:
             header.pop()
@@ -65,7 +77,7 @@ def read_columns(
         places = [names.index(name) for name in known]
         for place in places:
             require(factors[place] is not None, "", f"a unit of `{names[place]}` such as [m] or [s]", header[place])
-        read = [numbers(number, row, len(header), places, separator) for number, row in numbered[1:]]
+        read = [numbers(number, row, len(header), places, separator, blanks) for number, row in numbered[1:]]
         require(len(read) > 0, "", f"rows of {len(known)} numbers", "none")
     said = [] if separator == "," else [f"{SEPARATORS.get(separator, repr(separator))} between columns"]
     said += ["decimal commas"] if any(commas for _, commas in read) else []
@@ -91,20 +103,25 @@ def described(header: Sequence[str], metres: float) -> tuple[list[str], list[flo
 
 
 def numbers(
-    line: int, row: Sequence[str], count: int, places: Sequence[int], separator: str
+    line: int, row: Sequence[str], count: int, places: Sequence[int], separator: str, blanks: bool
 ) -> tuple[list[float], bool]:
-    """The numbers in some columns of a row, and whether any has a decimal comma. Raises InputError."""
+    """The numbers in some columns of a row, and whether any has a decimal comma. Raises InputError.
+
+    blanks: whether what is empty is NaN.
+    """
     cells, commas = [cell.strip() for cell in row], False
+    if blanks and not any(cells):
+        return [math.nan] * len(places), False
     while len(cells) > count and not cells[-1]:
         cells.pop()
     if separator != ",":
         commas = any(DECIMAL_COMMA.fullmatch(cells[place]) for place in places if place < len(cells))
         cells = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
     try:
-        found = [float(cells[place]) for place in places] if len(cells) == count else []
+        found = [float(cells[place] or ("nan" if blanks else "")) for place in places] if len(cells) == count else []
     except ValueError:
         found = []
-    if len(found) < len(places) or not all(abs(value) <= FARTHEST for value in found):
+    if len(found) < len(places) or not all(abs(value) <= FARTHEST or (blanks and math.isnan(value)) for value in found):
         got = f"{separator.join(row).strip()[:40]!r}"
         raise InputError(f"expected {count} values in line {line}, all of them finite, got {got}")
     return found, commas

@@ -1,7 +1,6 @@
-"""Where a flow came to rest: front, runout, toe, the share beyond a line, every particle, the outline."""
+"""Where a flow came to rest: front, runout, toe, the share beyond a line, every particle."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -10,19 +9,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from datasets.errors import naming, require
+from datasets.errors import require
 from datasets.flow import measures
 from datasets.scene import Scene
-from datasets.scene.particles import mass_centroids, mass_volumes, particle_volumes
-from inverse.observations.measured_profile import require_inside
+from datasets.scene.particles import particle_volumes
 from inverse.observations.observation import Numbers, Observation, Values, fitted_tail
 from inverse.observations.settings import LengthsSettings, ObservationSettings
-from inverse.observations.target import Target
 
 SHARE_SCATTER = 0.005
 """Standard deviation of a share from flow to flow [-], before an ensemble has measured it."""
-DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)
-"""Of an outline, where none are named."""
 
 
 class Front(Observation):
@@ -57,6 +52,7 @@ class FrontSettings(LengthsSettings):
     """When [s] after the start; where absent, in the end."""
 
     operator_type, options = Front, ("times",)
+    places: ClassVar = {"value": 0, "values": 0}
     columns: ClassVar = {"time": "times", "front": "values"}
 
 
@@ -86,6 +82,7 @@ class RunoutSettings(ObservationSettings):
     """[m]."""
 
     operator_type = Runout
+    places: ClassVar = {"value": 0}
 
 
 class Toe(Observation):
@@ -133,6 +130,7 @@ class ToeSettings(ObservationSettings):
     """Its coordinates [m]."""
 
     operator_type = Toe
+    places: ClassVar = {"values": None}
 
 
 class Passed(Observation):
@@ -177,6 +175,7 @@ class PassedSettings(ObservationSettings):
     """Length over which the share is smoothed for gradients [m]; a cell of the scene where absent."""
 
     operator_type, options = Passed, ("line", "width")
+    places: ClassVar = {"line": 0}
 
 
 class Deposit(Observation):
@@ -208,57 +207,4 @@ class DepositSettings(ObservationSettings):
     """Of `Deposit`, whose numbers are those of a twin or a trajectory."""
 
     operator_type = Deposit
-
-
-class Outline(Observation):
-    """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan.
-
-    What a front is along x, of (p - c) . n: the support function of the outline, robust against single particles.
-    """
-
-    kind = "outline"
-    label = "the outline of the deposit in plan"
-
-    def __init__(self, scene: Scene, directions_deg: Numbers = None) -> None:
-        super().__init__(scene)
-        require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
-        angles = np.deg2rad(DIRECTIONS_DEG if directions_deg is None else np.array(directions_deg))
-        self.directions = np.stack([np.cos(angles), np.sin(angles)])
-        """From +x towards +z, shape [2, M]."""
-        self.count = len(angles)
-        volumes = mass_volumes(scene)
-        self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]
-
-    def exact(self, positions: NDArray[np.floating]) -> Values:
-        extent = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions
-        volumes = particle_volumes(self.scene, len(positions))
-        return np.array([measures.front(along[:, None], volumes) for along in extent.T])
-
-    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        extent = (positions[:, [0, 2]].double() - torch.from_numpy(self.centre)) @ torch.from_numpy(self.directions)
-        return torch.stack([fitted_tail(along, volumes) for along in extent.T])
-
-    def of_line(self, vertices: NDArray[np.float64]) -> Values:
-        """Of a measured outline, vertices x and z [m], shape [V, 2], in any order; shape [M]."""
-        return np.asarray(((vertices - self.centre) @ self.directions).max(axis=0))
-
-
-@dataclass(frozen=True, kw_only=True)
-class OutlineSettings(LengthsSettings):
-    """Of `Outline`; the table has x and z of its vertices."""
-
-    values: tuple[float, ...] | None = None
-    """Extent [m] in each of `directions_deg`."""
-    directions_deg: tuple[float, ...] | None = None
-    """From +x towards +z; every 22.5 degrees where absent."""
-
-    operator_type, options = Outline, ("directions_deg",)
-
-    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
-        if self.csv is None:
-            return super().read(scene, folder, released)
-        operator, path = Outline(scene, self.directions_deg), folder / self.csv
-        vertices = np.stack([*self.table(path, ("x", "z")).values()], axis=1)
-        with naming(path):
-            require_inside(vertices[:, 0], scene.domain.size[0])
-        return self.compared(operator, operator.of_line(vertices))
+    robust = False

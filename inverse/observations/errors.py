@@ -3,14 +3,41 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import PlainValidator
 from scipy.linalg import block_diag
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.scene.grid_field import Floats
-from datasets.schema import fraction
+from datasets.schema import Bounds, Record, fraction, from_mapping
+
+
+@dataclass(frozen=True, kw_only=True)
+class Student(Record):
+    """Robust noise: Student's t, whose tails hold an outlier that a normal distribution would follow."""
+
+    dof: Annotated[float, Bounds("at least 1 degree of freedom", ge=1.0)] = 4.0
+    """Degrees of freedom; the fewer, the more outliers."""
+    deviation: float | str
+    """Its scale: the standard deviation of the numbers that are no outliers, as a normal noise is stated."""
+
+
+def read_noise(given: Any) -> Any:
+    """A noise as it stands in a file. Raises InputError."""
+    if isinstance(given, dict):
+        kind = given.get("kind")
+        require(kind == "student", "kind", "student; a number or a percentage is normal noise", repr(kind))
+        return from_mapping(Student, {key: value for key, value in given.items() if key != "kind"})
+    stands = isinstance(given, float | int | str) and not isinstance(given, bool)
+    require(stands, "", "a number, a percentage such as 3% or a table with the kind student", repr(given))
+    return given
+
+
+StatedNoise = Annotated[float | str | Student, PlainValidator(read_noise, json_schema_input_type=Any)]
+"""Of each number: a standard deviation in its unit, a percentage such as "3%", or robust noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +50,10 @@ class Noise:
     """In the unit of the numbers."""
 
     @classmethod
-    def stated(cls, noise: float | str) -> "Noise":
-        """A number, or a percentage such as "3%". Raises InputError."""
+    def stated(cls, noise: float | str | Student) -> "Noise":
+        """A number, or a percentage such as "3%"; of robust noise its scale. Raises InputError."""
+        if isinstance(noise, Student):
+            return cls.stated(noise.deviation)
         if isinstance(noise, str):
             share = fraction(noise) if noise.strip().endswith("%") else math.nan
             if not 0.0 < share < 1.0:

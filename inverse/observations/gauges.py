@@ -1,5 +1,6 @@
-"""What instruments record: heights at gauges, and the impulse on a solid, in the end or at times of their own."""
+"""What instruments record: heights at gauges, the impulse on a solid, in the end or over time, and its peak force."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +11,12 @@ import torch
 from torch import Tensor
 
 from datasets.errors import InputError, require
-from datasets.flow.trajectory import Trajectory, solid_names
+from datasets.flow.trajectory import solid_names
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import Numbers, Observation, Rollout, Values, at_times
-from inverse.observations.settings import LengthsSettings, TabulatedSettings
+from inverse.observations.observation import Numbers, Rollout, SmoothObservation, Values, at_times, relative_scatter
+from inverse.observations.settings import LengthsSettings, ObservationSettings, TabulatedSettings
 
 SPACING = 0.02
 """Half width over which a gauge takes the mean height [m]."""
@@ -23,7 +24,7 @@ IMPULSE_SCATTER = 0.05
 """Standard deviation of an impulse from flow to flow over its value, until an ensemble has measured it."""
 
 
-class Gauges(Observation):
+class Gauges(SmoothObservation):
     """The height at gauges, in the end or each at a time of its own: M numbers.
 
     h_g = sum_i V_i w(x_i - x_g) / int w dx,    w(s) = max(0, 1 - |s| / spacing)
@@ -52,13 +53,13 @@ class Gauges(Observation):
             width = scene.domain.size[2]
             self.area = self.area * (width if z is None else float(hat_area(np.array([z]), self.spacing, width)[0]))
 
+    @property
+    def places(self) -> tuple[str, Values]:
+        together = self.times is None or len(np.unique(self.times)) == 1
+        return ("x [m]", self.x) if together else super().places
+
     def gathered(self, rows: Any) -> Any:
         return rows.diagonal()
-
-    def observe(self, trajectory: Trajectory) -> Values:
-        # By the run's own volumes: those of the scene are another release where that is unknown.
-        positions, volumes = torch.from_numpy(trajectory.positions), torch.from_numpy(trajectory.volumes)
-        return np.asarray(self.predict(Rollout(positions=positions, times=trajectory.time, volumes=volumes)).numpy())
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
         distance = (positions[:, 0].double()[:, None] - torch.from_numpy(self.x)).abs() / self.spacing
@@ -87,6 +88,7 @@ class GaugesSettings(LengthsSettings):
     """Height of the floor in a table [`unit`]."""
 
     operator_type, options = Gauges, ("x", "z", "times", "spacing")
+    places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
 
@@ -95,7 +97,7 @@ class GaugesSettings(LengthsSettings):
         return table | {"height": table["height"] - self.datum * self.metres}
 
 
-class Impulse(Observation):
+class Impulse(SmoothObservation):
     """The momentum that the flow has transferred to a solid along an axis, in 2D per metre of width."""
 
     kind = "impulse"
@@ -113,22 +115,23 @@ class Impulse(Observation):
         require(0 <= axis < scene.dimension, "axis", f"an index from 0 and below {scene.dimension}", axis)
         self.solid, self.axis = number, axis
 
-    def observe(self, trajectory: Trajectory) -> Values:
-        return np.asarray(self.of_series(trajectory.solid_impulse, trajectory.time))
-
     def predict(self, rollout: Rollout) -> Tensor:
         numbers: Tensor = self.of_series(rollout.impulses, rollout.times)
         return numbers
 
     def of_series(self, impulses: Any, time: Values) -> Any:
         """The numbers [M] of all impulses [T, solids, D] over `time` [s]. Raises InputError where there is none."""
-        if impulses is None or self.solid >= impulses.shape[1]:
-            raise InputError(f"expected a run that recorded the impulse on solid {self.solid}, it did not")
-        impulse = impulses[:, self.solid, self.axis]
+        impulse = self.recorded(impulses)
         return impulse[-1:] if self.times is None else at_times(lambda value: value, impulse, time, self.times)
 
+    def recorded(self, impulses: Any) -> Any:
+        """That on the solid [T], of all impulses [T, solids, D]. Raises InputError where there is none."""
+        if impulses is None or self.solid >= impulses.shape[1]:
+            raise InputError(f"expected a run that recorded the impulse on solid {self.solid}, it did not")
+        return impulses[:, self.solid, self.axis]
+
     def prior_scatter(self, values: Values) -> Values:
-        return np.asarray(IMPULSE_SCATTER * np.maximum(np.abs(values), 0.1 * np.abs(values).max()))
+        return relative_scatter(values, IMPULSE_SCATTER)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +151,49 @@ class ImpulseSettings(TabulatedSettings):
 
     operator_type, options = Impulse, ("solid", "axis", "times")
     columns: ClassVar = {"time": "times", "impulse": "values"}
+
+
+class PeakForce(Impulse):
+    """The largest mean force on a solid along an axis, either way, over any time as long as `window` [s].
+
+        F = max over t of |J(t + window) - J(t)| / window,    J: the recorded impulse, linear between frames
+
+    The difference is linear between the times at which t or t + window is a frame: one of these is the maximum.
+    """
+
+    kind = "peak-force"
+    label = "the peak force on a solid"
+    unit = "N"
+    limits = (0.0, math.inf)
+
+    def __init__(self, scene: Scene, *, window: float, solid: int | str = 0, axis: int = 0) -> None:
+        super().__init__(scene, solid=solid, axis=axis)
+        expected = f"a time from {scene.frame_dt:g} s, a frame, to {scene.duration:g} s, which the scene lasts"
+        require(scene.frame_dt * (1.0 - 1e-9) <= window <= scene.duration, "window", expected, f"{window:g} s")
+        self.window = window
+
+    def of_series(self, impulses: Any, time: Values) -> Any:
+        impulse = self.recorded(impulses)
+        starts = np.concatenate([time, time - self.window])
+        starts = starts[(starts >= time[0]) & (starts <= time[-1] - self.window * (1.0 - 1e-9))]
+        first, last = (at_times(lambda value: value, impulse, time, each) for each in (starts, starts + self.window))
+        return abs((last - first) / self.window).max().reshape(1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeakForceSettings(ObservationSettings):
+    """Of `PeakForce`."""
+
+    value: float | None = None
+    """[N], in 2D per metre of width."""
+    window: float
+    """Time over which the force is averaged [s]: that of the sensor or its filter, at least a frame of the scene."""
+    solid: int | str = 0
+    """Which solid, by its name or its number: the baffles, from 0, then the other solids."""
+    axis: int = 0
+    """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
+
+    operator_type, options = PeakForce, ("window", "solid", "axis")
 
 
 def hat_area(x: Values, spacing: float, length: float) -> Values:

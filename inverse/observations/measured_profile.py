@@ -2,14 +2,18 @@
 
     h = (height - datum) in metres;    |1 - A / A0| within a bound,  A = int h dx,  A0 = released volume over the width
 
-What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for.
+What the rows leave open at their ends is extrapolated linearly over at most two distances of rows, else asked for. A
+profile may end at a solid: what lies beyond that does not count then. In a gap, empty rows, both it and the model are
+linear; the area that it takes off or adds is not compared.
 """
 
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from datasets.errors import InputError, require
@@ -64,6 +68,10 @@ class MeasuredProfile:
     """[m], shape [R]."""
     height: Floats
     """[m], shape [R]."""
+    gaps: NDArray[np.bool_] | None = None
+    """Between which rows and the next ones others are missing, shape [R - 1]; none where absent."""
+    ends: tuple[float, float] | None = None
+    """The walls or solids [m] between which it lies; those of the box where absent."""
 
     def at(self, stations: Floats) -> Floats:
         """Heights [m] at `stations` [m], linear in between, 0 beyond; shape [S]."""
@@ -91,6 +99,8 @@ class MeasuredProfile:
         variance = deviation[1:-1] ** 2 + (left * deviation[:-2]) ** 2 + (right * deviation[2:]) ** 2
         # Where the ground is bare on both sides nothing scatters.
         scattering = (self.height[1:-1] > 0.0) & (variance > 0.0)
+        if self.gaps is not None:
+            scattering &= ~(self.gaps[1:] | self.gaps[:-1])
         freedom = 0.5 * int(scattering.sum())
         if freedom < MINIMUM_FREEDOM:
             return 1.0
@@ -103,8 +113,12 @@ def checked_profile(
 ) -> MeasuredProfile:
     """The profile of rows [m], both of shape [R]; its area is compared with the released one where that is known.
 
-    Raises InputError for rows that are no profile, lie outside of the box, end within the deposit or hold another area.
+    Of one that has gaps, NaN, or ends at a solid, the area that is known may be smaller. Raises InputError for rows
+    that are no profile, lie outside of the box, end within the deposit or hold another area.
     """
+    rows = np.flatnonzero(np.isfinite(x) & np.isfinite(height))
+    require(len(rows) > 1, "", "at least two rows with an x and a height", len(rows))
+    x, height, gaps = x[rows], height[rows], np.diff(rows) > 1
     if len(falls := np.flatnonzero(np.diff(x) <= 0.0)):
         raise InputError(f"expected x in ascending order, got {x[falls[0] + 1]:g} m after {x[falls[0]]:g} m")
     require_inside(x, scene.domain.size[0])
@@ -115,10 +129,12 @@ def checked_profile(
     require(height.max() > 0.0, "", "a height above the floor", f"none; {got}")
     least = height.min()
     require(least >= -BELOW * height.max(), "", "heights above the floor", f"{least:g} m; {got}")
-    profile = closed(x, np.maximum(height, 0.0), scene.domain.size[0])
+    profile = closed(x, np.maximum(height, 0.0), gaps, scene)
     if released is not None:
-        area = float(np.trapezoid(profile.height, profile.x))
+        pieces = 0.5 * (profile.height[1:] + profile.height[:-1]) * np.diff(profile.x)
+        area = float(pieces.sum() if profile.gaps is None else pieces[~profile.gaps].sum())
         low, high = AREA[heights]
+        low = low if profile.gaps is None and profile.ends is None else 0.0
         require(
             low * released <= area <= high * released,
             "",
@@ -128,26 +144,58 @@ def checked_profile(
     return profile
 
 
-def closed(x: Floats, height: Floats, length: float) -> MeasuredProfile:
-    """The profile from a wall, or the deposit's edge, to the other. Raises InputError where they are too far.
+def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> MeasuredProfile:
+    """The profile from a wall, a solid or the deposit's edge to the other. Raises InputError where they are too far.
 
     An end at which the deposit goes on is extrapolated along its last rows, towards larger x only downwards.
     """
-    rows = [*zip(x, height, strict=True)]
-    for wall, side in ((0.0, 1), (length, -1)):
-        inwards, heights = x[::side], height[::side]
-        gap, last_x, last = side * (inwards[0] - wall), inwards[0], heights[0]
-        if last <= EDGE * height.max() or gap <= 0.0:
+    rows, open_rows, ends = [*zip(x, height, strict=True)], gaps.tolist(), [0.0, scene.domain.size[0]]
+    solids = faces(scene)
+    for number, side in ((0, 1), (1, -1)):
+        inwards, heights, wall = x[::side], height[::side], ends[number]
+        last_x, last = inwards[0], heights[0]
+        if last <= EDGE * height.max():
             continue
-        off = inwards[:ALONG] - inwards[:ALONG].mean()
-        fall = side * float(off @ heights[:ALONG] / (off @ off))
-        fall = fall if side > 0 else max(fall, 0.0)
-        step = min(gap, last / fall) if fall > 0.0 else gap
-        if step > FURTHEST * abs(inwards[1] - last_x) * (1.0 + 1e-9):
-            raise InputError(
-                f"expected rows as far as the wall at x = {wall:g} m or the edge of the deposit, the profile ends at "
-                f"x = {last_x:g} m with a height of {last:g} m"
-            )
-        rows.insert(0 if side > 0 else len(rows), (last_x - side * step, max(0.0, last - fall * step)))
-    ends = np.array(rows)
-    return MeasuredProfile(x=ends[:, 0], height=ends[:, 1])
+        # The nearest face that looks at the end.
+        reached = [each[1 - number] for each in solids if side * (last_x - each[1 - number]) >= -1e-6]
+        face = side * max(side * each for each in (*reached, wall))
+        gap = side * (last_x - face)
+        if gap > 1e-6:
+            off = inwards[:ALONG] - inwards[:ALONG].mean()
+            fall = side * float(off @ heights[:ALONG] / (off @ off))
+            fall = fall if side > 0 else max(fall, 0.0)
+            step = min(gap, last / fall) if fall > 0.0 else gap
+            if step > FURTHEST * abs(inwards[1] - last_x) * (1.0 + 1e-9):
+                where = f"the wall at x = {wall:g} m" + (f", the solid at x = {face:g} m" if face != wall else "")
+                raise InputError(
+                    f"expected rows as far as {where} or the edge of the deposit, the profile ends at "
+                    f"x = {last_x:g} m with a height of {last:g} m"
+                )
+            rows.insert(0 if side > 0 else len(rows), (last_x - side * step, max(0.0, last - fall * step)))
+            open_rows.insert(0 if side > 0 else len(open_rows), False)
+            gap -= step
+        if gap <= 1e-6:
+            ends[number] = face
+    found, within = np.array(rows), (ends[0], ends[1])
+    return MeasuredProfile(
+        x=found[:, 0],
+        height=found[:, 1],
+        gaps=np.array(open_rows) if any(open_rows) else None,
+        ends=None if within == (0.0, scene.domain.size[0]) else within,
+    )
+
+
+def faces(scene: Scene) -> list[tuple[float, float]]:
+    """Between which two x each baffle or solid but terrain stands [m]."""
+    found = []
+    standing: list[Any] = [*scene.baffles, *(solid for solid in scene.solids if solid.kind != "terrain")]
+    for each in standing:
+        if vertices := getattr(each, "vertices", None):
+            x = np.array(vertices)[:, 0]
+            found.append((float(x.min()), float(x.max())))
+        elif each.lower is not None and each.size is not None:
+            turn = math.radians(each.turned_deg)
+            half = 0.5 * (abs(math.cos(turn)) * each.size[0] + abs(math.sin(turn)) * each.size[-1])
+            middle = each.lower[0] + 0.5 * each.size[0]
+            found.append((middle - half, middle + half))
+    return found

@@ -79,6 +79,8 @@ class Observation:
     """Whether it needs more of a trajectory than its last frame."""
     of_positions: bool = True
     """Whether it follows from positions alone: what the surrogate predicts."""
+    dense: ClassVar[bool] = False
+    """Whether it follows from positions all the same, of more particles than a surrogate has."""
 
     def __init__(self, scene: Scene, times: Numbers = None) -> None:
         """The operator for flows of `scene`. Raises InputError, which names the key of the settings."""
@@ -129,6 +131,17 @@ class Observation:
         """Mean over numbers or points of the squared distance from the target [unit^2], as in the paper."""
         return self.components * float(np.mean((values - target) ** 2))
 
+    @property
+    def places(self) -> tuple[str, Values]:
+        """Where or when its numbers were observed, shape [M], and what that is; numbers from 1 on where neither is."""
+        if self.times is not None and len(self.times) == self.count:
+            return "time [s]", self.times
+        return "number", np.arange(1.0, self.count + 1.0)
+
+    def scores(self, positions: NDArray[np.floating], volumes: Values) -> dict[str, float]:
+        """How well a deposit [m], shape [N, D], of `volumes` [N] covers what was observed, by name [-]."""
+        return {}
+
     def prior_scatter(self, values: Values) -> Values:
         """Expected standard deviation of each of `values` [M] from flow to flow, shape [M]."""
         return np.full(len(values), SCATTER_CELLS * self.scene.domain.cell)
@@ -143,6 +156,20 @@ class Observation:
         """A root mean square of changes of the numbers in words."""
         factor, unit = {"m": (1e3, "mm"), "": (100.0, "%")}.get(self.unit, (1.0, self.unit))
         return f"{factor * root:.3g} {unit}"
+
+
+class SmoothObservation(Observation):
+    """One whose smooth form is the exact one too: a run is observed as a rollout is, by its own volumes."""
+
+    def observe(self, trajectory: Trajectory) -> Values:
+        impulse = trajectory.solid_impulse
+        rollout = Rollout(
+            positions=torch.from_numpy(np.asarray(trajectory.positions)),
+            times=trajectory.time,
+            volumes=torch.from_numpy(trajectory.volumes),
+            impulses=None if impulse is None else torch.from_numpy(impulse),
+        )
+        return np.asarray(self.predict(rollout).numpy())
 
 
 class Joint(Observation):
@@ -187,6 +214,11 @@ def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: V
     between = zip(before.tolist(), after.tolist(), share.tolist(), strict=True)
     rows = [operator((1.0 - s) * series[b] + s * series[a]) for b, a, s in between]
     return torch.stack(rows)[torch.from_numpy(which)] if isinstance(rows[0], Tensor) else np.stack(rows)[which]
+
+
+def relative_scatter(values: Values, share: float) -> Values:
+    """`share` of each of `values` [M], of small ones that of a tenth of the largest, shape [M]."""
+    return np.asarray(share * np.maximum(np.abs(values), 0.1 * np.abs(values).max()))
 
 
 def fitted_tail(values: Tensor, volumes: Tensor) -> Tensor:

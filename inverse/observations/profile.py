@@ -11,6 +11,7 @@ both profiles alike. A row is the height at one x, the model's a mean over its s
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -52,24 +53,40 @@ class Profile(Observation):
     label = "the height profile"
 
     def __init__(
-        self, scene: Scene, spacing: float = SPACING, *, times: Numbers = None, rows: Values | None = None
+        self,
+        scene: Scene,
+        spacing: float = SPACING,
+        *,
+        times: Numbers = None,
+        rows: Values | None = None,
+        ends: tuple[float, float] | None = None,
     ) -> None:
-        """rows: where alone heights are known [m], ascending, [R]; they go on to the walls; else the model's."""
+        """rows: where alone heights are known [m], ascending, [R]; they go on to the walls; else the model's.
+
+        ends: between which two x [m] it lies, those of the walls where absent; what lies beyond does not count.
+        """
         super().__init__(scene, times)
         length = scene.domain.size[0]
         require(0.0 < spacing <= length / 2, "spacing", f"a length in (0, {length / 2:g}] m", spacing)
         require(times is None or len(times) == 1, "times", "one time for each profile", len(times or ()))
-        self.fine = self.stations = measures.profile_stations(scene, spacing)
+        low, high = self.ends = ends or (0.0, length)
+        self.fine = self.stations = np.linspace(low, high, round((high - low) / spacing) + 1)
         if rows is not None:
-            self.stations = to_the_wall(rows, length)
+            self.stations = to_the_wall(rows, low, high)
         units = np.eye(len(self.fine))
         self.sampling = np.stack([np.interp(self.stations, self.fine, unit) for unit in units], axis=1)
         self.width = math.prod(scene.domain.size[2:])
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
         """The profile itself [m], at `stations`; positions [m], shape [N, D]."""
-        volumes = particle_volumes(self.scene, len(positions))
-        return np.asarray(self.sampling @ measures.height_profile(positions, volumes / self.width, self.fine))
+        held, volumes = self.held(positions), particle_volumes(self.scene, len(positions))
+        return np.asarray(
+            self.sampling @ measures.height_profile(positions[held], volumes[held] / self.width, self.fine)
+        )
+
+    def held(self, positions: Any) -> Any:
+        """Which of positions [N, D] lie between the ends, shape [N]."""
+        return (positions[:, 0] >= self.ends[0]) & (positions[:, 0] <= self.ends[1])
 
     def of_heights(self, heights: Values) -> Values:
         """The observation [M] of a profile [m] at `stations`."""
@@ -79,7 +96,8 @@ class Profile(Observation):
         return self.of_heights(self.heights(positions))
 
     def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
-        stations = torch.from_numpy(self.fine)
+        stations, held = torch.from_numpy(self.fine), self.held(positions)
+        positions, volumes = positions[held], volumes[held]
         spacing, last = stations[1] - stations[0], len(stations) - 1
         scaled = ((positions[:, 0].double() - stations[0]) / spacing).clamp(0.0, float(last))
         left = scaled.detach().long().clamp(max=last - 1)
@@ -104,6 +122,10 @@ class Profile(Observation):
         # The root of low s + bend s^2 / 4 = rest that goes over into rest / low where there is no bend.
         return stations[right - 1] + 2.0 * rest / (low + torch.sqrt((low**2 + bend * rest).clamp(min=1e-300)))
 
+    @property
+    def places(self) -> tuple[str, Values]:
+        return "share of the area [-]", np.array(SHARES)
+
     def front(self, values: Values) -> float:
         return float(values[-1])
 
@@ -121,8 +143,9 @@ class SurfaceProfile(Profile):
 
     def heights(self, positions: NDArray[np.floating]) -> Values:
         scene, rows, spacing = self.scene, len(self.fine), float(self.fine[1] - self.fine[0])
+        positions = positions[self.held(positions)]
         widths = [round(width / spacing) or 1 for width in scene.domain.size[2:]]
-        index = np.clip(np.rint(positions[:, 0] / spacing).astype(np.int64), 0, rows - 1)
+        index = np.clip(np.rint((positions[:, 0] - self.fine[0]) / spacing).astype(np.int64), 0, rows - 1)
         for axis, count in enumerate(widths, 2):
             across = np.clip((positions[:, axis] / scene.domain.size[axis] * count).astype(np.int64), 0, count - 1)
             index = index * count + across
@@ -146,19 +169,22 @@ class ProfileSettings(LengthsSettings):
     datum: float = 0.0
     """Height of the floor in a table [`unit`]."""
 
-    operator_type = Profile
+    operator_type, blanks = Profile, True
+    robust = False
 
-    def operator(self, scene: Scene, rows: Values | None = None) -> Profile:
-        """See `ObservationSettings.operator`; rows: see `Profile`."""
+    def operator(self, scene: Scene, rows: Values | None = None, ends: tuple[float, float] | None = None) -> Profile:
+        """See `ObservationSettings.operator`; rows, ends: see `Profile`."""
         kind = Profile if self.heights is Heights.EQUIVALENT else SurfaceProfile
-        return kind(scene, self.spacing, times=self.times, rows=rows)
+        return kind(scene, self.spacing, times=self.times, rows=rows, ends=ends)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         path = folder / str(self.csv)
         x, height = self.table(path, ("x", "height")).values()
+        corner = scene.domain.corner
+        floor = self.datum * self.metres + (corner[1] if self.heights is Heights.ELEVATION else 0.0)
         with naming(path):
-            profile = checked_profile(x, height - self.datum * self.metres, scene, self.heights, released)
-        operator = self.operator(scene, profile.x)
+            profile = checked_profile(x - corner[0], height - floor, scene, self.heights, released)
+        operator = self.operator(scene, profile.x, profile.ends)
         return self.sampled(operator, operator.of_heights(profile.at(operator.stations)), profile)
 
     def of_run(self, scene: Scene, run: Trajectory) -> Target:
@@ -190,11 +216,11 @@ class ProfileSettings(LengthsSettings):
         return Target(observation=operator, values=values, errors=errors, profile=profile, roughness=roughness)
 
 
-def to_the_wall(rows: NDArray[np.float64], length: float) -> NDArray[np.float64]:
-    """`rows` [m] from the wall at x = 0 to the one at `length` [m]; where they end before it, they go on as before."""
-    rows = np.clip(rows, 0.0, length)
-    before = np.arange(rows[0] - (rows[1] - rows[0]), 0.0, rows[0] - rows[1])[::-1]
-    beyond = np.arange(rows[-1] + (rows[-1] - rows[-2]), length, rows[-1] - rows[-2])
-    every = np.concatenate([[0.0], before, rows, beyond, [length]])
+def to_the_wall(rows: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:
+    """`rows` [m] from the end at x = `low` to the one at `high` [m]; where they stop earlier, they go on as before."""
+    rows = np.clip(rows, low, high)
+    before = np.arange(rows[0] - (rows[1] - rows[0]), low, rows[0] - rows[1])[::-1]
+    beyond = np.arange(rows[-1] + (rows[-1] - rows[-2]), high, rows[-1] - rows[-2])
+    every = np.concatenate([[low], before, rows, beyond, [high]])
     # A last step that ends a rounding error before the wall is none.
-    return np.asarray(every[np.concatenate([[True], np.diff(every) > 1e-6 * length])])
+    return np.asarray(every[np.concatenate([[True], np.diff(every) > 1e-6 * (high - low)])])

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -13,12 +13,13 @@ from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.schema import Record
-from inverse.observations.errors import Covariance, Noise
+from inverse.observations.errors import Covariance, Noise, StatedNoise, Student
 from inverse.observations.observation import Observation, Values
 from inverse.observations.target import Target
 
-SOURCES = ("value", "values", "csv")
-"""Keys under which measured numbers stand."""
+FILES = ("csv", "file")
+SOURCES = ("value", "values", *FILES)
+"""Keys under which measured numbers stand: of those that name a file, and all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,16 +28,34 @@ class ObservationSettings(Record):
 
     name: str | None = None
     """As it is called in reports; its kind where absent."""
-    noise: float | str = 0.0
+    noise: StatedNoise = 0.0
     """Standard deviation of each number, of a profile of each height: in their unit, or a percentage such as "3%"."""
 
+    robust: ClassVar[bool] = True
+    """Whether its numbers have errors of their own, so that one may be an outlier."""
     operator_type: ClassVar[type[Observation]]
     options: ClassVar[tuple[str, ...]] = ()
     """Keys that the operator takes."""
+    places: ClassVar[dict[str, int | None]] = {}
+    """Keys that say where something is, and along which axis of the scene; None: a whole vector."""
 
     def __post_init__(self) -> None:
         Noise.stated(self.noise)
-        require(len(self.given) < 2, "", "one of value, values and csv", " and ".join(self.given))
+        plain = self.robust or not isinstance(self.noise, Student)
+        require(plain, "noise", "a number or a percentage for numbers whose errors depend on each other", "student")
+        require(len(self.given) < 2, "", f"one of {', '.join(self.sources)}", " and ".join(self.given))
+
+    def in_box(self, corner: Floats, keys: Sequence[str] | None = None) -> Self:
+        """With places from the box's lower corner, in place of a map's on which that is `corner` [m], shape [D].
+
+        keys: those that are on the map; all where absent.
+        """
+        moved: dict[str, Any] = {}
+        for key, axis in self.places.items():
+            if (given := getattr(self, key)) is not None and (keys is None or key in keys):
+                places = np.subtract(given, corner if axis is None else corner[axis]).tolist()
+                moved[key] = places if isinstance(places, float) else tuple(places)
+        return replace(self, **moved)
 
     def operator(self, scene: Scene) -> Observation:
         """The operator for flows of `scene`. Raises InputError, which names the key."""
@@ -71,7 +90,8 @@ class ObservationSettings(Record):
     def compared(self, operator: Observation, values: Values) -> Target:
         """`values` [M] with errors that are independent of each other."""
         errors = Covariance(Noise.stated(self.noise).of(values))
-        return Target(observation=operator, values=values, errors=errors)
+        dof = np.full(len(values), self.noise.dof) if isinstance(self.noise, Student) else None
+        return Target(observation=operator, values=values, errors=errors, dof=dof)
 
     def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
         """What was measured. Raises InputError, which names the key or the table.
@@ -94,6 +114,8 @@ class TabulatedSettings(ObservationSettings):
     csv: str | None = None
     """A table with the `columns` of the kind and maybe others."""
 
+    blanks: ClassVar[bool] = False
+    """Whether rows of it may be empty."""
     columns: ClassVar[dict[str, str]] = {}
     """Its columns, and the key that each stands for."""
     optional: ClassVar[tuple[str, ...]] = ()
@@ -106,7 +128,7 @@ class TabulatedSettings(ObservationSettings):
 
     def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
         """Columns of a CSV in SI units, each of shape [R], and `optional` ones that it has. Raises InputError."""
-        table = spreadsheet.read_columns(path, needed, optional, others=True, metres=self.metres)
+        table = spreadsheet.read_columns(path, needed, optional, others=True, metres=self.metres, blanks=self.blanks)
         if len(table[needed[0]]) < 2:
             raise InputError(f"expected the columns {' and '.join(needed)} and at least two rows", where=str(path))
         factors = {name: 1.0 if name in spreadsheet.UNITS else self.metres for name in table}
@@ -119,7 +141,8 @@ class TabulatedSettings(ObservationSettings):
         table = self.table(path, [name for name in self.columns if name not in self.optional], self.optional)
         numbers: dict[str, Any] = {self.columns[name]: tuple(column.tolist()) for name, column in table.items()}
         try:
-            return replace(self, csv=None, **numbers).read(scene, folder, released)
+            read = replace(self, csv=None, **numbers).in_box(scene.domain.corner, [*numbers])
+            return read.read(scene, folder, released)
         except InputError as error:
             # A mistake in a column is none of the problem's file.
             raise error.at(str(path)) if error.key in ("", *numbers) else error from None

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from inverse.observations.errors import Covariance
 from inverse.observations.measured_profile import MeasuredProfile
 from inverse.observations.observation import Joint, JointPart, Observation, Values
 
+ALL_DATA = "none"
+"""What is left out where nothing is."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
@@ -24,6 +27,10 @@ class Target:
     """Shape [M]."""
     errors: Covariance
     """Of the values by errors of the measurement."""
+    dof: Values | None = None
+    """Degrees of freedom of Student's t of each error, inf of normal ones, shape [M]; all are normal where absent."""
+    stated: Covariance | None = None
+    """The errors as they were stated, where `errors` count outliers for what they are (`reweighted`)."""
     profile: MeasuredProfile | None = None
     """Where heights of a profile have errors."""
     roughness: float = 1.0
@@ -42,6 +49,23 @@ class Target:
         """Standard deviation of each value by errors of the measurement, shape [M]."""
         return self.errors.deviation
 
+    def reweighted(self, square: Values) -> "Target":
+        """With the errors that residuals show whose expected squares are `square` [M].
+
+            s_i^2 / l_i,    l_i = (nu + 1) / (nu + r_i^2 / s_i^2)
+
+        Student's t is a normal distribution whose variance is itself drawn; l is the mean of its precision given the
+        residual (Lange, Little & Taylor, Robust statistical modeling using the t distribution, J. Am. Stat. Assoc. 84
+        (1989) 881-896; over a posterior Tipping & Lawrence, Neurocomputing 69 (2005) 123-141).
+        """
+        assert self.dof is not None, "normal errors have one weight"
+        stated = self.stated or self.errors
+        ratio = square / np.maximum(stated.deviation, 1e-300) ** 2
+        robust = np.isfinite(self.dof)
+        finite = np.where(robust, self.dof, 1.0)
+        weights = np.where(robust, (finite + 1.0) / (finite + ratio), 1.0)
+        return replace(self, errors=stated.over(np.sqrt(weights)), stated=stated)
+
     def misfit(self, values: Values) -> float:
         """Misfit of `values` [M]; see `Observation.misfit`."""
         return self.observation.misfit(values, self.values)
@@ -49,6 +73,29 @@ class Target:
     def front_error(self, run: Trajectory) -> float:
         """Relative error of the front of the deposit of `run`; nan where the target has none."""
         return (measures.front(run.positions[-1], run.volumes) - self.front) / self.front
+
+
+def without(target: Target, name: str) -> tuple[Target, NDArray[np.int64]]:
+    """Several observations as one without one of them, or all for a name that none has, and which numbers are left."""
+    parts, kept, index = [], 0, []
+    for each in target.observation.parts:
+        if each.name != name:
+            own = np.arange(len(target.values))[each.numbers]
+            parts.append(replace(each, numbers=slice(kept, kept + len(own))))
+            index.append(own)
+            kept += len(own)
+    left, whole = np.concatenate(index), target.observation
+    scale = np.broadcast_to(whole.scale, len(target.values))[left]
+    prior = scale * whole.prior_scatter(target.values)[left]
+    some = replace(
+        target,
+        observation=Joint(parts, scale, prior),
+        values=target.values[left],
+        errors=target.errors.some(left),
+        dof=None,
+        stated=None,
+    )
+    return some, left
 
 
 def joined(targets: Sequence[Target], names: Sequence[str]) -> Target:
@@ -66,7 +113,9 @@ def joined(targets: Sequence[Target], names: Sequence[str]) -> Target:
     for part in parts:
         if not np.all(scale[part.numbers] > 0.0):
             raise InputError(f"expected a noise above 0 for {part.name}, whose numbers are all 0", key="observations")
+    dofs = [np.full(len(each.values), math.inf) if each.dof is None else each.dof for each in targets]
     return Target(
+        dof=np.concatenate(dofs) if any(each.dof is not None for each in targets) else None,
         observation=Joint(parts, scale, prior),
         values=np.concatenate([each.values for each in targets]) / scale,
         errors=errors.over(scale),

@@ -198,6 +198,8 @@ class Posterior:
     """What had not been excluded before."""
     near: NDArray[np.bool_]
     """Which of all runs the emulator is made of, shape [n]."""
+    deviation: Row
+    """Of the errors that were counted, of each number, shape [M]."""
     explained: Row
     """Variance of each component that repeated runs can explain: beyond it, the emulator does not fit, shape [r]."""
 
@@ -289,7 +291,13 @@ def posterior(
         # The wave before has excluded too much.
         region = region.wider()
     return Posterior(
-        reduction=reduced, likelihood=likelihood, samples=samples, region=region, near=near, explained=explained
+        reduction=reduced,
+        likelihood=likelihood,
+        samples=samples,
+        region=region,
+        near=near,
+        deviation=target.deviation,
+        explained=explained,
     )
 
 

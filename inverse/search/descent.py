@@ -117,7 +117,8 @@ def as_predicted(forward: Forward, target: Target, scatter: Values, errors: Matr
     """What the surrogate predicts of `target`, with the errors that it may be off by."""
     index = forward.select(np.arange(len(target.values), dtype=np.float64)).astype(np.int64)
     covariance = target.errors.some(index).matrix + np.diag(scatter[index] ** 2) + errors.T @ errors
-    return dataclasses.replace(target, values=target.values[index], errors=Covariance.of(covariance))
+    dof = None if target.dof is None else target.dof[index]
+    return dataclasses.replace(target, values=target.values[index], errors=Covariance.of(covariance), dof=dof)
 
 
 def differentiated(state: Inversion, points: Matrix) -> tuple[Inversion, Matrix, Matrix]:

@@ -16,9 +16,9 @@ from scipy.stats import chi2
 
 from inverse.forward import Forward
 from inverse.observations import Values
-from inverse.observations.target import Target
+from inverse.observations.target import ALL_DATA, Target, without
 from inverse.posterior import Matrix
-from inverse.posterior.answers import Part, parts
+from inverse.posterior.answers import Part, parts, quantiles
 from inverse.posterior.emulator import fewest_runs, linear
 from inverse.posterior.posterior import SMALLEST, Posterior, Region, next_points, posterior
 from inverse.posterior.settings import CONSTANTS
@@ -27,6 +27,10 @@ from inverse.search.waves import ModelRun, WaveSearch, filling
 
 EXCLUDED = 1e-3
 """Probability of parameters beyond the region of a surrogate, were its band right."""
+REWEIGHTED = 0.05
+"""Change of the deviation of an error, over it, that changes no interval."""
+UPDATES = 12
+"""Of the errors of outliers, at most."""
 STEEP = 4.0
 """By how much the logarithm of the probability falls beyond the region, for each that the likelihood falls."""
 R = TypeVar("R", bound=ModelRun)
@@ -68,21 +72,30 @@ class Inference:
         """With the posterior by all runs of `search`."""
         points, guide = search.points, self.guide
         many = points.shape[1] > CONSTANTS.few_parameters
-        found = posterior(
-            points,
-            search.numbers,
-            self.target,
-            scatter=self.scatter,
-            region=self.region or self.left(points, known=len(search.known) > 0),
-            rng=search.generator(),
-            factor=self.factor,
-            discretisation=self.discretisation,
-            extrapolated=self.extrapolated,
-            trends=(linear,) if guide is None else (guide.trend, linear),
-            within=None if guide is None or (many and search.waves) else guide.within,
-            prior=self.problem.prior,
-        )
-        return replace(self, latest=found, region=None)
+        target, region = self.target, self.region or self.left(points, known=len(search.known) > 0)
+        for _ in range(UPDATES):
+            found = posterior(
+                points,
+                search.numbers,
+                target,
+                scatter=self.scatter,
+                region=region,
+                rng=search.generator(),
+                factor=self.factor,
+                discretisation=self.discretisation,
+                extrapolated=self.extrapolated,
+                trends=(linear,) if guide is None else (guide.trend, linear),
+                within=None if guide is None or (many and search.waves) else guide.within,
+                prior=self.problem.prior,
+            )
+            if target.dof is None:
+                break
+            # Robust noise: what the posterior so far shows of each error, until it shows the same again.
+            square = (found.expected(found.samples.points) - target.values) ** 2
+            before, target = target.deviation, target.reweighted(found.samples.weights @ square)
+            if np.all(np.abs(target.deviation - before) <= REWEIGHTED * before):
+                break
+        return replace(self, latest=found, region=None, target=target)
 
     def left(self, points: Matrix, *, known: bool) -> Region | None:
         """What is not excluded: around the latest samples, once enough of the runs at points [n, U] are there.
@@ -218,6 +231,34 @@ class Inversion(WaveSearch[ModelRun, Inference]):
         square = np.einsum("sr,rs->s", residual, np.linalg.solve(found.likelihood.fixed / factor**2, residual.T))
         contradiction = float(np.sqrt(square.max() / chi2.isf(0.05, residual.shape[1])))
         return self if contradiction <= factor else self.refined(factor=contradiction)
+
+
+def left_out(search: WaveSearch[Any, Any]) -> dict[str, dict[str, float]]:
+    """Half-widths of the numbers without each of several observations, and with all (`ALL_DATA`), by their names.
+
+    By an emulator of all runs over the whole box: the posterior without an observation may lie anywhere in it.
+    """
+    known: Inference = search.knowledge
+    names, found = [each.name for each in known.target.observation.parts], {}
+    if len(names) < 2:
+        return {}
+    for name in (ALL_DATA, *names):
+        target, index = without(known.target, name)
+        cells = None if known.discretisation is None else known.discretisation[index]
+        samples = posterior(
+            search.points,
+            search.numbers[:, index],
+            target,
+            scatter=known.scatter[index],
+            rng=search.generator(),
+            factor=known.factor,
+            discretisation=cells,
+            extrapolated=known.extrapolated,
+            prior=known.problem.prior,
+        ).samples
+        low, _, high = quantiles(samples.points, samples.weights)
+        found[name] = known.problem.named(0.5 * known.box.range * (high - low))
+    return found
 
 
 def begun(search: WaveSearch[R, Inference]) -> WaveSearch[R, Inference]:

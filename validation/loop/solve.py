@@ -26,7 +26,7 @@ from inverse.report import summary
 from inverse.result import Result
 from inverse.saving import save
 from inverse.search.descent import ROUGH, inverted
-from inverse.search.inference import Inversion, begun, searched
+from inverse.search.inference import Inversion, begun, left_out, searched
 from inverse.target import read_target
 from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
@@ -129,6 +129,7 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
         mpm_runs=runs,
         posterior=state.knowledge.posterior,
         further=further(outcome),
+        without=left_out(state),
         notes=(statement(state),),
         surrogate={"asked": led is not None, "reason": reason}
         | ({} if led is None else of_surrogate(task, led, state)),

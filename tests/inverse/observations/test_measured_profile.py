@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import Mass, Solid
+from datasets import Baffle, Mass, Solid
 from datasets.flow.measures import height_profile
 from datasets.scene.particles import initial_particles
 from inverse import Problem, TargetSettings, read_problem
@@ -144,3 +144,45 @@ def test_a_profile_read_back_as_a_target(tmp_path: Path, heights: Heights) -> No
     profile = settings.read(scene, tmp_path, 0.08).profile
     np.testing.assert_allclose(profile.at(stations), thickness, rtol=1e-8, atol=1e-9)
     assert np.trapezoid(profile.height, profile.x) == pytest.approx(0.08, rel=1e-8)
+
+
+def test_a_gap_in_the_rows_is_no_mistake(tmp_path: Path) -> None:
+    """A straight slope is the same with a gap in it, of blank cells or blank rows."""
+    whole = target_of(measured(tmp_path))
+    text = (tmp_path / "profile.csv").read_text().splitlines()
+    for blank in ("", ",", f"{X[8]:.9g},"):
+        lines = [line if not 6 <= number - 1 <= 12 else blank for number, line in enumerate(text)]
+        (tmp_path / "profile.csv").write_text("\n".join(lines) + "\n")
+        scene = read_problem("friction-tall-42").scene
+        found = ProfileSettings(csv="profile.csv").read(scene, tmp_path, 0.08)
+        assert found.profile is not None
+        assert found.profile.gaps is not None
+        assert found.profile.gaps.sum() == 1
+        np.testing.assert_allclose(found.values, whole.values, atol=1e-9)
+
+
+@pytest.mark.parametrize("heights", [Heights.EQUIVALENT, Heights.SURFACE])
+def test_a_profile_ends_at_a_solid(heights: Heights, tmp_path: Path) -> None:
+    """A level layer 0.1 m high that leans on a plate at x = 0.6 m, over which a part of the material went."""
+    mass, plate = Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), Baffle(lower=(0.6, 0.0), size=(0.01, 0.12))
+    scene = scene_of(mass, size=(1.0, 0.5), baffles=(plate,), cell=0.01)
+    x = np.array([*np.arange(0.0, 0.3, 0.02), *np.arange(0.4, 0.6, 0.02)])
+    rows = np.stack([x, np.full(len(x), 0.1)], axis=1)
+    np.savetxt(tmp_path / "profile.csv", rows, delimiter=",", header="x,height", comments="")
+    target = ProfileSettings(csv="profile.csv", heights=heights).read(scene, tmp_path, 0.08)
+    expected = 0.6 * np.array([*(0.025 + 0.05 * np.arange(20)), 0.995])
+    np.testing.assert_allclose(target.values, expected, atol=1e-9)
+    x, y = np.meshgrid(np.linspace(0.0005, 0.5995, 600), np.linspace(0.0005, 0.0995, 100), indexing="ij")
+    held = np.stack([x.ravel(), y.ravel()], axis=1)
+    over = np.random.default_rng(1).random((20_000, 2)) * [0.2, 0.05] + [0.75, 0.0]
+    seen = target.observation.exact(np.concatenate([held, over]))
+    np.testing.assert_allclose(seen, expected, atol=1e-3)
+    # Without the plate such rows end in the middle of a deposit.
+    bare = dataclasses.replace(scene, baffles=())
+    refused(
+        ProfileSettings(csv="profile.csv").read,
+        bare,
+        tmp_path,
+        0.08,
+        said="expected rows as far as the wall at x = 1 m",
+    )

@@ -12,17 +12,20 @@ from datasets.flow import measures
 from inverse import Problem, read_problem
 from inverse.observations import (
     KINDS,
+    ArrivalSettings,
     FrontSettings,
     GaugesSettings,
     Observation,
     ObservationSettings,
     ProfileSettings,
     Rollout,
+    SpeedSettings,
 )
-from inverse.observations.deposit import Outline
 from inverse.observations.errors import Covariance, Noise
-from inverse.observations.gauges import Gauges, Impulse
+from inverse.observations.gauges import Gauges, Impulse, PeakForce
 from inverse.observations.observation import Joint, fitted_tail
+from inverse.observations.outline import Extents
+from inverse.observations.target import joined
 from inverse.target import read_target
 from tests.refusals import refused
 from tests.scenes import flow_of, scene_of
@@ -187,6 +190,17 @@ def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
         ('kind = "front"', "observations[0]", "expected what was measured for front: value"),
         ('kind = "front"\nvalue = 0.7\nnoise = "3 per cent"', "observations[0].noise", "percentage"),
         ('kind = "front"\nvalue = 0.7\nnoise = -1.0', "observations[0].noise", "at least 0"),
+        ('kind = "front"\nvalue = 0.7\nnoise = { kind = "cauchy" }', "observations[0].noise.kind", "student"),
+        (
+            'kind = "front"\nvalue = 0.7\nnoise = { kind = "student", dof = 0.5, deviation = 1.0 }',
+            "observations[0].noise.dof",
+            "at least 1",
+        ),
+        (
+            'kind = "profile"\nnoise = { kind = "student", deviation = 0.1 }',
+            "observations[0].noise",
+            "depend on each other",
+        ),
         ('kind = "profile"\ntimes = [0.1, 0.2]', "observations[0].times", "one time"),
         ('kind = "impulse"\nvalue = 1.0', "observations[0].solid", "the scene has no solids"),
         ('kind = "outline"\nvalues = [1.0]', "observations[0].kind", "in 3D"),
@@ -257,10 +271,101 @@ def test_the_impulse_is_that_of_the_solid() -> None:
 
 def test_an_outline_is_the_extent_of_the_deposit_each_way() -> None:
     scene = scene_of(Mass(lower=(0.4, 0.0, 0.4), size=(0.2, 0.2, 0.2)), size=(1.0, 0.5, 1.0), cell=0.05)
-    outline = Outline(scene, (0.0, 90.0, 180.0, 270.0))
+    outline = Extents(scene, (0.0, 90.0, 180.0, 270.0))
     angle = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
     rim = np.stack([0.5 + 0.3 * np.cos(angle), np.zeros(4000), 0.5 + 0.2 * np.sin(angle)], axis=1)
     np.testing.assert_allclose(outline.exact(rim), [0.3, 0.2, 0.3, 0.2], rtol=0.001)
-    np.testing.assert_allclose(outline.of_line(rim[::100, [0, 2]]), [0.3, 0.2, 0.3, 0.2], rtol=0.01)
     smooth = outline.smooth(torch.from_numpy(rim), torch.ones(4000)).numpy()
     np.testing.assert_allclose(smooth, outline.exact(rim), atol=0.001)
+
+
+def block(*, speed: float = 2.0, until: float = 0.4, dimension: int = 2) -> Trajectory:
+    """A block 0.2 m long and 0.1 m high that runs from the wall at 2 m/s (1000 particles), and stops at 0.4 s."""
+    sides = (0.2, 0.1, 0.3)[:dimension]
+    scene = scene_of(Mass(lower=(0.0,) * dimension, size=sides), size=(2.0, 0.5, 0.3)[:dimension], cell=0.02)
+    scene = dataclasses.replace(scene, duration=1.0, frame_dt=0.05)
+    lattice = np.stack(np.meshgrid(*(side * (np.arange(40) + 0.5) / 40 for side in sides), indexing="ij"), axis=-1)
+    time = np.arange(21) * 0.05
+    moved = np.zeros((21, 1, dimension))
+    moved[:, 0, 0] = speed * np.minimum(time, until)
+    return flow_of(scene, lattice.reshape(-1, dimension) + moved)
+
+
+def test_a_flow_arrives_when_its_front_or_a_thickness_is_there() -> None:
+    run = block()
+    tip = measures.front(run.positions[0], run.volumes)
+    arrival = ArrivalSettings(x=(tip + 0.33, 0.1, tip + 1.2)).operator(run.scene)
+    # At 2 m/s; at the start; and as if what ran 0.8 m in 0.4 s had run on.
+    np.testing.assert_allclose(arrival.observe(run), [0.165, 0.0, 0.6], atol=1e-6)
+    # Half of the thickness at a gauge in the middle of its hat, which the edge of the block passes from x = 0.2 m on.
+    half = ArrivalSettings(x=(0.7,), thickness=0.05, spacing=0.04).operator(run.scene)
+    np.testing.assert_allclose(half.observe(run), [0.25], atol=0.003)
+    beside = ArrivalSettings(x=(0.7,), z=0.1, thickness=0.05, spacing=0.04).operator(block(dimension=3).scene)
+    np.testing.assert_allclose(beside.observe(block(dimension=3)), [0.25], atol=0.003)
+    refused(lambda: ArrivalSettings(x=(0.7,), z=0.1).operator(block(dimension=3).scene), said="a thickness")
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_the_speed_at_a_place_is_the_mean_of_what_is_there(dimension: int) -> None:
+    run = block(dimension=dimension)
+    across = None if dimension == 2 else (0.1, 0.2)
+    at = SpeedSettings(x=(0.2, 0.4), z=across, times=(0.1, 0.15, 0.9)).operator(run.scene)
+    np.testing.assert_allclose(at.observe(run), [2.0, 2.0, 0.0], rtol=1e-5, atol=1e-9)
+    # The block stops at 0.4 s, with its rear at 0.8 m: half of a window around that moment.
+    peak = SpeedSettings(x=(0.8, 1.0), z=across).operator(run.scene)
+    np.testing.assert_allclose(peak.observe(run), [2.0], rtol=1e-5)
+    around = SpeedSettings(x=(0.8, 1.0), z=across, times=(0.4,), window=0.1).operator(run.scene)
+    np.testing.assert_allclose(around.observe(run), [1.0], rtol=1e-5)
+    refused(lambda: SpeedSettings(x=(0.4, 0.2)).operator(run.scene), said="two lengths")
+
+
+def test_what_moves_is_differentiable_in_the_speed() -> None:
+    """Arrival d / v has the slope -d / v^2, a speed v the slope 1."""
+    run = block()
+    speed = torch.tensor(2.0, dtype=torch.float64, requires_grad=True)
+    start = torch.from_numpy(run.positions[0]).double()
+    way = torch.tensor([1.0, 0.0]) * (speed * torch.clamp(torch.from_numpy(run.time), max=0.4))[:, None, None]
+    rollout = Rollout(positions=start + way, times=run.time, volumes=torch.from_numpy(run.volumes))
+    tip = measures.front(run.positions[0], run.volumes)
+    for settings, slope in ((ArrivalSettings(x=(tip + 0.4,)), -0.1), (SpeedSettings(x=(0.2, 0.6)), 1.0)):
+        (number,) = settings.operator(run.scene).predict(rollout)
+        (found,) = torch.autograd.grad(number, speed, retain_graph=True)
+        assert float(found) == pytest.approx(slope, rel=1e-4)
+
+
+def test_the_peak_force_is_the_largest_mean_over_its_window() -> None:
+    """J = 2 t^2 kg m/s and, from 0.5 s on, less by 3 N: the last window before 0.5 s, or any after it, either way."""
+    run = flow(BAFFLED, 101)
+    assert run.solid_impulse is not None
+    for window in (0.1, 0.085):
+        peak = PeakForce(BAFFLED, window=window)
+        # Exact at frames; between them J is a chord of the parabola, within dt^2 / 4 of it.
+        np.testing.assert_allclose(peak.observe(run), 2.0 * (2.0 - window), atol=1e-9 if window == 0.1 else 1e-3)
+    after = run.solid_impulse - 9.0 * np.maximum(run.time - 0.5, 0.0)[:, None, None] * [1.0, 0.0]
+    falling = dataclasses.replace(run, solid_impulse=after)
+    steepest = 9.0 - 2.0 * (2.0 * 0.5 + 0.1)
+    np.testing.assert_allclose(PeakForce(BAFFLED, window=0.1).observe(falling), steepest, rtol=1e-9)
+    rollout = dataclasses.replace(rolled(run), impulses=torch.from_numpy(run.solid_impulse))
+    np.testing.assert_allclose(PeakForce(BAFFLED, window=0.1).predict(rollout).numpy(), 3.8)
+    assert not PeakForce.of_positions
+    refused(PeakForce, BAFFLED, window=5.0, said="a time from")
+
+
+def test_robust_noise_is_stated_in_a_table_and_drawn_with_its_tails(tmp_path: Path) -> None:
+    times = ", ".join(f"{time:.3f}" for time in np.linspace(0.0, 1.0, 400))
+    text = f'[[observations]]\nkind = "front"\ntimes = [{times}]\nnoise = {{ kind = "student", deviation = 0.01 }}\n'
+    (tmp_path / "twin").mkdir()
+    asked = written(tmp_path / "twin", text + "[target]\ntwin = true\n")
+    target = read_target(asked, flow)
+    assert target.dof is not None
+    np.testing.assert_array_equal(target.dof, 4.0)
+    off = (target.values - target.observation.observe(flow(asked.scene))) / 0.01
+    # Of 400 normal numbers 1 is beyond 3, of Student's t 16; and half of either within 0.67 and 0.74.
+    assert 6 <= np.sum(np.abs(off) > 3.0) <= 32
+    assert np.median(np.abs(off)) == pytest.approx(0.74, abs=0.12)
+    # Beside normal noise one number is down-weighted, the other never.
+    both = joined([target, dataclasses.replace(target, dof=None)], ["a", "b"])
+    shown = both.reweighted((both.deviation * 10.0) ** 2)
+    np.testing.assert_allclose(shown.deviation[:400] / both.deviation[:400], np.sqrt(104.0 / 5.0))
+    np.testing.assert_allclose(shown.deviation[400:], both.deviation[400:])
+    np.testing.assert_allclose(shown.reweighted(both.deviation**2).deviation, both.deviation)

@@ -1,0 +1,196 @@
+"""What a camera or a radar records of a moving flow: when it arrives at a place, and how fast it moves there."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from datasets.errors import require
+from datasets.scene import Scene
+from inverse.observations.gauges import SPACING, Gauges
+from inverse.observations.measured_profile import require_inside
+from inverse.observations.observation import (
+    Numbers,
+    Rollout,
+    SmoothObservation,
+    Values,
+    at_times,
+    fitted_tail,
+    relative_scatter,
+)
+from inverse.observations.settings import LengthsSettings, TabulatedSettings
+
+ARRIVAL_SCATTER, SPEED_SCATTER = 0.02, 0.05
+"""Standard deviations from flow to flow over the value, until an ensemble has measured them."""
+LAYER = 0.5
+"""Of a layer of particles: of less material than this a speed counts in proportion, for no single particle is a flow.
+"""
+
+
+class Arrival(SmoothObservation):
+    """When the flow reaches each of some x: M times [s].
+
+        t = t_k + (L - s_k) / (s_(k+1) - s_k) (t_(k+1) - t_k)    of the first frames with s_k < L <= s_(k+1)
+
+    s is the front and L the x; with a `thickness`, s is the height at the x, as a gauge has it (`Gauges`), and L the
+    thickness. A flow that stops short of L counts as if it went on at its mean rate so far, so that the number changes
+    steadily: t_max (L - s_0) / (s_max - s_0), at most twice the time of the last frame.
+    """
+
+    kind = "arrival"
+    label = "the time at which the flow arrives"
+    unit = "s"
+    over_time = True
+
+    def __init__(
+        self,
+        scene: Scene,
+        x: Numbers,
+        *,
+        z: float | None = None,
+        thickness: float | None = None,
+        spacing: float = SPACING,
+    ) -> None:
+        super().__init__(scene)
+        require(x is not None, "x", "the x [m] that the flow reaches", "none")
+        require(thickness is None or thickness > 0.0, "thickness", "a thickness above 0 m", thickness)
+        require(z is None or thickness is not None, "thickness", "a thickness, above which the flow is at z", "none")
+        self.x, self.thickness = require_inside(np.array(x), scene.domain.size[0]), thickness
+        self.gauges = None if thickness is None else Gauges(scene, x, z=z, spacing=spacing)
+        self.count, self.limits = len(self.x), (0.0, scene.duration)
+
+    @property
+    def places(self) -> tuple[str, Values]:
+        return "x [m]", self.x
+
+    def predict(self, rollout: Rollout) -> Tensor:
+        if self.gauges is None:
+            front = torch.stack([fitted_tail(frame[:, 0], rollout.volumes) for frame in rollout.positions])
+            return torch.stack([first_passage(front, rollout.times, float(level)) for level in self.x])
+        heights = torch.stack([self.gauges.smooth(frame, rollout.volumes) for frame in rollout.positions])
+        level = float(self.thickness or 0.0)
+        return torch.stack([first_passage(series, rollout.times, level) for series in heights.T])
+
+    def prior_scatter(self, values: Values) -> Values:
+        return relative_scatter(values, ARRIVAL_SCATTER)
+
+
+def first_passage(series: Tensor, time: Values, level: float) -> Tensor:
+    """When `series` [T] at `time` [s] first reaches `level`, as `Arrival` says; a number."""
+    begin, latest = float(time[0]), 2.0 * float(time[-1])
+    reached, top = torch.nonzero(series.detach() >= level), int(series.detach().argmax())
+    if len(reached) > 0:
+        last = int(reached[0, 0])
+        if last == 0:
+            return series.new_tensor(begin)
+        share = (level - series[last - 1]) / (series[last] - series[last - 1])
+        passed: Tensor = time[last - 1] + share * (time[last] - time[last - 1])
+        return passed
+    if top == 0:
+        return series.new_tensor(latest)
+    late: Tensor = begin + (time[top] - begin) * (level - series[0]) / (series[top] - series[0])
+    return late.clamp(max=latest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrivalSettings(LengthsSettings):
+    """Of `Arrival`; the table has x and time."""
+
+    values: tuple[float, ...] | None = None
+    """A time [s] for each of `x`, after the start."""
+    x: tuple[float, ...] | None = None
+    """What the flow reaches [m], where they are not in a table."""
+    z: float | None = None
+    """In 3D with a thickness: where across the flow [m]; where absent its mean counts."""
+    thickness: float | None = None
+    """Height above which the flow is there [m]; where absent the front arrives."""
+    spacing: float = SPACING
+    """Half width over which this height is a mean [m]."""
+
+    operator_type, options = Arrival, ("x", "z", "thickness", "spacing")
+    places: ClassVar = {"x": 0, "z": 2}
+    columns: ClassVar = {"x": "x", "time": "values"}
+
+
+class Speed(SmoothObservation):
+    """The mean speed of the material between two x, in 3D maybe two z, at some times or the largest over time [m/s].
+
+        v = sum_p w_p V_p |x_p(t + T/2) - x_p(t - T/2)| / T / max(sum_p w_p V_p, V_0),    T = `window`
+
+    V are the volumes of the particles, of masses in proportion; w is 1 in the region and falls to 0 over a cell at its
+    edges; V_0 is half a layer of particles. At the start and the end of the flow T is what there is of it.
+    """
+
+    kind = "speed"
+    label = "the speed of the flow at a place"
+    unit = "m/s"
+    over_time = True
+
+    def __init__(
+        self, scene: Scene, *, x: Numbers, z: Numbers = None, times: Numbers = None, window: float | None = None
+    ) -> None:
+        super().__init__(scene, times)
+        cell, self.window, area = scene.domain.cell, window or scene.frame_dt, 1.0
+        require(0.0 < self.window <= scene.duration, "window", f"a time in (0, {scene.duration:g}] s", window)
+        require(z is None or scene.dimension == 3, "z", "none in 2D", z)
+        self.sides: list[tuple[int, float, float]] = []
+        for axis, key, ends in ((0, "x", x), (2, "z", z)):
+            length = scene.domain.size[axis] if axis < scene.dimension else 1.0
+            if ends is not None:
+                expected = f"two lengths between 0 and {length:g} m, a cell apart"
+                held = len(ends) == 2 and 0.0 <= ends[0] <= ends[-1] - cell and ends[-1] <= length
+                require(held, key, expected, list(ends))
+                self.sides.append((axis, ends[0], ends[1]))
+                length = ends[1] - ends[0]
+            area *= length
+        self.least = LAYER * scene.particle_spacing * area
+
+    def predict(self, rollout: Rollout) -> Tensor:
+        if self.times is not None:
+            return torch.stack([self.at(rollout, float(time)) for time in self.times])
+        middles = 0.5 * (rollout.times[1:] + rollout.times[:-1])
+        return torch.stack([self.at(rollout, float(time)) for time in middles]).max().reshape(1)
+
+    def at(self, rollout: Rollout, time: float) -> Tensor:
+        """The mean speed at a time [s], a number."""
+        ends = np.clip([time - 0.5 * self.window, time + 0.5 * self.window], rollout.times[0], rollout.times[-1])
+        before, here, after = at_times(
+            lambda frame: frame.double(), rollout.positions, rollout.times, np.array([ends[0], time, ends[1]])
+        )
+        # A particle at rest has no direction: the root of its square has no slope there.
+        moved = ((after - before) ** 2).sum(dim=1).clamp(min=1e-24).sqrt() / (ends[1] - ends[0])
+        weight: Any = rollout.volumes.double()
+        for axis, low, high in self.sides:
+            along, cell = here[:, axis], self.scene.domain.cell
+            weight = (
+                weight * ((along - low) / cell + 0.5).clamp(0.0, 1.0) * ((high - along) / cell + 0.5).clamp(0.0, 1.0)
+            )
+        mean: Tensor = (weight @ moved) / weight.sum().clamp(min=self.least)
+        return mean
+
+    def prior_scatter(self, values: Values) -> Values:
+        return relative_scatter(values, SPEED_SCATTER)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedSettings(TabulatedSettings):
+    """Of `Speed`; the table has time and speed."""
+
+    value: float | None = None
+    """The largest over time [m/s]."""
+    values: tuple[float, ...] | None = None
+    """One [m/s] for each of `times`."""
+    x: tuple[float, ...]
+    """Between which two x [m]."""
+    z: tuple[float, ...] | None = None
+    """Between which two z in 3D [m]; over the whole width where absent."""
+    times: tuple[float, ...] | None = None
+    """When [s] after the start; where absent, the largest speed over time."""
+    window: float | None = None
+    """Time over which a particle's speed is a mean [s]; a frame of the scene where absent."""
+
+    operator_type, options = Speed, ("x", "z", "times", "window")
+    places: ClassVar = {"x": 0, "z": 2}
+    columns: ClassVar = {"time": "times", "speed": "values"}

@@ -1,0 +1,218 @@
+"""The outline of a deposit in plan (3D): distances along the observed boundary, or extents in some directions.
+
+    y_i = + |p_i - q_i| where the model covers p_i, - |p_i - q_i| where not;    observed: 0
+
+p are points along the observed boundary, q the nearest ones of the model's, where its thickness (`inverse.observations.
+plan`) is `thickness`. As that changes by dh, the boundary moves outwards by dh / |grad h|: the slope of y_i.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import shapely
+import torch
+from contourpy import FillType, contour_generator
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+from torch import Tensor
+
+from datasets.errors import InputError, naming, require
+from datasets.exchange.vectors import read_polygons
+from datasets.flow import measures
+from datasets.flow.trajectory import Trajectory
+from datasets.maps import least_thickness
+from datasets.scene import Scene
+from datasets.scene.grid_field import Floats
+from datasets.scene.particles import mass_centroids, mass_volumes, particle_volumes
+from inverse.observations.errors import Covariance, Noise
+from inverse.observations.observation import Numbers, Observation, SmoothObservation, Values, fitted_tail
+from inverse.observations.plan import map_corner, plan_grid, volume_over
+from inverse.observations.settings import LengthsSettings
+from inverse.observations.target import Target
+
+DIRECTIONS_DEG = np.arange(0.0, 360.0, 22.5)
+"""Of extents, where values but no directions are named."""
+POINTS = (8, 64)
+"""Along the observed boundary, two cells apart or more: at least and at most."""
+ISLAND = 0.05
+"""Area over the largest part's, below which a part of the model's deposit is some particles that rolled on."""
+TVERSKY = (0.3, 0.7)
+"""Weights of what the model alone covers, and of what it misses, which is worse."""
+
+
+class Extents(Observation):
+    """The extent of a deposit in 3D from the centroid c of its masses along directions n of the plan.
+
+    What a front is along x, of (p - c) . n: the support function of the outline, robust against single particles.
+    """
+
+    kind = "outline"
+    label = "the extent of the deposit in plan"
+
+    def __init__(self, scene: Scene, directions_deg: Numbers = None) -> None:
+        super().__init__(scene)
+        require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
+        angles = np.deg2rad(DIRECTIONS_DEG if directions_deg is None else np.array(directions_deg))
+        self.directions = np.stack([np.cos(angles), np.sin(angles)])
+        """From +x towards +z, shape [2, M]."""
+        self.count = len(angles)
+        volumes = mass_volumes(scene)
+        self.centre = (volumes @ mass_centroids(scene) / volumes.sum())[[0, 2]]
+
+    def exact(self, positions: NDArray[np.floating]) -> Values:
+        extent = (positions[:, [0, 2]].astype(np.float64) - self.centre) @ self.directions
+        volumes = particle_volumes(self.scene, len(positions))
+        return np.array([measures.front(along[:, None], volumes) for along in extent.T])
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        extent = (positions[:, [0, 2]].double() - torch.from_numpy(self.centre)) @ torch.from_numpy(self.directions)
+        return torch.stack([fitted_tail(along, volumes) for along in extent.T])
+
+
+class Boundary(SmoothObservation):
+    """Signed distances from points of the observed boundary to the model's [m], positive where this goes beyond."""
+
+    kind = "outline"
+    label = "the outline of the deposit in plan"
+    of_positions, dense = False, True
+
+    def __init__(self, scene: Scene, region: shapely.Geometry, thickness: float | None = None) -> None:
+        """region: what was covered, in plan from the box's corner [m]; thickness: above which the model covers [m]."""
+        super().__init__(scene)
+        self.grid, self.region = plan_grid(scene, scene.domain.cell), region
+        least = 0.5 * min(map(least_thickness, scene.masses))
+        self.thickness = min(scene.particle_spacing, least) if thickness is None else thickness
+        require(self.thickness > 0.0, "thickness", "a thickness above 0 m", thickness)
+        line = region.boundary
+        wanted = float(np.clip(line.length / (2.0 * scene.domain.cell), *POINTS))
+        rings = [ring for part in shapely.get_parts(region) for ring in (part.exterior, *part.interiors)]
+        counts = [max(1, round(wanted * ring.length / line.length)) for ring in rings]
+        places = [
+            shapely.line_interpolate_point(ring, (np.arange(count) + 0.5) / count, normalized=True)
+            for ring, count in zip(rings, counts, strict=True)
+        ]
+        self.points = np.concatenate(places)
+        self.count = len(self.points)
+
+    def covered(self, thickness: Floats) -> shapely.Geometry:
+        """Where thicknesses [K] exceed that of the outline, single islands left out."""
+        padded = np.pad(thickness.reshape(self.grid.nodes), 1)
+        x, z = (
+            np.concatenate([[at[0] - step], at, [at[-1] + step]])
+            for at, step in zip(self.grid.axes, self.grid.spacing, strict=True)
+        )
+        filled = contour_generator(x, z, padded.T, fill_type=FillType.OuterOffset).filled(self.thickness, np.inf)
+        parts = [np.split(points, offsets[1:-1]) for points, offsets in zip(*filled, strict=True)]
+        polygons = [shapely.Polygon(outer, holes) for outer, *holes in parts]
+        largest = max((each.area for each in polygons), default=0.0)
+        return shapely.union_all([each for each in polygons if each.area >= ISLAND * largest])
+
+    def heights(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        """Thickness in the cells of the grid [m], shape [K]."""
+        return volume_over(self.grid, positions, volumes) / math.prod(self.grid.spacing)
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        heights = self.heights(positions, volumes)
+        known = heights.detach().numpy()
+        model = self.covered(known)
+        if model.is_empty:
+            # Nothing is left: as far off as the box is long.
+            return torch.full((self.count,), -max(self.scene.domain.size), dtype=torch.float64)
+        edge = model.boundary
+        inside = shapely.contains_xy(model, shapely.get_coordinates(self.points))
+        distance = np.where(inside, 1.0, -1.0) * shapely.distance(self.points, edge)
+        if not heights.requires_grad:
+            return torch.from_numpy(distance)
+        nearest = shapely.get_coordinates(shapely.shortest_line(self.points, edge))[1::2]
+        steps = 0.5 * self.scene.domain.cell * np.eye(2)
+        slopes = [(self.grid.weights(nearest + step) - self.grid.weights(nearest - step)) @ known for step in steps]
+        steep = np.maximum(np.hypot(*slopes) / self.scene.domain.cell, 1e-12)
+        at_edge = torch.from_numpy(self.grid.weights(nearest).toarray()) @ heights
+        moved: Tensor = torch.from_numpy(distance) + (at_edge - at_edge.detach()) / torch.from_numpy(steep)
+        return moved
+
+    def scores(self, positions: NDArray[np.floating], volumes: Values) -> dict[str, float]:
+        heights = self.heights(torch.from_numpy(np.asarray(positions)), torch.from_numpy(volumes)).numpy()
+        model = self.covered(heights)
+        both = model.intersection(self.region).area
+        beyond, missed = model.area - both, self.region.area - both
+        weighed = TVERSKY[0] * beyond + TVERSKY[1] * missed
+        return {"intersection_over_union": both / (both + beyond + missed), "tversky": both / (both + weighed)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutlineSettings(LengthsSettings):
+    """Of `Boundary`; of `Extents` where values or directions are named. The table has x and z of vertices in order."""
+
+    file: str | None = None
+    """Polygons (GeoJSON, shapefile, GeoPackage, KML), in the map coordinates of the scene."""
+    values: tuple[float, ...] | None = None
+    """Extent [m] in each of `directions_deg`."""
+    directions_deg: tuple[float, ...] | None = None
+    """From +x towards +z; every 22.5 degrees where absent."""
+    thickness: float | None = None
+    """Above which a place is covered [m]; where absent as in `datasets.maps`."""
+    length: float | None = None
+    """Correlation length of the errors along the boundary [m]: exp(-distance / length); independent where absent."""
+
+    operator_type = Boundary
+    robust = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for key in ("thickness", "length"):
+            given = getattr(self, key)
+            require(given is None or given > 0.0, key, "a length above 0 m", given)
+
+    def operator(self, scene: Scene) -> Observation:
+        require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
+        if self.values is not None or self.directions_deg is not None:
+            return Extents(scene, self.directions_deg)
+        # Of a twin whose outline is not known yet.
+        return Boundary(scene, shapely.box(0.0, 0.0, *scene.domain.size[::2]), self.thickness)
+
+    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+        if self.values is not None:
+            return super().read(scene, folder, released)
+        require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
+        path, (corner, crs) = folder / str(self.csv or self.file), map_corner(scene)
+        with naming(path):
+            if self.csv is not None:
+                corner = scene.domain.corner[::2]
+                polygons = [shapely.Polygon(np.stack([*self.table(path, ("x", "z")).values()], axis=1))]
+                require(
+                    polygons[0].is_valid, "", "vertices in order along the outline", "an outline that crosses itself"
+                )
+            else:
+                features = read_polygons(path, crs)
+                # Our own file has what the flow covered beside the deposit.
+                deposit = [each for each in features if each.attributes.get("name") == "deposit"]
+                polygons = [each.polygon for each in deposit or features]
+            region = shapely.transform(shapely.union_all(polygons), lambda rows: rows - corner)
+            box = shapely.box(0.0, 0.0, *scene.domain.size[::2])
+            if not box.buffer(1e-6 * max(scene.domain.size)).contains(region):
+                got = ", ".join(f"{each:.6g}" for each in region.bounds)
+                raise InputError(f"expected an outline within the box, got x and z from its corner from {got} m")
+        return self.around(Boundary(scene, region, self.thickness))
+
+    def of_run(self, scene: Scene, run: Trajectory) -> Target:
+        operator = self.operator(scene)
+        if not isinstance(operator, Boundary):
+            return self.compared(operator, operator.observe(run))
+        last, volumes = torch.from_numpy(np.asarray(run.positions[-1])), torch.from_numpy(run.volumes)
+        region = operator.covered(operator.heights(last, volumes).numpy())
+        require(not region.is_empty, "thickness", "a deposit thicker than that somewhere", self.thickness)
+        return self.around(Boundary(scene, region, self.thickness))
+
+    def around(self, operator: Boundary) -> Target:
+        """The target of an observed boundary: no distance from it, with the stated errors."""
+        values = np.zeros(operator.count)
+        require(Noise.stated(self.noise).share == 0.0, "noise", "a distance in m for an outline", self.noise)
+        deviation = Noise.stated(self.noise).of(values)
+        errors = Covariance(deviation)
+        if self.length is not None:
+            places = shapely.get_coordinates(operator.points)
+            errors = Covariance.of(np.outer(deviation, deviation) * np.exp(-cdist(places, places) / self.length))
+        return Target(observation=operator, values=values, errors=errors)

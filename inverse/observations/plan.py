@@ -1,0 +1,215 @@
+"""The thickness of a deposit, or the largest of a flow, over the cells of a raster in plan (3D).
+
+    h_c = f_c / A  sum_p w_c(x_p) V_p
+
+w shares the volume V_p of a particle linearly between the cells around it, as `datasets.maps` does; A is the area of a
+cell. Volumes are those at the initial density. With n the normal of the ground and g gravity, f is n_y for a thickness
+normal to the ground, and n_y |g| / (-n . g) for a vertical one, along gravity.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.spatial.distance import cdist
+from torch import Tensor
+
+from datasets.errors import naming, require
+from datasets.exchange.rasters import Raster, read_raster, same_system
+from datasets.flow.trajectory import Trajectory
+from datasets.geometry.ground import elevation
+from datasets.scene import Scene
+from datasets.scene.grid_field import Floats, Grid
+from inverse.observations.errors import Covariance, Noise
+from inverse.observations.observation import SCATTER_CELLS, Rollout, SmoothObservation, Values
+from inverse.observations.settings import ObservationSettings
+from inverse.observations.target import Target
+
+MOST = 1500
+"""Cells of an observation: their covariance is a dense matrix. Finer rasters are taken in blocks."""
+AROUND = 0.25
+"""Distance from the deposit, over the root of its area, up to which bare cells count: more would hide a misfit."""
+TOO_MUCH = 2.0
+"""Volume of a deposit over the released one that another unit makes, or another scene."""
+
+
+def map_corner(scene: Scene) -> tuple[Floats, str | None]:
+    """Easting and northing of the box's lower corner [m], 0 where it has none, and their reference system."""
+    corners = ((np.array(solid.corner), solid.crs) for solid in scene.solids if solid.corner is not None)
+    return next(corners, (scene.domain.corner[::2], scene.domain.crs))
+
+
+def plan_grid(scene: Scene, cell: float) -> Grid:
+    """Square cells of about this edge [m] over the whole plan of a scene in 3D, by their middles."""
+    require(scene.dimension == 3, "kind", "a scene in 3D", f"{scene.dimension}D")
+    sides = scene.domain.size[::2]
+    counts = tuple(max(1, round(side / cell)) for side in sides)
+    spacing = tuple(side / count for side, count in zip(sides, counts, strict=True))
+    return Grid((0.5 * spacing[0], 0.5 * spacing[1]), spacing, counts)
+
+
+def volume_over(grid: Grid, positions: Tensor, volumes: Tensor) -> Tensor:
+    """Volume [m^3] in each cell of `grid`, shape [K], of particles [N, 3] with `volumes` [N]; differentiable."""
+    scaled = (positions[:, ::2].double() - torch.from_numpy(np.array(grid.origin))) / torch.from_numpy(
+        np.array(grid.spacing)
+    )
+    last = torch.tensor(grid.nodes) - 1
+    within = ((scaled > -0.5) & (scaled < last + 0.5)).all(dim=1)
+    scaled = torch.minimum(scaled[within].clamp(min=0.0), last.double())
+    first = torch.minimum(scaled.detach().long(), (last - 1).clamp(min=0))
+    share, volume = scaled - first, volumes.double()[within]
+    found = torch.zeros(grid.count, dtype=torch.float64)
+    for x, z in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        weight = (share[:, 0] if x else 1.0 - share[:, 0]) * (share[:, 1] if z else 1.0 - share[:, 1])
+        column, row = (torch.minimum(first[:, n] + (x, z)[n], last[n]) for n in (0, 1))
+        found = found.index_add(0, column * grid.nodes[1] + row, weight * volume)
+    return found
+
+
+def factors(scene: Scene, grid: Grid, direction: str) -> Floats:
+    """f of each cell of `grid`, shape [K]; `direction` is normal or vertical."""
+    step = scene.domain.cell
+    slopes = [
+        (
+            elevation(scene.solids, scene.domain, grid.positions + off)
+            - elevation(scene.solids, scene.domain, grid.positions - off)
+        )
+        / (2.0 * step)
+        for off in step * np.eye(2)
+    ]
+    upright = 1.0 / np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
+    if direction == "normal" or scene.gravity == 0.0:
+        return np.asarray(upright)
+    along, down, _ = scene.gravity_vector
+    return np.asarray(scene.gravity / -(down - along * slopes[0]))
+
+
+class Thickness(SmoothObservation):
+    """The thickness in cells of a raster: of the deposit, or the largest in any frame; M numbers [m]."""
+
+    kind = "thickness"
+    label = "the thickness over the plan"
+    of_positions, dense = False, True
+
+    def __init__(
+        self, scene: Scene, grid: Grid, *, peak: bool, direction: str, cells: NDArray[np.int64] | None = None
+    ) -> None:
+        """cells: those of `grid` that were measured; all where absent."""
+        super().__init__(scene)
+        self.grid, self.over_time = grid, peak
+        self.cells = np.arange(grid.count) if cells is None else cells
+        self.count = len(self.cells)
+        self.factor = (factors(scene, grid, direction) / math.prod(grid.spacing))[self.cells]
+
+    def smooth(self, positions: Tensor, volumes: Tensor) -> Tensor:
+        return volume_over(self.grid, positions, volumes)[torch.from_numpy(self.cells)] * torch.from_numpy(self.factor)
+
+    def predict(self, rollout: Rollout) -> Tensor:
+        if not self.over_time:
+            return super().predict(rollout)
+        highest = self.smooth(rollout.positions[0], rollout.volumes)
+        for frame in rollout.positions[1:]:
+            highest = torch.maximum(highest, self.smooth(frame, rollout.volumes))
+        return highest
+
+    def prior_scatter(self, values: Values) -> Values:
+        columns = max(1.0, min(self.grid.spacing) / self.scene.domain.cell)
+        return np.full(len(values), SCATTER_CELLS * self.scene.particle_spacing / columns)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThicknessSettings(ObservationSettings):
+    """Of `Thickness`."""
+
+    file: str | None = None
+    """A raster (GeoTIFF or .asc) of thicknesses [m], in the map coordinates of the scene."""
+    cell: float | None = None
+    """Of a twin or a trajectory: edge of the cells [m]; the scene's where absent."""
+    peak: bool = False
+    """Whether they are the largest over time, not those of the deposit."""
+    direction: Literal["normal", "vertical"] = "normal"
+    """How they are measured: normal to the ground or along gravity."""
+    length: float | None = None
+    """Correlation length of their errors in plan [m]: exp(-distance / length); independent where absent."""
+
+    operator_type = Thickness
+    robust = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for key in ("cell", "length"):
+            given = getattr(self, key)
+            require(given is None or given > 0.0, key, "a length above 0 m", given)
+        require(self.file is None or self.cell is None, "cell", "none beside a raster, which has its own", self.cell)
+
+    def operator(self, scene: Scene) -> Thickness:
+        grid = plan_grid(scene, max(self.cell or 0.0, scene.domain.cell))
+        if grid.count > MOST:
+            grid = plan_grid(scene, math.sqrt(math.prod(scene.domain.size[::2]) / MOST))
+        return self.over(scene, grid)
+
+    def over(self, scene: Scene, grid: Grid, cells: NDArray[np.int64] | None = None) -> Thickness:
+        return Thickness(scene, grid, peak=self.peak, direction=self.direction, cells=cells)
+
+    def read(self, scene: Scene, folder: Path, released: float | None) -> Target:
+        require(scene.dimension == 3, "kind", "a scene in 3D", f"{scene.dimension}D")
+        path, (corner, crs) = folder / str(self.file), map_corner(scene)
+        with naming(path):
+            raster = read_raster(path)
+            require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
+            grid, values = blocks(raster, corner, scene)
+            if released is not None and not self.peak:
+                volume = float(np.nansum(values / factors(scene, grid, self.direction)) * math.prod(grid.spacing))
+                most = TOO_MUCH * released * scene.domain.size[2]
+                require(
+                    volume <= most, "", f"a volume of at most {most:.4g} m^3, twice the released one", f"{volume:.4g}"
+                )
+        return self.measured(scene, grid, values)
+
+    def of_run(self, scene: Scene, run: Trajectory) -> Target:
+        whole = self.operator(scene)
+        return self.measured(scene, whole.grid, whole.observe(run))
+
+    def measured(self, scene: Scene, grid: Grid, values: Values) -> Target:
+        """The target of values [m] in the cells of `grid` [K], NaN where there are none; cells around them count."""
+        covered = (np.nan_to_num(values) > 0.0).reshape(grid.nodes)
+        require(bool(covered.any()), "", "a thickness above 0 m in the box", "none")
+        apart = distance_transform_edt(~covered, sampling=grid.spacing)
+        reach = max(2.0 * max(grid.spacing), AROUND * math.sqrt(covered.sum() * math.prod(grid.spacing)))
+        cells = np.flatnonzero((apart <= reach).ravel() & np.isfinite(values))
+        shown = values[cells]
+        # Bare ground among bare ground is known to be bare.
+        edge = binary_dilation(covered, np.ones((3, 3))).ravel()[cells]
+        deviation = np.where(edge, Noise.stated(self.noise).of(shown), 0.0)
+        errors = Covariance(deviation)
+        if self.length is not None:
+            distance = cdist(grid.positions[cells], grid.positions[cells])
+            errors = Covariance.of(np.outer(deviation, deviation) * np.exp(-distance / self.length))
+        return Target(observation=self.over(scene, grid, cells), values=shown, errors=errors)
+
+
+def blocks(raster: Raster, corner: Floats, scene: Scene) -> tuple[Grid, Values]:
+    """The cells of a raster in the box, and their values [K]: means over blocks of a cell of the scene at least.
+
+    corner: of the box on the map [m], shape [2]; a block with a hole is one. Raises InputError where none lies in it.
+    """
+    places, kept = (raster.x - corner[0], raster.z - corner[1]), []
+    for at, side in zip(places, scene.domain.size[::2], strict=True):
+        kept.append(np.flatnonzero((at > 0.0) & (at < side)))
+        require(
+            len(kept[-1]) > 0, "", f"cells between 0 and {side:g} m from the corner of the box", "none of them there"
+        )
+    width = math.ceil(scene.domain.cell / min(raster.spacing) - 1e-6)
+    width = max(width, math.ceil(math.sqrt(len(kept[0]) * len(kept[1]) / MOST)))
+    counts = tuple(max(1, len(each) // width) for each in kept)
+    width_x, width_z = (min(width, len(each)) for each in kept)
+    rows = [each[: count * own] for each, count, own in zip(kept, counts, (width_x, width_z), strict=True)]
+    cut = raster.values[np.ix_(*rows)].reshape(counts[0], width_x, counts[1], width_z)
+    spacing = (raster.spacing[0] * width_x, raster.spacing[1] * width_z)
+    origin = tuple(float(at[row[:own]].mean()) for at, row, own in zip(places, rows, (width_x, width_z), strict=True))
+    return Grid(origin, spacing, counts), np.asarray(cut.mean(axis=(1, 3)).ravel())

@@ -1,0 +1,146 @@
+"""The fit, number by number: what was observed beside what the posterior predicts, as tables and as a picture.
+
+    e_i = (y_i - median_i) / s_i,    s_i^2 = p_i^2 + n_i^2
+
+p is the standard deviation of what further flows would show without errors of measurement, n the stated one. Under
+robust noise the band is as wide as the noise that the number shows, e counts the stated one all the same.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from inverse.inference_data import predictive
+from inverse.observations import Values
+from inverse.observations.observation import JointPart
+from inverse.posterior.sampling import systematic
+from inverse.result import Result
+
+OUTLIER = 3.0
+"""Standardised residual beyond which a number is named."""
+LISTED, WORST = 40, 10
+"""Numbers of an observation that are all listed; of more the farthest off."""
+NORMAL = 1.96
+"""Half of a 95 % interval over the standard deviation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residuals:
+    """Of one observation; each of shape [m], in its unit."""
+
+    part: JointPart
+    observed: Values
+    noise: Values
+    """Stated standard deviation."""
+    median: Values
+    lower: Values
+    """Of 2.5 %."""
+    upper: Values
+    """Of 97.5 %."""
+    standardised: Values
+    """e [-]."""
+
+    @property
+    def places(self) -> tuple[str, Values]:
+        """Where or when each number was observed, and what that is."""
+        label, places = self.part.observation.places
+        return (
+            (label, places) if len(places) == len(self.observed) else ("number", np.arange(1.0, len(self.observed) + 1))
+        )
+
+    @property
+    def outliers(self) -> list[str]:
+        """The numbers that are off by more than `OUTLIER`, in words."""
+        label, places = self.places
+        name, unit = label.split(" [")[0], label.partition(" [")[2].rstrip("]")
+        return [
+            f"{self.part.name} at {name} {place:.4g} {unit}".rstrip() + f" ({off:+.1f})"
+            for place, off in zip(places, self.standardised, strict=True)
+            if abs(off) > OUTLIER
+        ]
+
+    @property
+    def rows(self) -> list[dict[str, str]]:
+        """Those of a table: all numbers, or those farthest off."""
+        order = np.arange(len(self.observed))
+        if len(order) > LISTED:
+            order = np.sort(np.argsort(-np.abs(self.standardised))[:WORST])
+        label, places = self.places
+        return [
+            {
+                "observation": self.part.name,
+                "at": f"{label.split(' [')[0]} {places[n]:.4g}",
+                "observed": f"{self.observed[n]:.4g} {self.part.observation.unit}".rstrip(),
+                "predicted (median)": f"{self.median[n]:.4g}",
+                "95 % band": f"{self.lower[n]:.4g} to {self.upper[n]:.4g}",
+                "standardised residual": f"{self.standardised[n]:+.2f}",
+            }
+            for n in order
+        ]
+
+
+def residuals(result: Result) -> list[Residuals]:
+    """Of every observation; none where there is no posterior, or where it is of some particles of a deposit."""
+    posterior, target = result.posterior, result.target
+    if posterior is None or len(posterior.reduction.mean) != len(target.values):
+        return []
+    if any(each.observation.every_particle for each in target.observation.parts):
+        return []
+    rng, samples = np.random.default_rng(result.problem.optimiser.seed), posterior.samples
+    points = samples.points[systematic(samples.weights, len(samples.points), rng)]
+    scale = np.broadcast_to(target.observation.scale, target.values.shape)
+    lower, median, upper = scale * np.quantile(predictive(posterior, points, rng), (0.025, 0.5, 0.975), axis=0)
+    observed, noise, counted = (scale * each for each in (target.values, target.deviation, posterior.deviation))
+    unmeasured = np.maximum(((upper - lower) / (2.0 * NORMAL)) ** 2 - counted**2, 0.0)
+    off = (observed - median) / np.maximum(np.sqrt(unmeasured + noise**2), 1e-300)
+    return [
+        Residuals(
+            part=part,
+            observed=observed[part.numbers],
+            noise=noise[part.numbers],
+            median=median[part.numbers],
+            lower=lower[part.numbers],
+            upper=upper[part.numbers],
+            standardised=off[part.numbers],
+        )
+        for part in target.observation.parts
+    ]
+
+
+def outlying(fits: Sequence[Residuals]) -> str:
+    """The numbers that the posterior does not predict."""
+    named = [name for each in fits for name in each.outliers]
+    which = f"off by more than {OUTLIER:g} standard deviations of noise and prediction together"
+    return f"Outliers, {which}: {'; '.join(named)}." if named else f"No number is {which}."
+
+
+def draw(found: Sequence[Residuals]) -> Figure:
+    """A panel for each observation: numbers with their noise over time or place, median and predictive band."""
+    figure, axes = plt.subplots(
+        len(found), 1, figsize=(10.0, 0.4 + 2.6 * len(found)), layout="constrained", squeeze=False
+    )
+    for axis, each in zip(axes[:, 0], found, strict=True):
+        label, places = each.places
+        order = np.argsort(places, kind="stable")
+        at, low, middle, high = places[order], each.lower[order], each.median[order], each.upper[order]
+        if len(np.unique(at)) == len(at) > 2:
+            axis.fill_between(at, low, high, color="#1b6ca8", alpha=0.25, linewidth=0.0, label="predicted, 95 %")
+            axis.plot(at, middle, color="#1b6ca8", linewidth=1.2, label="median")
+        else:
+            ends = np.maximum([middle - low, high - middle], 0.0)
+            axis.errorbar(
+                at, middle, yerr=ends, fmt="_", color="#1b6ca8", linewidth=5, alpha=0.4, label="predicted, 95 %"
+            )
+        wide = NORMAL * each.noise
+        axis.errorbar(
+            places, each.observed, yerr=wide, fmt="k.", capsize=3, linewidth=0.9, label="observed, noise 95 %"
+        )
+        outside = np.abs(each.standardised) > OUTLIER
+        axis.plot(places[outside], each.observed[outside], "o", color="tab:red", fillstyle="none", label="outlier")
+        unit = each.part.observation.unit
+        axis.set(xlabel=label, ylabel=f"[{unit or '-'}]", title=each.part.name)
+        axis.legend(loc="best")
+    return figure

@@ -1,0 +1,212 @@
+"""Thickness in plan: layers of known thickness on planes, whatever the raster and its place on the map."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+import torch
+
+from datasets import Domain, Mass, Scene, Solid, Trajectory
+from datasets.exchange.rasters import write_raster
+from inverse.observations import OutlineSettings, ThicknessSettings
+from inverse.observations.outline import Boundary
+from inverse.problem import read_problem
+from tests.refusals import refused
+from tests.scenes import flow_of, scene_of
+
+PLANE = Solid(kind="terrain", origin=(-1.0, -1.0), spacing=(6.0, 6.0), heights=((3.0, 3.0), (0.0, 0.0)), friction=0.4)
+"""Falls by half along x: from 2.5 m over the corner of the box."""
+NORMAL = 1.0 / np.sqrt(1.25)
+CORNER = (2_600_000.0, 1_200_000.0)
+
+
+def scene(*solids: Solid, origin: bool = False, **changes: object) -> Scene:
+    made = scene_of(Mass(lower=(1.0, 2.6, 1.0), size=(1.0, 0.2, 1.0)), size=(4.0, 4.0, 4.0), cell=0.2, solids=solids)
+    place = (CORNER[0], 1300.0, CORNER[1]) if origin else None
+    return dataclasses.replace(made, domain=Domain(size=(4.0, 4.0, 4.0), cell=0.2, origin=place), **changes)
+
+
+def layer(scene: Scene) -> Trajectory:
+    """0.1 m thick along y at x and z from 0.8 to 2.4 m."""
+    x, z = np.meshgrid(*(np.arange(0.825, 2.4, 0.05),) * 2, indexing="ij")
+    points = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
+    return dataclasses.replace(flow_of(scene, points[None]), volume=np.full(len(points), 0.05**2 * 0.1, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("made", "factors"),
+    [(scene(), (1.0, 1.0)), (scene(PLANE), (NORMAL, 1.0)), (scene(slope_deg=30.0), (1.0, 1.0 / np.cos(np.pi / 6.0)))],
+    ids=["level", "plane", "tilted"],
+)
+def test_a_layer_is_as_thick_as_it_is_normal_to_the_ground_or_along_gravity(
+    made: Scene, factors: tuple[float, float]
+) -> None:
+    for direction, factor in zip(("normal", "vertical"), factors, strict=True):
+        thickness = ThicknessSettings(direction=direction, cell=0.2).operator(made)
+        shown = thickness.observe(layer(made)).reshape(thickness.grid.nodes)
+        # Inside the layer, a cell from its edge: exact, as all around it.
+        np.testing.assert_allclose(shown[5:11, 5:11], 0.1 * factor, rtol=1e-6)
+        assert not shown[14:].any()
+
+
+def test_the_volume_is_the_particles_and_its_slope_is_exact() -> None:
+    made = scene()
+    thickness, run = ThicknessSettings(cell=0.4).operator(made), layer(made)
+    shown = thickness.observe(run)
+    assert shown.sum() * 0.4**2 == pytest.approx(run.volumes.sum(), rel=1e-12)
+    points = torch.from_numpy(run.positions[0]).double().requires_grad_(True)
+    weights = torch.linspace(0.0, 1.0, len(shown), dtype=torch.float64)
+    found = thickness.smooth(points, torch.from_numpy(run.volumes)) @ weights
+    (slope,) = torch.autograd.grad(found, points)
+    step = torch.zeros_like(points)
+    step[100, 0] = 1e-6
+    ahead, behind = (thickness.smooth(points + s * step, torch.from_numpy(run.volumes)) @ weights for s in (1.0, -1.0))
+    assert float(slope[100, 0]) == pytest.approx(float((ahead - behind).detach()) / 2e-6, rel=1e-5)
+
+
+def test_the_peak_is_the_largest_of_all_frames() -> None:
+    made = scene()
+    run = dataclasses.replace(layer(made), positions=layer(made).positions[[0, 0, 0]], time=np.arange(3.0))
+    run.positions[0, :, 0] += 1.6
+    run.positions[2, :, 1] = 0.5
+    peak = ThicknessSettings(cell=0.2, peak=True).operator(made)
+    assert peak.over_time
+    shown = peak.observe(run).reshape(peak.grid.nodes)
+    np.testing.assert_allclose(shown[5:11, 5:11], 0.1, rtol=1e-6)
+    np.testing.assert_allclose(shown[13:19, 5:11], 0.1, rtol=1e-6)
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.2, 0.4])
+def test_a_raster_on_the_map_is_the_target_that_its_flow_makes(cell: float, tmp_path: Path) -> None:
+    """Of 0.1 m on the same square, cells from a quarter of the grid's to twice: all numbers of the layer are it."""
+    made = scene(origin=True)
+    count = round(4.0 / cell)
+    middles = cell * (np.arange(count) + 0.5)
+    inside = (middles > 0.8) & (middles < 2.4)
+    write_raster(tmp_path / "h.tif", 0.1 * np.outer(inside, inside), cell, CORNER, "EPSG:2056", "thickness", "m")
+    target = ThicknessSettings(file="h.tif", noise="10%", length=0.5).read(made, tmp_path, 0.04)
+    shown = target.observation.observe(layer(made))
+    grid = target.observation.grid
+    assert min(grid.spacing) == pytest.approx(max(cell, 0.2))
+    places = grid.positions[target.observation.cells]
+    core = ((places > 0.8 + 0.21) & (places < 2.4 - 0.21)).all(axis=1)
+    np.testing.assert_allclose(target.values[core], 0.1, rtol=1e-6)
+    np.testing.assert_allclose(shown[core], 0.1, rtol=1e-6)
+    assert abs(shown - target.values).max() < 0.06  # half a cell on either side of the edge is shared
+    # Correlated in space, by the distance between two cells; far bare ground does not count.
+    one, other = np.flatnonzero(core)[[0, 1]]
+    apart = np.linalg.norm(places[one] - places[other])
+    correlation = target.errors.matrix[one, other] / (target.deviation[one] * target.deviation[other])
+    assert correlation == pytest.approx(np.exp(-apart / 0.5))
+    assert target.deviation[core] == pytest.approx(0.01)
+    assert places.max() < 2.4 + 0.25 * 1.6 + 2.0 * grid.spacing[0]
+
+
+def test_what_is_no_raster_of_this_flow_is_refused(tmp_path: Path) -> None:
+    made, heap = scene(origin=True), np.full((20, 20), 10.0)
+    write_raster(tmp_path / "cm.tif", heap, 0.2, CORNER, "EPSG:2056", "thickness", "m")
+    write_raster(tmp_path / "far.tif", heap, 0.2, (0.0, 0.0), "EPSG:2056", "thickness", "m")
+    refused(ThicknessSettings(file="cm.tif").read, made, tmp_path, 0.04, said="cm.tif: expected a volume of at most")
+    refused(ThicknessSettings(file="far.tif").read, made, tmp_path, 0.04, said="far.tif: expected cells between 0 and")
+    refused(lambda: ThicknessSettings(cell=-1.0), said="a length above 0")
+
+
+def disc(scene: Scene, radius: float, middle: tuple[float, float] = (2.0, 2.0)) -> Trajectory:
+    """A layer 0.1 m thick within a circle."""
+    x, z = np.meshgrid(*(np.arange(0.0125, 4.0, 0.025),) * 2, indexing="ij")
+    inside = np.hypot(x - middle[0], z - middle[1]) < radius
+    points = np.stack([x[inside], np.zeros(inside.sum()), z[inside]], axis=1)
+    return dataclasses.replace(flow_of(scene, points[None]), volume=np.full(len(points), 0.025**2 * 0.1, np.float32))
+
+
+def ring(radius: float) -> list[list[float]]:
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)[:-1]
+    return (2.0 + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)).tolist()
+
+
+@pytest.mark.parametrize("suffix", ["csv", "geojson", "gpkg"])
+def test_an_outline_is_signed_distances_along_the_boundary(suffix: str, tmp_path: Path) -> None:
+    """Circles of 1.3 and 1.0 m about an observed one of 1.15 m, on the map: 0.15 m beyond and short all around."""
+    made = scene(origin=True)
+    vertices = np.array(ring(1.15)) + CORNER
+    path = tmp_path / f"seen.{suffix}"
+    if suffix == "csv":
+        path.write_text("x,z\n" + "".join(f"{x:.6f},{z:.6f}\n" for x, z in vertices))
+    else:
+        import pyogrio
+
+        polygon = shapely.to_wkb(np.array([shapely.Polygon(vertices)]))
+        pyogrio.raw.write(path, polygon, [], [], geometry_type="Polygon", crs="EPSG:2056")
+    key = "csv" if suffix == "csv" else "file"
+    settings = OutlineSettings(**{key: path.name}, noise=0.05, length=1.0, thickness=0.05)
+    made = dataclasses.replace(made, domain=dataclasses.replace(made.domain, crs="EPSG:2056"))
+    target = settings.read(made, tmp_path, None)
+    assert not target.values.any()
+    for radius in (1.3, 1.0):
+        run = disc(made, radius)
+        np.testing.assert_allclose(target.observation.observe(run), radius - 1.15, atol=0.03)
+        scores = target.observation.scores(run.positions[-1], run.volumes)
+        assert scores["intersection_over_union"] == pytest.approx(min(1.15 / radius, radius / 1.15) ** 2, abs=0.02)
+        both, beyond, missed = min(radius, 1.15) ** 2, max(0.0, radius**2 - 1.15**2), max(0.0, 1.15**2 - radius**2)
+        assert scores["tversky"] == pytest.approx(both / (both + 0.3 * beyond + 0.7 * missed), abs=0.02)
+    # Neighbours share their error: 36 points, 0.2 m apart.
+    matrix = target.errors.matrix / 0.05**2
+    step = 2.0 * 1.15 * np.sin(np.pi / len(matrix))
+    assert matrix[0, 1] == pytest.approx(np.exp(-step), rel=1e-3)
+
+
+def test_the_slope_of_a_distance_is_that_of_the_boundary() -> None:
+    """As a disc is scaled about its middle, the boundary moves with its radius."""
+    made = scene()
+    run, factor = disc(made, 1.0), torch.tensor(1.0, dtype=torch.float64, requires_grad=True)
+    boundary = Boundary(made, shapely.Polygon(ring(1.15)), thickness=0.05)
+    points, middle = torch.from_numpy(run.positions[0]).double(), torch.tensor([2.0, 0.0, 2.0])
+    numbers = boundary.smooth(middle + factor * (points - middle), torch.from_numpy(run.volumes) * factor**2)
+    (slope,) = torch.autograd.grad(numbers.mean(), factor)
+    assert float(slope) == pytest.approx(1.0, rel=0.1)
+
+
+def test_a_twins_outline_is_its_own_and_a_wrong_one_is_refused(tmp_path: Path) -> None:
+    made = scene()
+    target = OutlineSettings(noise=0.05).of_run(made, disc(made, 1.0))
+    np.testing.assert_allclose(target.observation.observe(disc(made, 1.0)), 0.0, atol=1e-9)
+    assert target.observation.scores(disc(made, 1.0).positions[-1], disc(made, 1.0).volumes)["tversky"] > 0.999
+    (tmp_path / "far.csv").write_text("x,z\n10,0\n12,0\n12,2\n")
+    (tmp_path / "bow.csv").write_text("x,z\n1,1\n2,2\n2,1\n1,2\n")
+    for name, said in (("far", "within the box"), ("bow", "in order along the outline")):
+        refused(OutlineSettings(csv=f"{name}.csv", noise=0.1).read, made, tmp_path, None, said=said)
+    refused(OutlineSettings(noise="5%").of_run, made, disc(made, 1.0), said="a distance in m")
+
+
+def test_places_of_a_problem_are_on_the_map_of_its_scene(tmp_path: Path) -> None:
+    """The same problem in a box at (500, 1300) as in one without a place: TOML and CSV alike."""
+    targets = []
+    for x, text in ((0.0, ""), (500.0, "origin = [500.0, 1300.0]\n")):
+        lower = 1300.0 if text else 0.0
+        (tmp_path / "scene.toml").write_text(
+            f"[domain]\nsize = [1.0, 0.5]\ncell = 0.02\n{text}[material]\nfriction_deg = 30.0\n"
+            f"[[masses]]\nlower = [{x}, {lower}]\nsize = [0.2, 0.4]\n"
+        )
+        (tmp_path / "gauges.csv").write_text(f"x,height\n{x + 0.1},0.2\n{x + 0.3},0.1\n")
+        rows = "".join(f"{x + a},{0.2 - 0.25 * a}\n" for a in np.linspace(0.0, 0.8, 9))
+        (tmp_path / "profile.csv").write_text("x,height\n" + rows)
+        (tmp_path / "problem.toml").write_text(
+            'scene = "scene.toml"\n[[unknowns]]\nname = "friction_deg"\ninitial = 30.0\nlower = 20.0\nupper = 40.0\n'
+            f'[[observations]]\nkind = "front"\nvalue = {x + 0.6}\nnoise = 0.01\n'
+            f'[[observations]]\nkind = "toe"\nvalues = [{x + 0.5}, {lower + 0.02}]\nnoise = 0.01\n'
+            f'[[observations]]\nkind = "passed"\nline = {x + 0.4}\nvalue = 0.3\nnoise = 0.01\n'
+            f'[[observations]]\nkind = "arrival"\nx = [{x + 0.4}]\nvalues = [0.3]\nnoise = 0.01\n'
+            f'[[observations]]\nkind = "speed"\nx = [{x + 0.3}, {x + 0.4}]\nvalue = 1.0\nnoise = 0.1\n'
+            '[[observations]]\nkind = "height"\ncsv = "gauges.csv"\nnoise = 0.01\n'
+            '[[observations]]\nkind = "profile"\ncsv = "profile.csv"\nnoise = 0.01\n'
+        )
+        targets.append(read_problem(str(tmp_path / "problem.toml")).measured)
+    for here, there in zip(*targets, strict=True):
+        np.testing.assert_allclose(there.values, here.values, atol=1e-9)
+        assert getattr(there.observation, "line", 0.0) == pytest.approx(getattr(here.observation, "line", 0.0))
+        np.testing.assert_allclose(getattr(there.observation, "x", 0.0), getattr(here.observation, "x", 0.0))
+    problem = (tmp_path / "problem.toml").read_text().replace("value = 500.6", "value = 0.6")
+    (tmp_path / "problem.toml").write_text(problem)
+    refused(read_problem, str(tmp_path / "problem.toml"), said="from the origin of the scene, 500, 1300")

@@ -1,0 +1,83 @@
+"""Robust noise: the block of `test_outlier`, one front of eight off by ten deviations, beside the exact posterior."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets.scene.grid_field import Floats
+from inverse.answer import Verdict
+from inverse.observations import FrontSettings
+from inverse.observations.errors import Student
+from inverse.residuals import residuals
+from inverse.saving import save
+from inverse.target import read_target
+from tests.validation.loop.test_outlier import BOUNDS, FRICTION, NAMES, NOISE, SPEED, TIMES, moved, problem_of, slide
+from validation.loop.solve import run
+from validation.loop.task import Task
+
+DOF = 4.0
+
+
+def exact(values: Floats, unknowns: int) -> Floats:
+    """The 2.5 %, 50 % and 97.5 % quantiles under Student's t, by a grid over the box, shape [3, U]."""
+    shares = (np.arange(600) + 0.5) / 600
+    speed, friction = (low + (high - low) * shares for low, high in BOUNDS.values())
+    friction = friction if unknowns == 2 else np.array([FRICTION])
+    off = (0.3 + moved(TIMES, speed[:, None, None], friction[:, None]) - values) / NOISE
+    density = -0.5 * (DOF + 1.0) * np.log1p(off**2 / DOF).sum(axis=-1)
+    weights = np.exp(density - density.max())
+    both = [(weights.sum(axis=1), speed), (weights.sum(axis=0), friction)][:unknowns]
+    return np.stack([np.interp((0.025, 0.5, 0.975), np.cumsum(own) / own.sum(), axis) for own, axis in both], axis=1)
+
+
+@pytest.mark.parametrize("unknowns", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("off", [-0.05, 0.05])
+def test_an_outlier_of_robust_noise_moves_nothing(tmp_path: Path, unknowns: int, off: float) -> None:
+    truth = np.array([SPEED, FRICTION][:unknowns])
+    values = 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION)) + off * (TIMES == 0.30)
+    problem = problem_of(tmp_path, values, NAMES[:unknowns])
+    seen = replace(problem.observations[0], noise=Student(dof=DOF, deviation=NOISE))
+    assert isinstance(seen, FrontSettings)
+    problem = replace(problem, observations=(seen,))
+    target = read_target(problem, lambda asked: slide([asked])[0])
+    found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=slide))
+    assert found.verdict is Verdict.CONFIRMED
+    assert found.answers[0].holds(truth).all()
+    shown, quantiles = (
+        np.stack([found.answers[0].interval[0], found.answer, found.answers[0].interval[1]]),
+        exact(values, unknowns),
+    )
+    off_exact = (shown - quantiles) / (quantiles[2] - quantiles[0])
+    assert np.abs(off_exact).max() < 0.2
+
+
+def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(tmp_path: Path) -> None:
+    """Fronts that tell the speed, and one that tells it ten times as badly: the first matter, it does not."""
+    values = 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION)) + 0.05 * (TIMES == 0.30)
+    problem = problem_of(tmp_path, values, NAMES[:1])
+    seen = replace(problem.observations[0], noise=Student(dof=DOF, deviation=NOISE))
+    poor = FrontSettings(name="glance", times=(0.5,), values=(float(values[-2]),), noise=10.0 * NOISE)
+    problem = replace(problem, observations=(seen, poor))
+    target = read_target(problem, lambda asked: slide([asked])[0])
+    found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=slide))
+    save(found, tmp_path / "out")
+    text = (tmp_path / "out" / "report.md").read_text()
+    assert "front at time 0.3 s (+" in text
+    assert text.count("| front  ") == 8 + 2  # of comparison and data that matter
+    assert (tmp_path / "out" / "fit.png").stat().st_size > 10_000
+    fronts, _ = residuals(found)
+    assert fronts.standardised[4] == pytest.approx(10.0, rel=0.1)
+    assert np.abs(np.delete(fronts.standardised, 4)).max() < 1.0
+    assert np.all(fronts.lower < 0.3 + moved(TIMES, np.array(SPEED), np.array(FRICTION)))
+    widths = {name: each[NAMES[0]] for name, each in found.without.items()}
+    assert widths["glance"] == pytest.approx(widths["none"], rel=0.15)
+    assert widths["front"] > 5.0 * widths["none"]
+    # Of fronts that all move by the time t or more with the speed, the exact half-width of one number at 0.5 s.
+    speeds = np.linspace(*BOUNDS[NAMES[0]], 4001)
+    density = np.exp(
+        -0.5 * ((0.3 + moved(np.array(0.5), speeds, np.array(FRICTION)) - values[-2]) / (10.0 * NOISE)) ** 2
+    )
+    low, high = np.interp((0.025, 0.975), np.cumsum(density) / density.sum(), speeds)
+    assert widths["front"] == pytest.approx(0.5 * (high - low), rel=0.2)
