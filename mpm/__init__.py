@@ -24,7 +24,7 @@ except ImportError as error:
     ) from None
 
 if TYPE_CHECKING:
-    from mpm.output.request import ALL, AT_REST, LAST, WITH_FIELDS, Recording
+    from mpm.output.recording import ALL, AT_REST, LAST, WITH_FIELDS, Recording
     from mpm.safety import safety_factor
     from mpm.simulation import ScenesFailed, simulate, simulate_each, simulate_many
 
@@ -37,7 +37,7 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'mpm' has no attribute {name!r}")
     solves = name.startswith(("simulate", "Scenes"))
-    home = "simulation" if solves else "safety" if name == "safety_factor" else "output.request"
+    home = "simulation" if solves else "safety" if name == "safety_factor" else "output.recording"
     return getattr(import_module(f"mpm.{home}"), name)
 
 

@@ -19,18 +19,8 @@ from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import dot, lane_numbers, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting
 from mpm.arrays.properties import GAP_CUTOFF
-from mpm.physics.boundary import after_contact
 from mpm.physics.contact import contact_at
-from mpm.solids.face_lookup import (
-    TINY,
-    corners_of,
-    face_number,
-    foot_on_face,
-    frictions_of,
-    normal_of,
-    reach_of,
-    solid_of,
-)
+from mpm.solids.face_lookup import TINY, corners_of, face_number, foot_on_face, frictions_of, normal_of, solid_of
 from mpm.solids.obstacles import BLEND
 from mpm.solids.terrain import (
     cell_code,
@@ -40,7 +30,7 @@ from mpm.solids.terrain import (
     triangle_corners,
     triangle_number,
 )
-from mpm.solids.terrain_holds import cells_over, hold_share, hold_weight, node_position
+from mpm.solids.terrain_holds import cells_over, hold_weight, meet_holds, node_position
 
 PUT_BACK = 1.0e-6
 """Distance from a face [cells] within which a particle has been put back onto it."""
@@ -205,7 +195,7 @@ def between(a, b):
 
 @ti.func
 def add_face(face, column: ti.template(), value, scene, arrays: ti.template()):
-    """Add to the adjoint of a number of a face; of a height field to that of its friction alone: its heights are given."""
+    """Add to the adjoint of a number of a face; of a height field, whose heights are given, to that of friction."""
     first, size = ti.static(arrays.features.face.friction, arrays.features.dimension)
     if ti.static(arrays.features.listed):
         if not in_terrain(face, scene, arrays):
@@ -224,39 +214,24 @@ def terrain_reverse(adj, v, node, scene, arrays: ti.template()):
 
     Adds the adjoints of friction. The reverse of `mpm.solids.terrain_holds.meet_holds`.
     """
-    x, removed, adj_v, total = node_position(node, scene, arrays), 0.0 * v, 0.0 * v, 0.0 * v[0]
+    features, x, adj_v = arrays.features, node_position(node, scene, arrays), 0.0 * v
+    removed, share, depth = meet_holds(v, 0, node, False, scene, arrays)
     i0, k0, i1, k1 = cells_over(x, scene, arrays)
-    blend, limit = BLEND * arrays.settings[scene, Setting.CELL], reach_of(scene, arrays) ** 2
-    depth, nearest, share = 0.0 * blend, limit, 0.0 * blend
-    # The nearest, the sum of the weights, and what each of the triangles takes.
-    for search in range(3):
-        if search == 1:
-            depth = ti.sqrt(nearest)
-            limit = (depth + blend) ** 2
-        elif search == 2:
-            share = hold_share(depth, total, scene, arrays)
-        for i in range(i0, i1):
-            for k in range(k0, k1):
-                code = cell_code(i, k, scene, arrays)
-                for half in range(2 - (code & 2)):
-                    a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-                    normal = (b - a).cross(c - b).normalized()
-                    w, _, from_foot = foot_on_face(x, a, b, c, arrays)
-                    square, behind = from_foot.dot(from_foot), 0.0 - from_foot.dot(normal)
-                    if search == 0:
-                        nearest = ti.min(nearest, square)
-                    elif behind > 0.0 and square < limit:
-                        weight = hold_weight(square, behind, depth, blend)
-                        if search == 1:
-                            total += weight
-                        elif v.dot(normal) < 0.0:
-                            face = triangle_number(i, k, half, scene, arrays)
-                            friction, part = w.dot(frictions_of(face, scene, arrays)), share * weight
-                            removed += part * (v - after_contact(v, normal, friction))
-                            adj_left = (0.0 - part) * adj
-                            through, _normal, adj_friction = after_contact_reverse(adj_left, v, normal, friction)
-                            adj_v += part * adj + through
-                            for corner in ti.static(range(3)):
-                                column = ti.static(arrays.features.face.friction + corner)
-                                add_face(face, column, w[corner] * adj_friction, scene, arrays)
+    blend = BLEND * arrays.settings[scene, Setting.CELL]
+    for i in range(i0, i1):
+        for k in range(k0, k1):
+            code = cell_code(i, k, scene, arrays)
+            for half in range(2 - (code & 2)):
+                a, b, c = triangle_corners(i, k, half, code, scene, arrays)
+                normal = (b - a).cross(c - b).normalized()
+                w, _, from_foot = foot_on_face(x, a, b, c, arrays)
+                square, behind = from_foot.dot(from_foot), 0.0 - from_foot.dot(normal)
+                if behind > 0.0 and square < (depth + blend) ** 2 and v.dot(normal) < 0.0:
+                    face = triangle_number(i, k, half, scene, arrays)
+                    friction = w.dot(frictions_of(face, scene, arrays))
+                    part = share * hold_weight(square, behind, depth, blend)
+                    through, _normal, adj_friction = after_contact_reverse((0.0 - part) * adj, v, normal, friction)
+                    adj_v += part * adj + through
+                    for corner in ti.static(range(3)):
+                        add_face(face, features.face.friction + corner, w[corner] * adj_friction, scene, arrays)
     return adj_v, removed

@@ -17,8 +17,8 @@ h = dt alpha |a|:
 so that h s'(v) lies in [0, 1], as of a force that opposes motion; it is exact where h is small against v_s or |v|, and
 its integral over v stays 2, so that where v scatters by more than h its mean is right.
 
-A node keeps u = v* after the walls and its change u - kappa v, so v*' begins as the sum of both adjoints, and v' and kappa'
-with -kappa and -v times that of the change.
+A node keeps u = v* after the walls and its change u - kappa v, so v*' begins as the sum of both adjoints, and v' and
+kappa' with -kappa and -v times that of the change.
 """
 
 import taichi as ti
@@ -52,7 +52,7 @@ def keep_nodes(worker, arrays: ti.template()):
 
 @ti.func
 def node_reverse(node, adj, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
-    """Adjoint of node `index`, i, j, k, (momentum, mass, force) from that of what it became; then the SUMS it shares."""
+    """Adjoints of node `index`, i, j, k, (momentum, mass, force) from those of what it became; the SUMS it shares."""
     features = arrays.features
     dimension = ti.static(features.dimension)
     per_mass = 1.0 / node[dimension]

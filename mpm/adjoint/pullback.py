@@ -1,8 +1,8 @@
 """Reverse mode by overloaded operators (Griewank & Walther 2008, chapter 6), while Taichi compiles a kernel.
 
     step = ti.static([Pullback(function, (stress, moduli), (dimension,))])[0]
-    step.values                                     # what function(stress, moduli, dimension) returns, a flat list
-    adj_stress, adj_moduli = ti.static(step(adjoints))  # adjoints of the arguments, each shaped as it is, from those of values
+    step.values                                         # what function(stress, moduli, dimension) returns, a flat list
+    adj_stress, adj_moduli = ti.static(step(adjoints))  # of the arguments, each shaped as it is, from those of values
 
 A function of `mpm.physics` that is straight-line code (+ - * /, ti.sqrt, ti.select, comparisons, and calls of other
 such functions) is run once more as the Python that it is, on numbers that add their operations to the kernel and
@@ -129,7 +129,7 @@ def flat(values: Any) -> list[Any]:
 
 
 class Pullback:
-    """A function at arguments, expressions of Taichi nested in lists, and constants without adjoints, and its reverse."""
+    """A function at arguments, expressions of Taichi nested in lists, and constants without adjoints; its reverse."""
 
     _data_oriented = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""

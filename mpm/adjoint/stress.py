@@ -11,8 +11,8 @@ values meet, theta is its limit dt_i/ds_i - dt_i/ds_j: 1 where nothing yields an
 0 on an edge, at the apex and where both stand at the cutoff, since the return then keeps them equal. So every
 derivative is finite, and at an edge, the apex or the cutoff it is that of the piece which the return takes.
 
-An adjoint of xy is that of the number which stands for xy and yx. The step carries its return to the tensor without axes
-(`mpm.physics.stress`); here principal stresses that are equal or close must leave the axes undetermined but
+An adjoint of xy is that of the number which stands for xy and yx. The step carries its return to the tensor without
+axes (`mpm.physics.stress`); here principal stresses that are equal or close must leave the axes undetermined but
 orthonormal: Jacobi's rotations give such axes to rounding whatever the stress (Golub & Van Loan 2013, section 8.5).
 """
 
@@ -25,7 +25,7 @@ from mpm.adjoint.transfer import gather_moments
 from mpm.arrays.access import TINY, magnitude, maximum, minimum, vectors
 from mpm.arrays.layout import Offset, Property, Setting, component
 from mpm.physics.contact import contact_of, jump_at_contact, with_jump
-from mpm.physics.particles import law_values, strengths_of
+from mpm.physics.particles import law_values
 from mpm.physics.stress import equivalent_strain, midpoint_increment, strain_between, trial_stress, with_cracks
 from mpm.physics.transfer import property_of
 from mpm.physics.volume_correction import LEAST, grid_gap, updated_gap
@@ -34,19 +34,23 @@ SWEEPS = {"f32": 4, "f64": 6}
 """Sweeps of three rotations: what is left off the diagonal falls at least with its square."""
 
 
-def trial_of(strained, moduli, opening, limits, box, dt, features):
-    """Trial stress [Pa] of a block, traced: after the strain of C and of contact, with the cracks that gaps leave.
+def before_return(columns, strained, moduli, opening, box, dt, strengths_at, features):
+    """What the plastic return of a block takes, traced: the trial stress [Pa] after the strain of C and of contact,
+    with the cracks that gaps leave, then the strengths of its law.
 
-    strained: stress, C, jump of velocity at contact and contact; opening: gap, rate at which it follows the grid's,
-    mass of the grid around, place and density; box: cell and cells along each axis.
+    columns: the values of those of the law, and the plastic strain; strained: stress, C, jump of velocity at contact
+    and contact; opening: gap, rate at which it follows the grid's, mass of the grid around, place and density; box:
+    cell and cells along each axis.
     """
-    opened = None
+    strengths = strengths_at(*columns, box[0], dt, features)
+    opened, limits = None, []
     if features.volume_correction:
         gap, rate, mass, x, density = opening
         around = grid_gap(mass, x, strained[3], density, box, features)
+        limits = [strengths[3]]
         opened = updated_gap(gap[0], limits[0], moduli[0] + moduli[1] * (2.0 / 3.0), rate, around)
     cracked = with_cracks(strained[0], opened, limits, *moduli, features)
-    return trial_stress(cracked, increment_of(strained, dt, features), *moduli, features.dimension)
+    return trial_stress(cracked, increment_of(strained, dt, features), *moduli, features.dimension), strengths
 
 
 def increment_of(strained, dt, features):
@@ -80,8 +84,6 @@ def stress_reverse(block: ti.template(), arrays: ti.template()):
     size = ti.static(features.dimension)
     corrected = ti.static(int(features.volume_correction))
     lame, shear = property_of(scene, number, Property.LAME, arrays), property_of(scene, number, Property.SHEAR, arrays)
-    strengths = strengths_of(scene, number, dt, arrays)
-    limits = [strengths[3] for _ in ti.static(range(corrected))]
     stress = vectors(arrays.state, block.state + features.state.stress, features.stresses)
     affine = vectors(arrays.history, block.after + features.state.affine, size * size)
     contact = contact_of(number, arrays)
@@ -103,8 +105,12 @@ def stress_reverse(block: ti.template(), arrays: ti.template()):
     rate, dx = dt * arrays.settings[scene, Setting.GAP_RATE], arrays.settings[scene, Setting.CELL]
     density = property_of(scene, number, Property.DENSITY, arrays)
     strained, moduli = ti.static(((stress, affine, jump, contact), (lame, shear)))
-    numbers = ti.static((strained, moduli, (gap, rate, around, x, density), limits))
-    elastic = ti.static([Pullback(trial_of, numbers, ((dx, cells), dt, features))])[0]
+    plastic = vectors(arrays.state, block.state + features.state.plastic_strain, int(features.softens))
+    columns = law_values(scene, number, arrays)
+    numbers = ti.static(((columns, plastic), strained, moduli, (gap, rate, around, x, density)))
+    constants = ti.static(((dx, cells), dt, traceable(features.law.strengths), features))
+    taken = ti.static([Pullback(before_return, numbers, constants)])[0]
+    trial, strengths = ti.static(taken.values[: features.stresses], taken.values[features.stresses :])
     adj_strain, adj_opened = zero, zero
     if ti.static(features.softens):
         adj_strain = arrays.adjoints[block.adj + features.state.plastic_strain]
@@ -120,9 +126,9 @@ def stress_reverse(block: ti.template(), arrays: ti.template()):
     adj_whole = [adj_after[k] + adj_new[k] for k in ti.static(range(features.stresses))]
     others = [adj_strain, adj_opened]
     adj_trial, adj_strengths, adj_returned = plastic_return_reverse(
-        adj_whole + others, elastic.values, strengths, lame, shear, features
+        adj_whole + others, trial, strengths, lame, shear, features
     )
-    adj_strained, adj_moduli, adj_opening, adj_limits = ti.static(elastic(adj_trial))
+    adj_columns, adj_strained, adj_moduli, adj_opening = ti.static(taken(adj_trial + adj_strengths))
     for k in ti.static(range(features.stresses)):
         arrays.adjoints[block.adj + features.state.stress + k] = zero
     add_strained(block, adj_strained, arrays)
@@ -139,16 +145,17 @@ def stress_reverse(block: ti.template(), arrays: ti.template()):
             arrays.scratch[density_at + k] = adj_around[k]
         add_setting_adjoint(block, Setting.GAP_RATE, dt * adj_rate, arrays)
         add_property_adjoint(block, Property.DENSITY, adj_density, arrays)
-        adj_strengths[3] = adj_strengths[3] + adj_limits[0]
     both = [adj_returned[k] + adj_moduli[k] + adj_cracked_moduli[k] for k in ti.static(range(2))]
     add_property_adjoint(block, Property.LAME, both[0] + adj_modulus, arrays)
     add_property_adjoint(block, Property.SHEAR, both[1] + adj_slip_shear + 2.0 * adj_modulus, arrays)
-    strengths_reverse(block, adj_strengths, arrays)
+    add_adjoints(block, features.state.plastic_strain, adj_columns[1], arrays)
+    for column in ti.static(features.law.columns(features)):
+        add_property_adjoint(block, column, adj_columns[0][ti.static(column - len(Property))], arrays)
 
 
 @ti.func
 def add_strained(block: ti.template(), adj: ti.template(), arrays: ti.template()):
-    """Add the adjoints of what strains a block, `strained` of `trial_of`, but for that of the jump."""
+    """Add the adjoints of what strains a block, `strained` of `before_return`, but for that of the jump."""
     state = arrays.features.state
     add_adjoints(block, state.stress, adj[0], arrays)
     add_adjoints(block, state.affine, adj[1], arrays)
@@ -157,7 +164,7 @@ def add_strained(block: ti.template(), adj: ti.template(), arrays: ti.template()
 
 @ti.func
 def crack_reverse(arguments: ti.template(), adj_strain, dt, features: ti.template()):
-    """Adjoints of the `arguments` of `strain_of`, shaped as these, from that of the plastic strain; 0 without cracks."""
+    """Adjoints of the `arguments` of `strain_of`, shaped as these, from that of plastic strain; 0 without cracks."""
     if ti.static(features.cracks):
         strain = ti.static([Pullback(strain_of, arguments, (dt, features))])[0]
         strained, moduli, new = ti.static(strain([adj_strain]))
@@ -168,20 +175,6 @@ def crack_reverse(arguments: ti.template(), adj_strain, dt, features: ti.templat
         affine = [none for _ in ti.static(range(len(arguments[0][1])))]
         contact = [none for _ in ti.static(range(len(arguments[0][3])))]
         return (stress, affine, none, contact), (none, none), stress
-
-
-@ti.func
-def strengths_reverse(block: ti.template(), adj: ti.template(), arrays: ti.template()):
-    """Adjoints of the columns of a block's law, and of its plastic strain, from those of its strengths."""
-    features, scene = arrays.features, block.scene
-    values = law_values(scene, block.number, arrays)
-    strain = vectors(arrays.state, block.state + features.state.plastic_strain, int(features.softens))
-    constants = ti.static((arrays.settings[scene, Setting.CELL], block.dt, features))
-    found = ti.static([Pullback(features.law.strengths, (values, strain), constants)])[0]
-    adj_values, adj_plastic = ti.static(found(adj))
-    add_adjoints(block, features.state.plastic_strain, adj_plastic, arrays)
-    for column in ti.static(features.law.columns(features)):
-        add_property_adjoint(block, column, adj_values[ti.static(column - len(Property))], arrays)
 
 
 @ti.func
@@ -202,13 +195,14 @@ def plastic_return_reverse(
         # In 2D nothing turns out of the plane.
         none = [0.0 * p for _ in ti.static(range(6 - features.stresses))]
         shears = [trial[k] for k in ti.static(range(3, features.stresses))]
-        a, axes = principal_axes([trial[0] - p, trial[1] - p, trial[2] - p] + shears + none, features)
+        deviator = [trial[k] - p for k in ti.static(range(3))]
+        a, axes = principal_axes(deviator + shears + none, features)
         s = [p + a[0], p + a[1], p + a[2]]
         numbers = ti.static((s[0], s[1], s[2], strengths, lame, shear))
         step = ti.static([Pullback(principal_return, numbers, (traceable(features.law.return_principal), features))])[0]
         t = ti.static(step.values)
-        halves = [0.5 * adj[k] for k in ti.static(range(3, features.stresses))]
-        own = in_axes([adj[0], adj[1], adj[2]] + halves + none, axes)
+        halves = [ti.static(1.0 if k < 3 else 0.5) * adj[k] for k in ti.static(range(features.stresses))]
+        own = in_axes(halves + none, axes)
         g = ti.static(step([own[0], own[1], own[2], adj_strain, adj_opened]))
         elastic = features.law.elastic_at(s, strengths, features)
         alike = elastic | features.law.fell_alike(s, t, strengths, lame, shear, features)

@@ -27,7 +27,7 @@ from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting,
 from mpm.arrays.table import ADJOINT, STEP, arguments
 from mpm.kernel import compute
 from mpm.output.outcome import failure
-from mpm.output.request import LAST
+from mpm.output.recording import LAST
 
 Array = NDArray[Any]
 

@@ -47,8 +47,8 @@ def prepare_weights(block: ti.template(), arrays: ti.template()):
 def transfer_reverse(block: ti.template(), scatters: ti.template(), arrays: ti.template()):
     """The reverse of one transfer, between a block and its nodes, and the sums that move its weights.
 
-    scatters: add the values and slopes that the block has left in `scratch` to the adjoints of the nodes, and leave the sum
-    of w_ip n_i of what lies at the nodes. Else leave Z, Y_j of each particle from the adjoints of the nodes.
+    scatters: add the values and slopes that the block has left in `scratch` to the adjoints of the nodes, and leave the
+    sum of w_ip n_i of what lies at the nodes. Else leave Z, Y_j of each particle from the adjoints of the nodes.
     """
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     size = ti.static(features.dimension)

@@ -15,7 +15,7 @@ from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import mass_particle_volumes, particle_count
 from mpm.arrays.layout import Contact, Look, Precision
 from mpm.laws import law_named, law_of
-from mpm.output.request import ALL, Recording
+from mpm.output.recording import ALL, Recording
 
 REGISTER = 128
 """Bytes of a vector of lanes: two registers of AVX-512, so that one is computed while the other waits for a root."""

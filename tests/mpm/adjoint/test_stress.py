@@ -227,7 +227,7 @@ def test_elastic_stresses_that_are_equal_have_the_derivative_of_elasticity(
 @pytest.mark.parametrize(("pair", "single"), [(-1.0, -9.0), (-9.0, -1.0)])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_on_an_edge_two_stresses_stay_equal(dimension: int, pair: float, single: float) -> None:
-    """An adjoint that would part the two equal stresses of an edge, by turning or by stretching, gives none to the trial."""
+    """An adjoint that would part the equal stresses of an edge, by a turn or a stretch, gives none to the trial."""
     features = Features(dimension=dimension, precision="f64", dilates=True, cohesive=True)
     random = np.random.default_rng(4)
     stress = np.zeros((features.stresses, 16))
