@@ -23,7 +23,7 @@ except ImportError as error:
     ) from None
 
 if TYPE_CHECKING:
-    from mpm.output.request import ALL, AT_REST, LAST, WITH_FIELDS, Recording
+    from mpm.output.recording import ALL, AT_REST, LAST, WITH_FIELDS, Recording
     from mpm.safety import safety_factor
     from mpm.simulation import ScenesFailed, simulate, simulate_each, simulate_many
 
@@ -33,7 +33,7 @@ __all__ += ["safety_factor", "simulate", "simulate_each", "simulate_many"]
 __getattr__, __dir__ = lazily(
     "mpm",
     {
-        **dict.fromkeys(("ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording"), "mpm.output.request"),
+        **dict.fromkeys(("ALL", "AT_REST", "LAST", "WITH_FIELDS", "Recording"), "mpm.output.recording"),
         **dict.fromkeys(("ScenesFailed", "simulate", "simulate_each", "simulate_many"), "mpm.simulation"),
         "safety_factor": "mpm.safety",
     },

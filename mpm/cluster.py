@@ -26,7 +26,7 @@ from datasets.flow.trajectory import Trajectory
 from datasets.processes import end_with_parent, without_main
 from datasets.scene import Scene
 from mpm.arrays.layout import Precision
-from mpm.output.request import ALL, Recording
+from mpm.output.recording import ALL, Recording
 
 GRACE = 0.5
 """Seconds to wait for a signal of one's own when a process was killed: a batch system sends it to all of a job."""

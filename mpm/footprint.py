@@ -27,7 +27,7 @@ from datasets.scene.stiffness import greatest_speed, specific_stress
 from mpm.arrays.features import NODE, features_of
 from mpm.arrays.layout import Energy, Precision, Span, column_count, node_room, node_shape
 from mpm.arrays.properties import STABILITY, substeps_per_frame
-from mpm.output.request import ALL, Recording
+from mpm.output.recording import ALL, Recording
 from mpm.resolution import particle_steps
 from mpm.runtime import Arch
 from mpm.solids.obstacles import farthest, window_around

@@ -19,7 +19,7 @@ from datasets.scene.particles import particle_count
 from mpm.arrays.layout import Precision
 from mpm.footprint import expected, footprint, step_spoken
 from mpm.output.checkpoint import Checkpoint, described
-from mpm.output.request import Recording
+from mpm.output.recording import Recording
 from mpm.resolution import read_tolerance, resolved
 from mpm.runtime import Arch, parts_for
 

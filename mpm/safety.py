@@ -43,7 +43,7 @@ from datasets.scene.grid_field import FRICTION, Field
 from datasets.scene.material import Material
 from mpm.laws import law_named
 from mpm.laws.mohr_coulomb import flatter
-from mpm.output.request import Recording
+from mpm.output.recording import Recording
 from mpm.simulation import Options, simulate_many
 
 TIME = 3.0

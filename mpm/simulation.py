@@ -25,7 +25,7 @@ from mpm.initial.stages import begin_stages, call_end
 from mpm.kernel import Phase, compute, kernel
 from mpm.output.checkpoint import Checkpoint
 from mpm.output.outcome import trajectory
-from mpm.output.request import ALL, Recording
+from mpm.output.recording import ALL, Recording
 from mpm.runtime import Arch
 
 LARGE = 2 * runtime.PARTICLES_PER_WORKER

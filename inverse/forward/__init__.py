@@ -10,7 +10,7 @@ from datasets.scene import Scene
 from inverse.observations import Values
 from inverse.parameters import Vector
 from inverse.posterior import Matrix
-from mpm.output.request import ALL, Recording
+from mpm.output.recording import ALL, Recording
 
 
 class Forward(Protocol):

@@ -1,6 +1,6 @@
 """The solver's own adjoint: the exact derivative of a run with respect to everything that it begins with.
 
-The adjoint of a quantity x is its bar, dJ/dx, in names `x_bar` (Griewank & Walther, Evaluating derivatives, 2008).
+The adjoint of a quantity x is dJ/dx, in names `adj_x` (Griewank & Walther, Evaluating derivatives, 2008).
 
     pullback                    what is local to a particle (stress, plastic return, cracks, gaps, softening, tractions,
                                 the foot on a face) is traced from the functions of `mpm.physics` themselves

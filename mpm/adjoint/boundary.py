@@ -14,10 +14,12 @@ from mpm.physics.boundary import apply_walls, friction_of, stopping_side
 
 
 @ti.func
-def wall_reverse(bar, v_star, node, cells, scene, arrays: ti.template()):
-    """Bar of the velocity `v_star` before all walls from that after them, shape [D], and of floor and wall friction."""
+def wall_reverse(adj, v_star, node, cells, scene, arrays: ti.template()):
+    """Adjoints of the velocity `v_star` before all walls, shape [D], and of the friction of floor and of walls; from
+    that of the velocity after them.
+    """
     dimension = ti.static(arrays.features.dimension)
-    floor_bar, wall_bar, into = 0.0 * bar[0], 0.0 * bar[0], 0.0 * bar
+    adj_floor, adj_wall, into = 0.0 * adj[0], 0.0 * adj[0], 0.0 * adj
     for reverse in ti.static(range(dimension)):
         axis = ti.static(dimension - 1 - reverse)
         side = stopping_side(v_star, node, cells, axis, scene, arrays)
@@ -25,36 +27,36 @@ def wall_reverse(bar, v_star, node, cells, scene, arrays: ti.template()):
             friction, normal = friction_of(side, scene, arrays), ti.abs(v_star[axis])
             # What this wall rubs on; no impulse of walls is recorded here.
             along = apply_walls(v_star, node, cells, axis, 0.0, 0, scene, arrays)
-            bar, limit_bar = with_friction_reverse(bar, along, friction * normal)
-            into[axis] = friction * limit_bar * (v_star[axis] / normal)
+            adj, adj_limit = with_friction_reverse(adj, along, friction * normal)
+            into[axis] = friction * adj_limit * (v_star[axis] / normal)
             if side == 2:
-                floor_bar += normal * limit_bar
+                adj_floor += normal * adj_limit
             else:
-                wall_bar += normal * limit_bar
+                adj_wall += normal * adj_limit
     for axis in ti.static(range(dimension)):
         if stopping_side(v_star, node, cells, axis, scene, arrays) >= 0:
-            bar[axis] = into[axis]
-    return bar, floor_bar, wall_bar
+            adj[axis] = into[axis]
+    return adj, adj_floor, adj_wall
 
 
 @ti.func
-def with_friction_reverse(bar, v, limit):
-    """Bars of (v, limit) from that of `mpm.physics.boundary.with_friction`, shape [D] and a number."""
-    speed, limit_bar = v.norm(), 0.0 * limit
+def with_friction_reverse(adj, v, limit):
+    """Adjoints of (v, limit) from that of `mpm.physics.boundary.with_friction`, shape [D] and a number."""
+    speed, adj_limit = v.norm(), 0.0 * limit
     if speed > limit:
-        across = v.dot(bar) / speed
-        bar = bar - (limit / speed) * (bar - (across / speed) * v)
-        limit_bar = 0.0 - across
+        across = v.dot(adj) / speed
+        adj = adj - (limit / speed) * (adj - (across / speed) * v)
+        adj_limit = 0.0 - across
     else:
-        bar = 0.0 * bar
-    return bar, limit_bar
+        adj = 0.0 * adj
+    return adj, adj_limit
 
 
 @ti.func
-def after_contact_reverse(bar, v, normal, friction):
-    """Bars of (v, normal, friction) from that of `mpm.physics.boundary.after_contact`, shape [D] twice and a number."""
+def after_contact_reverse(adj, v, normal, friction):
+    """Adjoints of (v, normal, friction) from that of `mpm.physics.boundary.after_contact`: [D] twice and a number."""
     into = v.dot(normal)
     along = v - into * normal
-    along_bar, limit_bar = with_friction_reverse(bar, along, 0.0 - friction * into)
-    into_bar = 0.0 - friction * limit_bar - normal.dot(along_bar)
-    return along_bar + into_bar * normal, into_bar * v - into * along_bar, 0.0 - into * limit_bar
+    adj_along, adj_limit = with_friction_reverse(adj, along, 0.0 - friction * into)
+    adj_into = 0.0 - friction * adj_limit - normal.dot(adj_along)
+    return adj_along + adj_into * normal, adj_into * v - into * adj_along, 0.0 - into * adj_limit

@@ -8,14 +8,14 @@
     slope.setting("floor_friction")     # of the scene
     slope.along(scene_at, 0.0)          # along any path of scenes, scene_at(t)
 
-The kernel's own bars are exact; what lies before the kernel, from Young's modulus to Lame's constants or from a tilt to
-gravity, are closed forms of a few numbers, whose derivatives are central differences of these forms alone.
+The kernel's own adjoints are exact; what lies before the kernel, from Young's modulus to Lame's constants or from a
+tilt to gravity, are closed forms of a few numbers, whose derivatives are central differences of these forms alone.
 """
 
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -43,38 +43,50 @@ with respect to both, or None for no dependence on velocity."""
 
 STEP = 1.0e-5
 """Relative step of the differences of closed forms."""
-NUMBERS = ("stress", "properties", "settings", "faces", "holds", "terrain", "drags")
-"""What a run begins with besides the motion of its particles, of a `Start` and of a `Gradient`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Gradient:
-    """Derivatives of an objective J with respect to what a run of a scene begins with; N particles, D dimensions."""
+class RunNumbers:
+    """The numbers that a run of a scene begins with, or the derivatives of an objective J with respect to each of them;
+    N particles, D dimensions.
+    """
 
     scene: Scene
     particles: Particles
     positions: Floats
-    """With respect to the initial positions [J / m], shape [N, D]."""
+    """Of the particles [m], shape [N, D]."""
     velocities: Floats
-    """To the initial velocities [J s / m], shape [N, D]."""
+    """[m/s], shape [N, D]."""
     velocity_gradients: Floats
-    """To the initial velocity gradients [J s], shape [N, D, D]."""
+    """[1/s], shape [N, D, D]."""
     stress: Floats
-    """To the initial stress xx, yy, zz, xy, yz, zx [J / Pa], shape [N, 4 or 6]."""
+    """xx, yy, zz, xy, yz, zx [Pa], shape [N, 4 or 6]."""
     properties: Floats
-    """To `mpm.arrays.layout.Property` of every particle, shape [N, columns]."""
+    """`mpm.arrays.layout.Property` of every particle and the columns of its law, shape [N, columns]; in a derivative
+    the first ones, which the kernel reads."""
     settings: Floats
-    """To `mpm.arrays.layout.Setting`, shape [len(Setting)]."""
+    """`mpm.arrays.layout.Setting`, shape [len(Setting)]."""
     faces: Floats
-    """To the faces of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
-    cut: float
-    """Share of the bars of all particles and steps that were cut (`mpm.adjoint.tape.CUT`); 0 where it is exact."""
+    """Of solids, `mpm.solids.obstacles.Obstacles.faces`, shape [F, columns]; no rows without solids."""
     holds: Floats
-    """To the holds of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
+    """Of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
     terrain: Floats
-    """To the friction at the posts of a height field, or to the one that all have, shape [P]; no posts without one."""
+    """The friction at the posts of a height field, or the one that all have, shape [P]; no posts without one."""
     drags: Floats
-    """To g / xi of each solid [J m], 0 of those without `turbulence`, shape [solids]."""
+    """g / xi of each solid [1/m], 0 of those without `turbulence`, shape [solids]."""
+
+    def in_a_row(self, columns: int) -> Floats:
+        """All of them, with so many columns of the properties."""
+        parts = vars(self) | {"properties": self.properties[:, :columns]}
+        return np.concatenate([parts[each.name].ravel() for each in dataclasses.fields(RunNumbers)[2:]])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gradient(RunNumbers):
+    """Derivatives of an objective J."""
+
+    cut: float
+    """Share of the adjoints of all particles and steps that were cut (`mpm.adjoint.tape.CUT`); 0 where it is exact."""
 
     def of_mass(self, values: Floats) -> Floats:
         """What particles have, summed over those of each mass, shape [masses, ...]."""
@@ -94,19 +106,11 @@ class Gradient:
                 reason = f"a run without any does not depend on {name}"
                 raise InputError(f"expected a material with cohesion, {reason}", key=name)
             here = self.particles.material == index
-            depth, angle = self.particles.depth[here], self.particles.friction_deg
-            angle = None if angle is None else angle[here]
-            varies = name == "friction_deg" and angle is not None
-
-            def rows_at(
-                value: float, own: Material = material, depth: Floats = depth, angle: Any = angle, varies: bool = varies
-            ) -> Floats:
-                if varies:
-                    return properties_at(own, depth, angle + value)
-                return properties_at(own.with_constant(name, value), depth, angle)
-
-            at = 0.0 if varies else material.constant(name)
-            rows = differences(rows_at, at, name, STEP * material.friction_deg if varies else None)
+            depth, angles = self.particles.depth[here], self.particles.friction_deg
+            own = None if angles is None else angles[here]
+            varies = name == "friction_deg" and own is not None
+            at, step = (0.0, STEP * material.friction_deg) if varies else (material.constant(name), None)
+            rows = differences(partial(rows_at, material, depth, own, name), at, name, step)
             rows = rows[:, : self.properties.shape[1]]
             # The volume goes with the particle's initial position, not with its material.
             rows[:, Property.VOLUME] = 0.0
@@ -127,50 +131,38 @@ class Gradient:
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
         """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this one. Raises InputError for other particles."""
         columns = self.properties.shape[1]
-        slopes = differences(lambda value: started(scene_at(value), self.start).numbers(columns), at, "the path", step)
+        adj = self.in_a_row(columns)
+
+        def numbers_at(value: float) -> Floats:
+            return started(scene_at(value), self.start).in_a_row(columns)
+
+        slopes = differences(numbers_at, at, "the path", step)
         used = np.flatnonzero(slopes)
         # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
-        used = used[self.bars[used] != 0.0]
-        return float(self.bars[used] @ slopes[used])
+        used = used[adj[used] != 0.0]
+        return float(adj[used] @ slopes[used])
 
     @cached_property
     def start(self) -> "Start":
         """What runs along paths of scenes through this one share."""
         return started(self.scene)
 
-    @cached_property
-    def bars(self) -> Floats:
-        """Of `Start.numbers`."""
-        motion = self.positions, self.velocities, self.velocity_gradients
-        return in_a_row(*motion, *(vars(self)[name] for name in NUMBERS))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Start:
-    """What a run of a scene begins with; shapes as of `Gradient`, whose properties may be the first ones alone."""
+class Start(RunNumbers):
+    """What a run of a scene begins with."""
 
-    scene: Scene
-    particles: Particles
-    stress: Floats
-    properties: Floats
-    settings: Floats
-    faces: Floats
-    holds: Floats
     held: NDArray[np.int64]
     """The node of each of the `holds`, by its indices, shape [K, D]."""
-    terrain: Floats
-    drags: Floats
-
-    def numbers(self, columns: int) -> Floats:
-        """All of it in a row, with so many columns of the properties."""
-        motion = self.particles.positions, self.particles.velocities, self.particles.velocity_gradients
-        parts = vars(self) | {"properties": self.properties[:, :columns]}
-        return in_a_row(*motion, *(parts[name] for name in NUMBERS))
 
 
-def in_a_row(*parts: Floats) -> Floats:
-    """All numbers of arrays."""
-    return np.concatenate([part.ravel() for part in parts])
+def rows_at(material: Material, depth: Floats, friction_deg: Floats | None, name: str, value: float) -> Floats:
+    """`properties_at` with the constant `name` of the material at `value`, by which angles of the particles themselves
+    are raised.
+    """
+    if name == "friction_deg" and friction_deg is not None:
+        return properties_at(material, depth, friction_deg + value)
+    return properties_at(material.with_constant(name, value), depth, friction_deg)
 
 
 def started(scene: Scene, base: Start | None = None) -> Start:
@@ -199,6 +191,9 @@ def started(scene: Scene, base: Start | None = None) -> Start:
     return Start(
         scene=scene,
         particles=particles,
+        positions=particles.positions,
+        velocities=particles.velocities,
+        velocity_gradients=particles.velocity_gradients,
         stress=stress,
         properties=properties,
         settings=np.array(settings_row(scene, particles)),
@@ -296,18 +291,18 @@ def gradient(
 
 
 def pull_back_all(tape: Tape, adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[list[Gradient]]:
-    """Vector-Jacobian products: the gradient of each objective and scene of the tape, from the bars of each flow."""
+    """Vector-Jacobian products: the gradient of each objective and scene of a tape, from the adjoints of each flow."""
     scenes = range(len(tape.batch.scenes))
-    return [[gradient_of(tape, index, bars) for index in scenes] for bars in tape.reverse(adjoints)]
+    return [[gradient_of(tape, index, adj) for index in scenes] for adj in tape.reverse(adjoints)]
 
 
-def gradient_of(tape: Tape, index: int, bars: dict[str, Any]) -> Gradient:
+def gradient_of(tape: Tape, index: int, adj: dict[str, Any]) -> Gradient:
     """The gradient of scene `index` from what `Tape.reverse` gives of an objective."""
     scene, features, size = tape.batch.scenes[index], tape.features, tape.features.dimension
     here, (faces, nodes) = tape.particles(index), tape.solids(index)
 
     def numbers(first: int, count: int) -> Floats:
-        return tape.vectors(bars["adjoints"], first, count)[here].astype(np.float64)
+        return tape.vectors(adj["adjoints"], first, count)[here].astype(np.float64)
 
     return Gradient(
         scene=scene,
@@ -317,10 +312,10 @@ def gradient_of(tape: Tape, index: int, bars: dict[str, Any]) -> Gradient:
         velocity_gradients=numbers(features.state.affine, size * size).reshape(-1, size, size),
         stress=numbers(features.state.stress, features.stresses),
         properties=numbers(features.state.properties, features.columns),
-        settings=bars["settings"][index].copy(),
-        faces=bars["face_adjoints"][faces],
-        cut=float(bars["cut"][index]),
-        holds=bars["hold_adjoints"][nodes],
-        terrain=bars["terrain_adjoints"][index, tape.posts(index)],
-        drags=bars["drag_adjoints"][index, : len(drags_of(scene))],
+        settings=adj["settings"][index].copy(),
+        faces=adj["face_adjoints"][faces],
+        cut=float(adj["cut"][index]),
+        holds=adj["hold_adjoints"][nodes],
+        terrain=adj["terrain_adjoints"][index, tape.posts(index)],
+        drags=adj["drag_adjoints"][index, : len(drags_of(scene))],
     )

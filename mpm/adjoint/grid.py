@@ -1,4 +1,4 @@
-"""The reverse of `mpm.physics.grid`: bars of momentum, mass and force at the nodes from those of their velocities.
+"""The reverse of `mpm.physics.grid`: adjoints of momentum, mass and force at the nodes from those of their velocities.
 
     v* = v + dt (a - alpha |a| s(v)),   a = g + f / m,   v = (m v) / m,   s(v) = v / sqrt(v^2 + v_s^2)
 
@@ -17,8 +17,8 @@ h = dt alpha |a|:
 so that h s'(v) lies in [0, 1], as of a force that opposes motion; it is exact where h is small against v_s or |v|, and
 its integral over v stays 2, so that where v scatters by more than h its mean is right.
 
-A node keeps u = v* after the walls and its change u - kappa v, so v*' begins as the sum of both bars, and v' and kappa'
-with -kappa and -v times that of the change.
+A node keeps u = v* after the walls and its change u - kappa v, so v*' begins as the sum of both adjoints, and v' and
+kappa' with -kappa and -v times that of the change.
 """
 
 import taichi as ti
@@ -34,12 +34,12 @@ from mpm.physics.grid import SLOW, acceleration, damping_terms, node_of, own_nod
 
 SHARED = (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
 SUMS = len(SHARED) + 1
-"""Bars that nodes share: of these settings and of kappa."""
+"""Adjoints that nodes share: of these settings and of kappa."""
 
 
 @ti.func
 def keep_nodes(worker, arrays: ti.template()):
-    """Keep momentum, mass and force of the nodes that a worker owns; the bars of all of its nodes become 0."""
+    """Keep momentum, mass and force of the nodes that a worker owns; the adjoints of all of its nodes become 0."""
     zero, first = zero_node(), arrays.workers[worker, Worker.COLUMN]
     for n in range(arrays.workers[worker, Worker.ACTIVE]):
         column = arrays.spans[first + n, Span.ACTIVE] - first
@@ -51,8 +51,8 @@ def keep_nodes(worker, arrays: ti.template()):
 
 
 @ti.func
-def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
-    """Bar of node `index`, i, j, k, (momentum, mass, force) from that of what it became; then the SUMS it shares."""
+def node_reverse(node, adj, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
+    """Adjoints of node `index`, i, j, k, (momentum, mass, force) from those of what it became; the SUMS it shares."""
     features = arrays.features
     dimension = ti.static(features.dimension)
     per_mass = 1.0 / node[dimension]
@@ -65,16 +65,16 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
         alpha = arrays.settings[scene, Setting.DAMPING]
         size, sign, slow = damping_terms(v, a, scene, arrays)
         damped = a - alpha * size * sign
-    change_bar = ti.Vector([bar[features.node.change + axis] for axis in ti.static(range(dimension))])
-    new_bar = ti.Vector([bar[axis] for axis in ti.static(range(dimension))]) + change_bar
-    v_bar = (0.0 - kappa) * change_bar
-    kappa_bar = 0.0 - v.dot(change_bar)
+    adj_change = ti.Vector([adj[features.node.change + axis] for axis in ti.static(range(dimension))])
+    adj_new = ti.Vector([adj[axis] for axis in ti.static(range(dimension))]) + adj_change
+    adj_v = (0.0 - kappa) * adj_change
+    adj_kappa = 0.0 - v.dot(adj_change)
     indices, cells = ti.Vector([index[axis] for axis in ti.static(range(dimension))]), box_cells(scene, arrays)
     v_star = v + dt * damped
     if ti.static(features.barriers):
-        # Barriers take components away and damp: what they do to a velocity they do to its bar.
-        new_bar = apply_barriers(new_bar, indices, scene, dt, arrays)
-    mass_bar, side_bar = zero, zero
+        # Barriers take components away and damp: what they do to a velocity they do to its adjoint.
+        adj_new = apply_barriers(adj_new, indices, scene, dt, arrays)
+    adj_mass, adj_side = zero, zero
     if ti.static(features.contact or features.channel):
         stopped = apply_walls(v_star, indices, cells, dimension, node[dimension], worker, scene, arrays)
         if ti.static(features.channel):
@@ -82,19 +82,19 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
             if ti.static(features.contact):
                 braked = apply_solids(stopped, node[dimension], indices, worker, scene, False, arrays)
             grip = node[features.node.side_friction] * per_mass
-            new_bar, limit_bar = with_friction_reverse(new_bar, braked, dt * grip)
-            side_bar = dt * per_mass * limit_bar
-            mass_bar = 0.0 - grip * side_bar
+            adj_new, adj_limit = with_friction_reverse(adj_new, braked, dt * grip)
+            adj_side = dt * per_mass * adj_limit
+            adj_mass = 0.0 - grip * adj_side
         if ti.static(features.contact):
-            new_bar, solid_bar = solids_reverse(new_bar, stopped, node[dimension], indices, worker, scene, arrays)
-            mass_bar = mass_bar + solid_bar
-    star_bar, floor_bar, wall_bar = wall_reverse(new_bar, v_star, indices, cells, scene, arrays)
-    v_bar = v_bar + star_bar
-    a_bar = dt * star_bar
-    damping_bar, slow_bar = zero, zero
+            adj_new, adj_solid = solids_reverse(adj_new, stopped, node[dimension], indices, worker, scene, arrays)
+            adj_mass = adj_mass + adj_solid
+    adj_star, adj_floor, adj_wall = wall_reverse(adj_new, v_star, indices, cells, scene, arrays)
+    adj_v = adj_v + adj_star
+    adj_a = dt * adj_star
+    adj_damping, adj_slow = zero, zero
     if ti.static(features.damped):
-        opposed = sign.dot(star_bar)
-        damping_bar = (0.0 - dt) * size * opposed
+        opposed = sign.dot(adj_star)
+        adj_damping = (0.0 - dt) * size * opposed
         for axis in ti.static(range(dimension)):
             strength = dt * alpha * size
             wide = slow
@@ -102,32 +102,32 @@ def node_reverse(node, bar, index: ti.template(), worker, scene, dt, kappa, arra
                 wide = slow + strength * strength
             square = v[axis] * v[axis] + wide
             lost = strength / (square * ti.sqrt(square))
-            v_bar[axis] -= wide * lost * star_bar[axis]
-            slow_bar += 0.5 * v[axis] * lost * star_bar[axis]
-        a_bar = a_bar - (dt * alpha * opposed / (size + TINY)) * a
-    gravity_y_bar = a_bar[1]
+            adj_v[axis] -= wide * lost * adj_star[axis]
+            adj_slow += 0.5 * v[axis] * lost * adj_star[axis]
+        adj_a = adj_a - (dt * alpha * opposed / (size + TINY)) * a
+    adj_gravity_y = adj_a[1]
     if ti.static(features.damped):
         # v_s^2 grows with gravity.
         sign_y = ti.math.sign(arrays.settings[scene, Setting.GRAVITY_Y])
-        gravity_y_bar += slow_bar * SLOW * SLOW * arrays.settings[scene, Setting.CELL] * sign_y
+        adj_gravity_y += adj_slow * SLOW * SLOW * arrays.settings[scene, Setting.CELL] * sign_y
     result = 0.0 * node
     # With volume correction particles see the mass of nodes itself.
-    result[dimension] = mass_bar + bar[dimension]
+    result[dimension] = adj_mass + adj[dimension]
     if ti.static(features.channel):
-        result[features.node.side_friction] = side_bar
+        result[features.node.side_friction] = adj_side
     if ti.static(features.turbulent):
-        result[features.node.distance] = bar[features.node.distance]
+        result[features.node.distance] = adj[features.node.distance]
     for axis in ti.static(range(dimension)):
-        result[axis] = v_bar[axis] * per_mass
-        result[dimension] -= v[axis] * v_bar[axis] * per_mass
-        result[features.node.force + axis] = a_bar[axis] * per_mass
-        result[dimension] -= force[axis] * a_bar[axis] * per_mass
-    return result, ti.Vector([a_bar[0], gravity_y_bar, floor_bar, wall_bar, damping_bar, kappa_bar])
+        result[axis] = adj_v[axis] * per_mass
+        result[dimension] -= v[axis] * adj_v[axis] * per_mass
+        result[features.node.force + axis] = adj_a[axis] * per_mass
+        result[dimension] -= force[axis] * adj_a[axis] * per_mass
+    return result, ti.Vector([adj_a[0], adj_gravity_y, adj_floor, adj_wall, adj_damping, adj_kappa])
 
 
 @ti.func
 def update_grid_reverse(worker, scene, dt, kappa, arrays: ti.template()):
-    """Bars of the nodes that a worker owns, in place; add what they share to `arrays.sums`."""
+    """Adjoints of the nodes that a worker owns, in place; add what they share to `arrays.sums`."""
     total = ti.Vector([ti.cast(0.0, ti.f64) for _ in ti.static(range(SUMS))])
     first, deep = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays)
     for n in range(arrays.workers[worker, Worker.ACTIVE]):
@@ -137,17 +137,17 @@ def update_grid_reverse(worker, scene, dt, kappa, arrays: ti.template()):
             if owns(column, j, worker, arrays):
                 node = arrays.kept[own_node(column, j, worker, arrays)]
                 if node[arrays.features.dimension] > 0.0:
-                    bar = node_of(arrays.grid_adjoints, column, j, worker, arrays)
-                    bar, shared = node_reverse(node, bar, [i, j, k], worker, scene, dt, kappa, arrays)
+                    adj = node_of(arrays.grid_adjoints, column, j, worker, arrays)
+                    adj, shared = node_reverse(node, adj, [i, j, k], worker, scene, dt, kappa, arrays)
                     for number in ti.static(range(SUMS)):
                         total[number] += ti.cast(shared[number], ti.f64)
-                    put_node(arrays.grid_adjoints, bar, column, j, worker, arrays)
+                    put_node(arrays.grid_adjoints, adj, column, j, worker, arrays)
     for number in ti.static(range(len(SHARED))):
         arrays.sums[worker, ti.static(int(SHARED[number]))] += total[number]
-    add_kappa_bar(worker, dt, kappa, total[ti.static(SUMS - 1)], arrays)
+    add_kappa_adjoint(worker, dt, kappa, total[ti.static(SUMS - 1)], arrays)
 
 
 @ti.func
-def add_kappa_bar(worker, dt, kappa, bar, arrays: ti.template()):
-    """Add the bar of kappa = exp(-dt rate) to that of the rate of relaxation."""
-    arrays.sums[worker, ti.static(int(Setting.RELAXATION_RATE))] -= ti.cast(dt * kappa, ti.f64) * bar
+def add_kappa_adjoint(worker, dt, kappa, adj, arrays: ti.template()):
+    """Add the adjoint of kappa = exp(-dt rate) to that of the rate of relaxation."""
+    arrays.sums[worker, ti.static(int(Setting.RELAXATION_RATE))] -= ti.cast(dt * kappa, ti.f64) * adj

@@ -4,7 +4,7 @@
     reverse    s_k' = (ds_{k+1} / ds_k)^T s_{k+1}',  k = n - 1, ..., 0
 
 A reverse step computes the grid of its step anew from s_k, because that is cheaper than to keep it: particles to grid,
-velocities of the nodes, then bars of particles to bars of nodes, of nodes before their forces, and of particles
+velocities of the nodes, then adjoints of particles to adjoints of nodes, of nodes before their forces, and of particles
 (`mpm.adjoint.particles`). Scenes and threads are those of `mpm.kernel`.
 """
 
@@ -16,8 +16,8 @@ import taichi as ti
 
 from mpm.adjoint.faces import found_reverse
 from mpm.adjoint.grid import keep_nodes, update_grid_reverse
-from mpm.adjoint.layout import Layout
-from mpm.adjoint.particles import block_to_grid_reverse, update_block_reverse
+from mpm.adjoint.layout import Layout, state_before
+from mpm.adjoint.particles import block_of, block_to_grid_reverse, update_block_reverse
 from mpm.arrays.layout import Setting, Worker
 from mpm.arrays.table import ADJOINT, STEP, kernel_of
 from mpm.kernel import ITERATIONS, synchronise
@@ -34,9 +34,9 @@ class Pass(Enum):
     REPLAY = auto()
     """Compute the frames [first, last) and keep the state before every step and at the end."""
     REVERSE = auto()
-    """Take the bars at the end of what was replayed back to its beginning."""
+    """Take the adjoints at the end of what was replayed back to its beginning."""
     START = auto()
-    """Take the bars of the contact at the beginning to those of what it follows from."""
+    """Take the adjoints of the contact at the beginning to those of what it follows from."""
 
 
 @ti.func
@@ -49,13 +49,6 @@ def copy_state(worker, step, keep: ti.template(), arrays: ti.template()):
                 arrays.history[at + k] = arrays.state[own + k]
             else:
                 arrays.state[own + k] = arrays.history[at + k]
-
-
-@ti.func
-def state_before(step, block, arrays: ti.template()):
-    """The first vector in the history of a block before `step`."""
-    blocks = arrays.state.shape[0] // ti.static(arrays.features.state.size)
-    return (step * blocks + block) * ti.static(arrays.layout.history)
 
 
 @ti.func
@@ -84,7 +77,7 @@ def replay(worker, first, last, arrays: ti.template()):
 
 @ti.func
 def reverse(worker, arrays: ti.template()):
-    """Bars of a worker's scene at the beginning of its replayed steps from those at their end.
+    """Adjoints of a worker's scene at the beginning of its replayed steps from those at their end.
 
     Where a grid has no room for a step, `step_counts` says how many remain to be reversed.
     """
@@ -113,30 +106,32 @@ def make_grid(worker, scene, step, arrays: ti.template()):
 
 @ti.func
 def reverse_step(worker, scene, step, arrays: ti.template()):
-    """Bars of a worker before `step` from those after it; its grid is made."""
-    table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
+    """Adjoints of a worker before `step` from those after it; its grid is made."""
     dt = arrays.step_times[scene, step]
     kappa = relaxation_factor(scene, dt, arrays)
     keep_nodes(worker, arrays)
     update_grid(worker, scene, dt, kappa, arrays)
     synchronise(worker, arrays)
-    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        after = state_before(step + 1, block, arrays)
-        update_block_reverse(worker, table, scene, block, scratch, after, dt, kappa, arrays)
+    for number in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+        block = block_of(worker, scene, number, step, dt, kappa, arrays)
+        update_block_reverse(block, arrays)
     synchronise(worker, arrays)
     update_grid_reverse(worker, scene, dt, kappa, arrays)
     synchronise(worker, arrays)
-    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        block_to_grid_reverse(worker, table, scene, block, scratch, dt, arrays)
+    for number in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+        block = block_of(worker, scene, number, step, dt, kappa, arrays)
+        block_to_grid_reverse(block, arrays)
 
 
 @ti.func
 def reverse_start(worker, arrays: ti.template()):
-    """From the bars of the contact that a run begins with to those of positions and faces."""
+    """From the adjoints of the contact that a run begins with to those of positions and faces."""
     if ti.static(arrays.features.contact):
-        scene, scratch = arrays.workers[worker, Worker.SCENE], arrays.workers[worker, Worker.SCRATCH]
-        for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-            found_reverse(worker, block, scratch, state_before(0, block, arrays), False, scene, arrays)
+        scene = arrays.workers[worker, Worker.SCENE]
+        for number in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+            # What is after no step is the state before the first one.
+            block = block_of(worker, scene, number, -1, 0.0, 0.0, arrays)
+            found_reverse(block, False, arrays)
 
 
 @ti.func

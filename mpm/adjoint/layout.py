@@ -1,22 +1,24 @@
 """What the reverse of a step keeps of every particle and of a worker, beside the arrays of the step itself.
 
-Bars of a block of particles, and what is kept of it, lie as the numbers do in its state: position, velocity, C, stress
-from vector 0 on, then contact; bars of its material properties follow.
+The adjoints of a block of particles, and what is kept of it, lie as the numbers do in its state: position, velocity, C,
+stress from vector 0 on, then contact; the adjoints of its material properties follow.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import taichi as ti
 
+from mpm.arrays.access import lane_sum, vectors
 from mpm.arrays.features import NODE, Addresses, Features
 from mpm.arrays.layout import Worker
+from mpm.physics.contact import present
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where bars and the history of states lie; the kernel is compiled for it."""
+    """Where adjoints and the history of states lie; the kernel is compiled for it."""
 
     features: Features
     exact: bool = False
@@ -29,7 +31,7 @@ class Layout:
 
     @property
     def width(self) -> int:
-        """Vectors of bars of a block: those of its state, then of `Property`."""
+        """Vectors of adjoints of a block: those of its state, then of `Property`."""
         return self.features.state.properties + self.features.columns
 
     @property
@@ -47,35 +49,74 @@ class Layout:
             levers=3 * size,  # w (x_i - x_p) along each axis [m]
             sums=(1 + size) * NODE,  # sum w n of a block's nodes n, then sum w n x_ip of each axis
             forces=size,  # the sums that move a particle's weights
-            foot=size * contact,  # bars of v_f (`mpm.physics.contact`)
+            foot=size * contact,  # adjoints of v_f (`mpm.physics.contact`)
             before=2 * size * contact,  # velocity and shear traction before contact is found
         )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Block:
+    """A block of particles in a step that is reversed: numbers of the kernel, which its functions pass on together."""
+
+    worker: Any
+    scene: Any
+    number: Any
+    """Of the block among all."""
+    table: Any
+    """The first column of the worker's nodes."""
+    state: Any
+    """Its first vector in `state`, before the step."""
+    adj: Any
+    """In `adjoints`."""
+    after: Any
+    """In the history of states, after the step."""
+    scratch: Any
+    """Of the worker, in `scratch`."""
+    dt: Any
+    kappa: Any
+
+    _data_oriented: ClassVar[bool] = True
+    """As of `Layout`."""
+
+
 @ti.func
-def add_bars(first, values: ti.template(), arrays: ti.template()):
-    """Add to the bars from vector `first` on."""
+def state_before(step, block, arrays: ti.template()):
+    """The first vector in the history of the block with this number before `step`."""
+    blocks = arrays.state.shape[0] // ti.static(arrays.features.state.size)
+    return (step * blocks + block) * ti.static(arrays.layout.history)
+
+
+@ti.func
+def adjoints_of(block: ti.template(), first: ti.template(), count: ti.template(), arrays: ti.template()):
+    """The adjoints of `count` vectors of the state of a block from its vector `first` on."""
+    return vectors(arrays.adjoints, block.adj + first, count)
+
+
+@ti.func
+def add_adjoints(block: ti.template(), first: ti.template(), values: ti.template(), arrays: ti.template()):
+    """Add to the adjoints of the state of a block from its vector `first` on."""
     for k in ti.static(range(len(values))):
-        arrays.adjoints[first + k] = arrays.adjoints[first + k] + values[k]
+        at = block.adj + first + k
+        arrays.adjoints[at] = arrays.adjoints[at] + values[k]
 
 
 @ti.func
-def add_property_bar(block, column: ti.template(), value, arrays: ti.template()):
-    """Add to the bars of a property of the particles of a block."""
-    at = block * arrays.layout.width + arrays.features.state.properties + ti.static(int(column))
-    present = arrays.state[block * arrays.features.state.size + arrays.features.state.present]
-    arrays.adjoints[at] = arrays.adjoints[at] + present * value
+def add_property_adjoint(block: ti.template(), column: ti.template(), value, arrays: ti.template()):
+    """Add to the adjoint of a property of the particles of a block."""
+    first = ti.static(arrays.features.state.properties + int(column))
+    add_adjoints(block, first, [present(block.number, arrays) * value], arrays)
 
 
 @ti.func
-def impulse_bar(solid, worker, arrays: ti.template()):
-    """The bar of the impulse of a solid, shape [D]."""
+def add_setting_adjoint(block: ti.template(), setting: ti.template(), value, arrays: ti.template()):
+    """Add to the adjoint of a setting what the particles of a block, in the box, share of it."""
+    total = lane_sum(present(block.number, arrays) * value, arrays)
+    arrays.sums[block.worker, ti.static(int(setting))] += total
+
+
+@ti.func
+def impulse_adjoint(solid, worker, arrays: ti.template()):
+    """The adjoint of the impulse of a solid, shape [D]."""
     features = arrays.features
     first = arrays.workers[worker, Worker.IMPULSE] + solid * features.dimension
     return ti.Vector([arrays.impulse_adjoints[first + k] for k in ti.static(range(features.dimension))])
-
-
-@ti.func
-def contact_bar(block, column: ti.template(), arrays: ti.template()):
-    """Index of the bar of the vector `column` of those that describe the contact of a block."""
-    return block * arrays.layout.width + arrays.features.state.contacts + column

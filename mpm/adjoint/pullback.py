@@ -1,12 +1,12 @@
 """Reverse mode by overloaded operators (Griewank & Walther 2008, chapter 6), while Taichi compiles a kernel.
 
     step = ti.static([Pullback(function, (stress, moduli), (dimension,))])[0]
-    step.values                                     # what function(stress, moduli, dimension) returns, a flat list
-    stress_bar, moduli_bar = ti.static(step(bars))  # bars of the arguments, each shaped as it is, from those of values
+    step.values                                         # what function(stress, moduli, dimension) returns, a flat list
+    adj_stress, adj_moduli = ti.static(step(adjoints))  # of the arguments, each shaped as it is, from those of values
 
 A function of `mpm.physics` that is straight-line code (+ - * /, ti.sqrt, ti.select, comparisons, and calls of other
 such functions) is run once more as the Python that it is, on numbers that add their operations to the kernel and
-remember what they were made of; backwards, what each takes of the bar of the next is added, too. So a term and its
+remember what they were made of; backwards, what each takes of the adjoint of the next is added, too. So a term and its
 reverse have one text, and the reverse takes the side of a corner that the step took. The derivative of a root at 0 is
 taken as 0.
 """
@@ -22,11 +22,11 @@ from taichi.lang.expr import Expr
 from taichi.lang.impl import expr_init
 
 Rule = Callable[[Any], Any]
-"""What an operand takes of the bar of a result."""
+"""What an operand takes of the adjoint of a result."""
 
 
 def compared(relation: Callable[[Any, Any], Any]) -> Any:
-    """A comparison as a method of `Number`; what it finds has no bar."""
+    """A comparison as a method of `Number`; what it finds has no adjoint."""
     return lambda number, other: expr_init(relation(number.value, plain(other)))
 
 
@@ -37,40 +37,40 @@ class Number:
         self.tape, self.value = tape, expr_init(value)
         self.operands: list[tuple[Number, Rule]] = [each for each in operands if getattr(each[0], "active", False)]
         self.active: bool = active or bool(self.operands)
-        """Whether it depends on an argument that has a bar."""
-        self.bar: Any = None
+        """Whether it depends on an argument that has an adjoint."""
+        self.adj: Any = None
         tape.append(self)
 
     def __add__(self, other: Any) -> "Number":
-        return Number(self.tape, self.value + plain(other), (self, lambda bar: bar), (other, lambda bar: bar))
+        return Number(self.tape, self.value + plain(other), (self, lambda adj: adj), (other, lambda adj: adj))
 
     def __sub__(self, other: Any) -> "Number":
-        return Number(self.tape, self.value - plain(other), (self, lambda bar: bar), (other, lambda bar: 0.0 - bar))
+        return Number(self.tape, self.value - plain(other), (self, lambda adj: adj), (other, lambda adj: 0.0 - adj))
 
     def __rsub__(self, other: float) -> "Number":
-        return Number(self.tape, other - self.value, (self, lambda bar: 0.0 - bar))
+        return Number(self.tape, other - self.value, (self, lambda adj: 0.0 - adj))
 
     def __mul__(self, other: Any) -> "Number":
         factor = plain(other)
         if isinstance(other, float) and other == 0.0:
             return Number(self.tape, 0.0 * self.value)
-        own = (self, lambda bar: bar * factor)
-        return Number(self.tape, self.value * factor, own, (other, lambda bar: bar * self.value))
+        own = (self, lambda adj: adj * factor)
+        return Number(self.tape, self.value * factor, own, (other, lambda adj: adj * self.value))
 
     def __truediv__(self, other: Any) -> "Number":
         divisor = plain(other)
         per = cache(lambda: expr_init(1.0 / divisor))
-        own, divided = (self, lambda bar: bar * per()), (other, lambda bar: 0.0 - bar * result.value * per())
+        own, divided = (self, lambda adj: adj * per()), (other, lambda adj: 0.0 - adj * result.value * per())
         result: Number = Number(self.tape, self.value / divisor, own, divided)
         return result
 
     def __rtruediv__(self, other: float) -> "Number":
-        own = (self, lambda bar: 0.0 - bar * result.value / self.value)
+        own = (self, lambda adj: 0.0 - adj * result.value / self.value)
         result: Number = Number(self.tape, other / self.value, own)
         return result
 
     def __pow__(self, power: int) -> "Number":
-        return Number(self.tape, self.value**power, (self, lambda bar: power * bar * self.value ** (power - 1)))
+        return Number(self.tape, self.value**power, (self, lambda adj: power * adj * self.value ** (power - 1)))
 
     __radd__, __rmul__ = __add__, __mul__
 
@@ -86,7 +86,7 @@ def plain(number: Any) -> Any:
 
 def root(a: Number) -> Number:
     """As `ti.sqrt`."""
-    own = (a, lambda bar: ti.select(result.value > 0.0, 0.5 * bar / result.value, 0.0))
+    own = (a, lambda adj: ti.select(result.value > 0.0, 0.5 * adj / result.value, 0.0))
     result: Number = Number(a.tape, ti.sqrt(a.value), own)
     return result
 
@@ -94,7 +94,7 @@ def root(a: Number) -> Number:
 def selected(condition: Any, a: Any, b: Any) -> Number:
     """As `ti.select`, of which one at least is a `Number`."""
     tape = a.tape if isinstance(a, Number) else b.tape
-    first, second = (a, lambda bar: ti.select(condition, bar, 0.0)), (b, lambda bar: ti.select(condition, 0.0, bar))
+    first, second = (a, lambda adj: ti.select(condition, adj, 0.0)), (b, lambda adj: ti.select(condition, 0.0, adj))
     return Number(tape, ti.select(condition, plain(a), plain(b)), first, second)
 
 
@@ -129,7 +129,7 @@ def flat(values: Any) -> list[Any]:
 
 
 class Pullback:
-    """A function at arguments, expressions of Taichi nested in lists, and constants without bars, and its reverse."""
+    """A function at arguments, expressions of Taichi nested in lists, and constants without adjoints; its reverse."""
 
     _data_oriented = True
     """Tells Taichi that a kernel may hold it as a Python object of compile time."""
@@ -141,15 +141,15 @@ class Pullback:
         self.results = flat(traceable(function)(*self.arguments, *others))
         self.values = [plain(each) for each in self.results]
 
-    def __call__(self, bars: Sequence[Any]) -> list[Any]:
-        """Bars of the arguments from those of the values; a value that is None has none."""
-        for result, bar in zip(self.results, bars, strict=True):
+    def __call__(self, adjoints: Sequence[Any]) -> list[Any]:
+        """Adjoints of the arguments from those of the values; a value that is None has none."""
+        for result, adj in zip(self.results, adjoints, strict=True):
             if isinstance(result, Number):
-                result.bar = expr_init(bar if result.bar is None else result.bar + bar)
+                result.adj = expr_init(adj if result.adj is None else result.adj + adj)
         for number in reversed(self.tape):
-            for operand, rule in number.operands if number.bar is not None else ():
-                share = rule(number.bar)
-                operand.bar = expr_init(share if operand.bar is None else operand.bar + share)
-        none = expr_init(0.0 * bars[0])
-        found: list[Any] = mapped(lambda each: none if each.bar is None else each.bar, self.arguments)
+            for operand, rule in number.operands if number.adj is not None else ():
+                share = rule(number.adj)
+                operand.adj = expr_init(share if operand.adj is None else operand.adj + share)
+        none = expr_init(0.0 * adjoints[0])
+        found: list[Any] = mapped(lambda each: none if each.adj is None else each.adj, self.arguments)
         return found

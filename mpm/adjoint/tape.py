@@ -27,22 +27,22 @@ from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting,
 from mpm.arrays.table import ADJOINT, STEP, arguments
 from mpm.kernel import compute
 from mpm.output.outcome import failure
-from mpm.output.request import LAST
+from mpm.output.recording import LAST
 
 Array = NDArray[Any]
 
 MEMORY_MIB = 256.0
-"""What checkpoints, states of a segment and bars may take unless another budget is given [MiB]."""
+"""What checkpoints, states of a segment and adjoints may take unless another budget is given [MiB]."""
 CUT = 20.0
-"""Bar of a particle's velocity, over the largest one that the objective has times the duration, beyond which it is cut.
+"""Adjoint of a particle's velocity, over the largest that the objective has times the duration, beyond which it is cut.
 
 Single particles that fly apart and touch again swing on their own, and where a step is large ever more so until they
 lose touch: some 1e-8 m, in a flow that does not notice. The derivative along the run grows by a factor at each of their
-steps. What such a particle does has no derivative that says anything, and its bar is set to 0; what it gave to others
-before is not, so that an inversion takes shorter steps (`steady`). Bars of the force on a baffle grow beyond 5 without
-such particles."""
+steps. What such a particle does has no derivative that says anything, and its adjoint is set to 0; what it gave to
+others before is not, so that an inversion takes shorter steps (`steady`). Adjoints of the force on a baffle grow beyond
+5 without such particles."""
 MOST_CUT = 0.02
-"""Share of all bars of particles and steps from which a gradient with cuts is none."""
+"""Share of all adjoints of particles and steps from which a gradient with cuts is none."""
 SPARE = 1.25
 """More steps in a frame than its usual number, for which a plan has room: fast particles shorten the step."""
 
@@ -77,7 +77,7 @@ def steady(scene: Scene) -> Scene:
 
 
 class FlowAdjoints(NamedTuple):
-    """Bars of what a run of a scene is observed by, at T frames."""
+    """Adjoints of what a run of a scene is observed by, at T frames."""
 
     positions: Array
     """Of N particles [J / m], shape [T, N, D]."""
@@ -88,14 +88,14 @@ class FlowAdjoints(NamedTuple):
 
 
 class Tape:
-    """A run of scenes of one kind side by side, a thread each, whose bars can be taken back to its start.
+    """A run of scenes of one kind side by side, a thread each, whose adjoints can be taken back to its start.
 
     Of one large scene on all threads. frames: at whose ends the flow is observed, ascending; the last is where the run
     ends. memory_mib: what it may take beside the arrays of the run itself; outputs: objectives that are reversed
-    together, for whose bars memory is counted; exact: as `mpm.adjoint.layout.Layout.exact`, for tests; particles: those
-    of each scene at the start, where a run begins with others than the scene's. Raises InputError where a scene has
-    what the adjoint does not know, where scenes differ in it, or where the budget is too small; WorkFailed where a run
-    blows up.
+    together, for whose adjoints memory is counted; exact: as `mpm.adjoint.layout.Layout.exact`, for tests; particles:
+    those of each scene at the start, where a run begins with others than the scene's. Raises InputError where a scene
+    has what the adjoint does not know, where scenes differ in it, or where the budget is too small; WorkFailed where a
+    run blows up.
     """
 
     def __init__(
@@ -135,8 +135,8 @@ class Tape:
         self.memory_mib, vector = memory_mib, self.batch.state[:, 0].nbytes
         self.state_bytes, self.step_bytes = len(self.changing) * vector, self.layout.history * vector
         """Of a checkpoint, and of the states before one step."""
-        self.bar_bytes = outputs * self.layout.width * vector
-        """Of the bars of particles."""
+        self.adjoint_bytes = outputs * self.layout.width * vector
+        """Of the adjoints of particles."""
         usual = float(self.batch.offsets[:, Offset.SUBSTEPS].max())
         self.run(usual, SPARE * usual)
         opened = {frame for frame in self.batch.retained[:, Retained.OPENED].tolist() if 0 < frame < self.frames[-1]}
@@ -151,8 +151,8 @@ class Tape:
 
     @property
     def fixed_bytes(self) -> int:
-        """Of bars and of the nodes that a reverse step keeps."""
-        return 2 * self.batch.grid.nbytes + self.bar_bytes
+        """Of adjoints and of the nodes that a reverse step keeps."""
+        return 2 * self.batch.grid.nbytes + self.adjoint_bytes
 
     def plan(self, usual: float, most: float) -> list[int]:
         """The frames at which segments begin, and the last; steps in a frame: `usual` ones, at `most`."""
@@ -246,12 +246,12 @@ class Tape:
         return self.batch.impulses(index)[self.frames]
 
     def reverse(self, flow_adjoints: Sequence[Sequence[FlowAdjoints]]) -> list[dict[str, Array]]:
-        """Bars of what the run began with for each of any number of objectives; segments are replayed once for all.
+        """Adjoints of what the run began with for each of any number of objectives; segments are replayed once for all.
 
         flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
         settings of each scene (`settings`), faces (`face_adjoints`), holds of nodes (`hold_adjoints`) and the friction
         in `terrain` of each scene (`terrain_adjoints`), g / xi of its solids (`drag_adjoints`), and the share of the
-        bars of each scene that were cut (`cut`).
+        adjoints of each scene that were cut (`cut`).
         Raises WorkFailed where a gradient grows without bound.
         """
         batch, features, layout = self.batch, self.features, self.layout
@@ -328,12 +328,12 @@ class Tape:
         return objectives
 
     def nodes(self) -> dict[str, Array]:
-        """What a reverse step keeps of the nodes, and their bars, by the names of the kernel's arrays."""
+        """What a reverse step keeps of the nodes, and their adjoints, by the names of the kernel's arrays."""
         shape, real = self.batch.grid.shape, self.batch.state.dtype
         return {"kept": aligned(shape, real), "grid_adjoints": aligned(shape, real)}
 
     def cuts(self, per_scene: Sequence[FlowAdjoints]) -> Array:
-        """The square of the largest bar of a velocity, and how many were beyond it so far, shape [scenes, 2]."""
+        """The square of the largest adjoint of a velocity, and how many were beyond it so far, shape [scenes, 2]."""
         found = np.zeros((len(per_scene), 2))
         for index, own in enumerate(per_scene):
             time = self.frames[-1] * self.batch.scenes[index].frame_dt
@@ -347,7 +347,7 @@ class Tape:
         return found
 
     def add_adjoints(self, own: dict[str, Array], per_scene: Sequence[FlowAdjoints], slot: int) -> None:
-        """Add to the bars of blocks and impulses those of what is observed at frame number `slot`."""
+        """Add to the adjoints of blocks and impulses those of what is observed at frame number `slot`."""
         for index, observed in enumerate(per_scene):
             here = self.particles(index)
             for first, values in ((0, observed.positions), (self.features.state.velocity, observed.velocities)):

@@ -1,22 +1,23 @@
 """The reverse of the two transfers (`mpm.physics.transfer`).
 
-Particles take from the nodes n_i = (u_i, u_i - kappa v_i). With v', C', change' the bars of what they took,
+Particles take from the nodes n_i = (u_i, u_i - kappa v_i). With v', C', change' the adjoints of what they took,
 
     b_ip = (v' + (4 / dx^2) C' x_ip, change'),    n_i' = sum_p w_ip b_ip
     x_p' = sum_i dw_ip/dx_p (n_i . b_ip) - (4 / dx^2) C'^T sum_i w_ip u_i
 
-and give to the nodes g_ip = (m v + m C x_ip, m, -V0 (4 / dx^2) sigma x_ip). With N_i' the bars of the nodes
+and give to the nodes g_ip = (m v + m C x_ip, m, -V0 (4 / dx^2) sigma x_ip). With N_i' the adjoints of the nodes
 
     Z = sum_i w_ip N_i',    Y_j = sum_i w_ip x_ip,j N_i',    g_ip = g_0 + sum_j g_j x_ip,j
     g_0' = Z,   g_j' = Y_j,    x_p' = sum_i dw_ip/dx_p (N_i' . g_ip) - sum_j (g_j . Z) e_j
 
 So the first is a sum at the nodes of what is linear in the node's position, as the step's own particles to grid; the
 second gathers at a particle, as its grid to particles; and both move the weights alike: with the sum over i of
-dw_ip/dx_p times the product of what lies at the node and what the particle gives it (`weight_forces`).
+dw_ip/dx_p times the product of what lies at the node and what the particle gives it.
 """
 
 import taichi as ti
 
+from mpm.adjoint.layout import add_setting_adjoint, adjoints_of
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import add, columns_deep, no_overflow, vectors, zero_node
 from mpm.arrays.features import NODE
@@ -27,14 +28,13 @@ from mpm.physics.volume_correction import held_affine, looseness
 
 
 @ti.func
-def prepare_weights(scene, block, scratch, arrays: ti.template()):
+def prepare_weights(block: ti.template(), arrays: ti.template()):
     """Leave in `scratch` the slopes of the weights of a block [1/m] and the weights times distances [m]."""
-    features, layout = arrays.features, arrays.layout
-    first = no_overflow(block * features.state.size)
-    dx = arrays.settings[scene, Setting.CELL]
+    layout, scratch = arrays.layout, block.scratch
+    dx = arrays.settings[block.scene, Setting.CELL]
     per_dx = 1.0 / dx
-    for k in ti.static(range(features.dimension)):
-        x_cells = arrays.state[first + k] * per_dx + PADDING
+    for k in ti.static(range(arrays.features.dimension)):
+        x_cells = arrays.state[block.state + k] * per_dx + PADDING
         f = x_cells - ti.floor(x_cells - 0.5)
         slopes = (f - 1.5) * per_dx, (2.0 - 2.0 * f) * per_dx, (f - 0.5) * per_dx
         for a in ti.static(range(3)):
@@ -44,19 +44,19 @@ def prepare_weights(scene, block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def transfer_reverse(table, scene, block, scratch, scatters: ti.template(), arrays: ti.template()):
-    """The reverse of one transfer, between a block and its nodes in the columns from `table` on, and `weight_forces`.
+def transfer_reverse(block: ti.template(), scatters: ti.template(), arrays: ti.template()):
+    """The reverse of one transfer, between a block and its nodes, and the sums that move its weights.
 
-    scatters: add the values and slopes that the block has left in `scratch` to the bars of the nodes, and leave the sum
-    of w_ip n_i of what lies at the nodes. Else leave Z, Y_j of each particle from the bars of the nodes.
+    scatters: add the values and slopes that the block has left in `scratch` to the adjoints of the nodes, and leave the
+    sum of w_ip n_i of what lies at the nodes. Else leave Z, Y_j of each particle from the adjoints of the nodes.
     """
     features, layout, lanes = arrays.features, arrays.layout, arrays.features.lanes
     size = ti.static(features.dimension)
-    deep = columns_deep(scene, arrays)
-    # With volume correction the bar of the mass differs from node to node.
+    scratch, deep = block.scratch, columns_deep(block.scene, arrays)
+    # With volume correction the adjoint of the mass differs from node to node.
     varies = ti.static(scatters and features.volume_correction)
     for lane in range(lanes):
-        column, j = lowest_column(arrays, scratch, lane, table, deep)
+        column, j = lowest_column(arrays, scratch, lane, block.table, deep)
         weight = no_overflow(scratch * lanes + lane)
         slope, lever = weight + layout.scratch.slopes * lanes, weight + layout.scratch.levers * lanes
         w = [three_vectors(arrays, weight + 3 * k * lanes) for k in ti.static(range(size))]
@@ -111,15 +111,24 @@ def outer_weights(w: ti.template(), d: ti.template(), a: ti.template(), b: ti.te
 
 
 @ti.func
-def gather_moments(table, scene, block, scratch, arrays: ti.template()):
+def gather_moments(block: ti.template(), arrays: ti.template()):
     """Leave sum_i w_ip n_i and sum_i w_ip x_ip n_i of what lies at the nodes, for each particle of a block."""
-    lanes, deep = arrays.features.lanes, columns_deep(scene, arrays)
+    lanes, deep, scratch = arrays.features.lanes, columns_deep(block.scene, arrays), block.scratch
     for lane in range(lanes):
-        column, j = lowest_column(arrays, scratch, lane, table, deep)
+        column, j = lowest_column(arrays, scratch, lane, block.table, deep)
         weight = no_overflow(scratch * lanes + lane)
         sums = node_sums(column, j, deep, weight, weight + arrays.layout.scratch.levers * lanes, arrays)
         for k in ti.static(range(1 + arrays.features.dimension)):
             store_sum(sums[k], k, scratch, lane, arrays)
+
+
+@ti.func
+def moments_of(block: ti.template(), first: ti.template(), count: ti.template(), scale, arrays: ti.template()):
+    """`scale` times sum_i w_ip x_ip n_i of `count` numbers of the nodes from `first` on: D of each number."""
+    size = ti.static(arrays.features.dimension)
+    sums = block.scratch + arrays.layout.scratch.sums
+    places = ti.static([(1 + k % size) * NODE + first + k // size for k in range(size * count)])
+    return [scale * arrays.scratch[sums + place] for place in ti.static(places)]
 
 
 @ti.func
@@ -144,26 +153,30 @@ def store_forces(products: ti.template(), scratch, lane, arrays: ti.template()):
 
 
 @ti.func
-def affine_reverse(scene, block, scratch, kappa, arrays: ti.template()):
-    """Bars of the D x D slopes of the grid's velocity u and of its change, of C before the step, of kappa and of C_s^2.
+def affine_reverse(block: ti.template(), arrays: ti.template()):
+    """Adjoints of the D x D slopes of the grid's velocity u and then of its change, and of kappa, from that of C after
+    the step; that of C before it is put in its place, and that of C_s^2 added.
 
-    From that of C after it. Only where a loose particle is held back, C is not the slope of u alone.
+    Only where a loose particle is held back, C is not the slope of u alone.
     """
-    features, layout = arrays.features, arrays.layout
-    size = ti.static(features.dimension)
-    own, first = block * layout.width, no_overflow(block * features.state.size)
-    bar = vectors(arrays.adjoints, own + features.state.affine, size * size)
+    features = arrays.features
+    count = ti.static(features.dimension**2)
+    adj, first = adjoints_of(block, features.state.affine, count, arrays), block.adj + features.state.affine
+    none = [0.0 * adj[0] for _ in ti.static(range(count))]
     if ti.static(features.volume_correction):
-        at = [scratch + layout.scratch.sums + (1 + k % size) * NODE + k // size for k in ti.static(range(size * size))]
-        per_dx = 1.0 / arrays.settings[scene, Setting.CELL]
-        slopes = [(4.0 * per_dx * per_dx) * arrays.scratch[n] for n in ti.static(at)]
-        changes = [(4.0 * per_dx * per_dx) * arrays.scratch[n + features.node.change] for n in ti.static(at)]
-        affine = vectors(arrays.state, first + features.state.affine, size * size)
-        slow = arrays.settings[scene, Setting.SLOW_AFFINE]
-        constants = ti.static((looseness(block, arrays), size))
-        held = ti.static([Pullback(held_affine, ((slopes, changes), affine, kappa, slow), constants)])[0]
-        moved_bar, affine_bar, kappa_bar, slow_bar = ti.static(held(bar))
-        return moved_bar[0], moved_bar[1], affine_bar, kappa_bar, slow_bar
+        scale = 4.0 / arrays.settings[block.scene, Setting.CELL] ** 2
+        slopes = moments_of(block, 0, features.dimension, scale, arrays)
+        changes = moments_of(block, features.node.change, features.dimension, scale, arrays)
+        affine = vectors(arrays.state, block.state + features.state.affine, count)
+        slow = arrays.settings[block.scene, Setting.SLOW_AFFINE]
+        constants = ti.static((looseness(block.number, arrays), features.dimension))
+        held = ti.static([Pullback(held_affine, ((slopes, changes), affine, block.kappa, slow), constants)])[0]
+        adj_moved, adj_affine, adj_kappa, adj_slow = ti.static(held(adj))
+        for k in ti.static(range(count)):
+            arrays.adjoints[first + k] = adj_affine[k]
+        add_setting_adjoint(block, Setting.SLOW_AFFINE, adj_slow, arrays)
+        return adj_moved[0] + adj_moved[1], adj_kappa
     else:
-        zero = [0.0 * bar[0] for _ in ti.static(range(size * size))]
-        return bar, zero, zero, 0.0 * bar[0], 0.0 * bar[0]
+        for k in ti.static(range(count)):
+            arrays.adjoints[first + k] = none[k]
+        return adj + none, none[0]

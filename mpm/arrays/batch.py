@@ -46,7 +46,7 @@ from mpm.arrays.properties import (
 from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
 from mpm.initial.barriers import barrier_tables
 from mpm.initial.slope import begins_as_slope
-from mpm.output.request import ALL, Recording, window_frames
+from mpm.output.recording import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, numbered, obstacles_of
 from mpm.solids.terrain_arrays import terrain_arrays, terrain_kept
 

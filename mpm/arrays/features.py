@@ -15,7 +15,7 @@ from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import mass_particle_volumes, particle_count
 from mpm.arrays.layout import Contact, Look, Precision
 from mpm.laws import law_named, law_of
-from mpm.output.request import ALL, Recording
+from mpm.output.recording import ALL, Recording
 
 REGISTER = 128
 """Bytes of a vector of lanes: two registers of AVX-512, so that one is computed while the other waits for a root."""
@@ -255,7 +255,7 @@ def drags_of(scene: Scene) -> list[float]:
     """g / xi [1/m] of each solid of a scene, in the order of their numbers; 0 of those without `turbulence`, g alone
     [m/s^2] of those whose xi varies (`drag_tables`).
     """
-    coefficients = [each.turbulence for each in (*scene.baffles, *scene.solids)]
+    coefficients = [*(baffle.turbulence for baffle in scene.baffles), *(solid.turbulence for solid in scene.solids)]
     fixed = [1.0 if isinstance(each, tuple) else each for each in coefficients]
     return [0.0 if each is None else scene.gravity / each for each in fixed]
 

@@ -25,7 +25,7 @@ from datasets.scene.particles import Particles
 from mpm.arrays.features import drags_of, features_of
 from mpm.arrays.layout import Property, Setting
 from mpm.laws import law_named
-from mpm.output.request import REST_ENERGY
+from mpm.output.recording import REST_ENERGY
 
 Array = NDArray[Any]
 

@@ -4,8 +4,8 @@ A stage (`datasets.scene.Stage`) begins at the end of a frame, between two calls
 it: the properties that particles carry are written anew. Stress beyond the new yield surface returns to it in the next
 step. Which particles a stage is for depends on where they began alone, so that a run can be interrupted anywhere.
 
-Settled: over a window of frames (`mpm.output.request.window_frames`), a period of the slowest oscillation and a time of
-flow long, the kinetic energy was below REST of its largest since the stage before, or below REST_ENERGY.
+Settled: over a window of frames (`mpm.output.recording.window_frames`), a period of the slowest oscillation and a time
+of flow long, the kinetic energy was below REST of its largest since the stage before, or below REST_ENERGY.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from datasets.scene.particles import Particles
 from mpm.arrays.batch import Batch, put_vectors
 from mpm.arrays.layout import INDEX_LIMIT, Energy, Offset, Setting
 from mpm.arrays.properties import properties_of
-from mpm.output.request import REST, window_frames
+from mpm.output.recording import REST, window_frames
 
 
 def selected(stage: Stage, particles: Particles) -> NDArray[np.bool_]:

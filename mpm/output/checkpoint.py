@@ -15,7 +15,7 @@ from datasets.files import reading
 from datasets.flow.array_files import read_arrays, write_npz
 from datasets.scene import Scene
 from mpm.arrays.layout import Offset, Precision
-from mpm.output.request import Recording
+from mpm.output.recording import Recording
 
 if TYPE_CHECKING:
     from mpm.arrays.batch import Batch

@@ -5,7 +5,7 @@ import taichi as ti
 from mpm.arrays.access import add, dot, lane_sum, maximum, over_lanes, vectors
 from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
 from mpm.arrays.properties import STABILITY
-from mpm.output.request import BALANCED, REST
+from mpm.output.recording import BALANCED, REST
 from mpm.physics.barriers import free_since, measure_retained, open_barriers
 from mpm.physics.transfer import particles_in, property_of
 
@@ -149,7 +149,7 @@ def record_impulses(scene, frame, arrays: ti.template()):
 
 @ti.func
 def detect_rest(scene, frame, arrays: ti.template()):
-    """Set the frame of rest where a deposit without barriers rested over a window of frames (`mpm.output.request`)."""
+    """Set the frame of rest where a deposit without barriers rested over a window (`mpm.output.recording`)."""
     line, window = arrays.offsets[scene, Offset.ENERGY], arrays.offsets[scene, Offset.WINDOW]
     since = 0
     if ti.static(arrays.features.barriers):

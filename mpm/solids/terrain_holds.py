@@ -78,14 +78,14 @@ def removed_by_terrain(v, node, worker, scene, arrays: ti.template()):
         near = depth > 0.0 and depth * terrain_number(TerrainNumber.NEARNESS, scene, arrays) < reach_of(scene, arrays)
     if ti.static(arrays.features.processor.gpu):
         if near:
-            removed = meet_holds(v, 0, node, False, scene, arrays)
+            removed, _share, _depth = meet_holds(v, 0, node, False, scene, arrays)
     elif near:
         slot, known = slot_of(node, worker, scene, arrays)
         if not known:
             meet_holds(v, slot, node, True, scene, arrays)
         for hold in range(ti.cast(arrays.kept_holds[slot, 1], ti.i32)):
             at = FIRST_HOLD + hold * KEPT_NUMBERS
-            normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))])
+            normal = kept_normal(slot, at, arrays)
             if v.dot(normal) < 0.0:
                 share, friction = arrays.kept_holds[slot, at], arrays.kept_holds[slot, at + 1]
                 removed += share * (v - after_contact(v, normal, friction))
@@ -116,8 +116,9 @@ def slot_of(node, worker, scene, arrays: ti.template()):
 
 @ti.func
 def meet_holds(v, slot, node, kept: ti.template(), scene, arrays: ti.template()):
-    """What the holds of a node take of its velocity `v` [m/s], shape [D]; or, where they are `kept`, how many they are
-    and of each its share [-], friction [-] and normal [-] in the line `slot`.
+    """What the holds of a node take of its velocity `v` [m/s], shape [D], the factor from `hold_weight` to a share [-]
+    and the depth of the node [m]; where they are `kept`, their number, and of each its share [-], friction [-] and
+    normal [-], are left in the line `slot`.
 
     Of those that are kept, those with one normal and one friction are one; where there are more than KEPT others, so
     are those whose normals differ least.
@@ -160,11 +161,23 @@ def meet_holds(v, slot, node, kept: ti.template(), scene, arrays: ti.template())
         arrays.kept_holds[slot, 1] = count
         for hold in range(count):
             at = FIRST_HOLD + hold * KEPT_NUMBERS
-            normal = ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))]).normalized()
-            arrays.kept_holds[slot, at] = share * arrays.kept_holds[slot, at]
-            for k in ti.static(range(3)):
-                arrays.kept_holds[slot, at + 2 + k] = normal[k]
-    return share * removed
+            weight, friction = arrays.kept_holds[slot, at], arrays.kept_holds[slot, at + 1]
+            put_hold(slot, at, share * weight, friction, kept_normal(slot, at, arrays).normalized(), arrays)
+    return share * removed, share, depth
+
+
+@ti.func
+def kept_normal(slot, at, arrays: ti.template()):
+    """The normal [-] of the hold that begins at `at` in a line of `kept_holds`."""
+    return ti.Vector([arrays.kept_holds[slot, at + 2 + k] for k in ti.static(range(3))])
+
+
+@ti.func
+def put_hold(slot, at, weight, friction, normal, arrays: ti.template()):
+    """Write a hold from `at` on in a line of `kept_holds`."""
+    arrays.kept_holds[slot, at], arrays.kept_holds[slot, at + 1] = weight, friction
+    for k in ti.static(range(3)):
+        arrays.kept_holds[slot, at + 2 + k] = normal[k]
 
 
 @ti.func
@@ -173,9 +186,7 @@ def add_hold(slot, count, weight, friction, normal, arrays: ti.template()):
     closest, alike = -1, 0.0 * weight - 2.0
     for hold in range(count):
         at = FIRST_HOLD + hold * KEPT_NUMBERS
-        cosine = 0.0 * weight
-        for k in ti.static(range(3)):
-            cosine += arrays.kept_holds[slot, at + 2 + k] * normal[k]
+        cosine = kept_normal(slot, at, arrays).dot(normal)
         if arrays.kept_holds[slot, at + 1] != friction:
             cosine -= 1.0e-3
         if cosine > alike:
@@ -183,16 +194,10 @@ def add_hold(slot, count, weight, friction, normal, arrays: ti.template()):
     result = count
     if weight > 0.0 and (alike > 1.0 - 1.0e-14 or count == KEPT):
         at = FIRST_HOLD + closest * KEPT_NUMBERS
-        before = arrays.kept_holds[slot, at]
-        part = weight / (before + weight)
-        arrays.kept_holds[slot, at] = before + weight
-        arrays.kept_holds[slot, at + 1] += part * (friction - arrays.kept_holds[slot, at + 1])
-        for k in ti.static(range(3)):
-            arrays.kept_holds[slot, at + 2 + k] += part * (normal[k] - arrays.kept_holds[slot, at + 2 + k])
+        total, rubs = arrays.kept_holds[slot, at] + weight, arrays.kept_holds[slot, at + 1]
+        part, facing = weight / total, kept_normal(slot, at, arrays)
+        put_hold(slot, at, total, rubs + part * (friction - rubs), facing + part * (normal - facing), arrays)
     elif weight > 0.0:
-        at = FIRST_HOLD + count * KEPT_NUMBERS
-        arrays.kept_holds[slot, at], arrays.kept_holds[slot, at + 1] = weight, friction
-        for k in ti.static(range(3)):
-            arrays.kept_holds[slot, at + 2 + k] = normal[k]
+        put_hold(slot, FIRST_HOLD + count * KEPT_NUMBERS, weight, friction, normal, arrays)
         result = count + 1
     return result

@@ -8,7 +8,7 @@ import pytest
 from datasets.scene import Baffle, Mass
 from datasets.scene.particles import initial_particles
 from mpm import WITH_FIELDS, Recording, simulate
-from mpm.output.request import window_frames
+from mpm.output.recording import window_frames
 from mpm.output.smoothing import smoothed, weights
 from tests.refusals import refused
 from tests.scenes import SAND, box

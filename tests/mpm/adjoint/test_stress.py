@@ -40,7 +40,7 @@ def trial_after(stress: Any, a: Any, lame: Any, shear: Any, dimension: int) -> A
 
 @cache
 def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None]]:
-    """Forwards (inputs, returned stress) and backwards (inputs, bar of that stress, bars of the inputs).
+    """Forwards (inputs, returned stress) and backwards (inputs, adjoint of that stress, adjoints of the inputs).
 
     Inputs: stress, increment A row by row, CONSTANTS; a block of lanes each.
     """
@@ -69,22 +69,22 @@ def kernels(features: Features) -> tuple[Callable[..., None], Callable[..., None
             a = [x[at + stresses + k] for k in ti.static(range(gradients))]
             p = [x[at + stresses + gradients + k] for k in ti.static(range(CONSTANTS))]
             elastic = ti.static([Pullback(trial_after, (old, a, p[6], p[7]), (dimension,))])[0]
-            bar = [y[e * stresses + k] for k in ti.static(range(stresses))]
+            adj = [y[e * stresses + k] for k in ti.static(range(stresses))]
             strengths = [p[k] for k in ti.static(range(count))]
-            others = [0.0 * bar[0], 0.0 * bar[0]]
-            trial_bar, strengths_bar, moduli_bar = plastic_return_reverse(
-                bar + others, elastic.values, strengths, p[6], p[7], features
+            others = [0.0 * adj[0], 0.0 * adj[0]]
+            adj_trial, adj_strengths, adj_moduli = plastic_return_reverse(
+                adj + others, elastic.values, strengths, p[6], p[7], features
             )
-            found = ti.static(elastic(trial_bar))
+            found = ti.static(elastic(adj_trial))
             for k in ti.static(range(stresses)):
                 result[at + k] = found[0][k]
             for k in ti.static(range(gradients)):
                 result[at + stresses + k] = found[1][k]
             at = at + stresses + gradients
             for k in ti.static(range(count)):
-                result[at + k] = strengths_bar[k]
+                result[at + k] = adj_strengths[k]
             for k in ti.static(range(2)):
-                result[at + STRENGTHS + k] = moduli_bar[k] + found[2 + k]
+                result[at + STRENGTHS + k] = adj_moduli[k] + found[2 + k]
 
     return forwards, backwards
 
@@ -112,9 +112,9 @@ def stepped(features: Features, inputs: Array) -> Array:
     return call(kernels(features)[0], features, inputs, rows=features.stresses)
 
 
-def reversed_step(features: Features, inputs: Array, bar: Array) -> Array:
-    """Bars of `inputs` from those of the returned stresses, the shape of `inputs`."""
-    return call(kernels(features)[1], features, inputs, bar, rows=len(inputs))
+def reversed_step(features: Features, inputs: Array, adj: Array) -> Array:
+    """Adjoints of `inputs` from those of the returned stresses, the shape of `inputs`."""
+    return call(kernels(features)[1], features, inputs, adj, rows=len(inputs))
 
 
 YOUNG = 100.0
@@ -168,12 +168,12 @@ def random_stresses(width: int, count: int, random: np.random.Generator) -> Arra
 
 @pytest.mark.parametrize("features", KINDS)
 def test_the_reverse_is_that_of_central_differences(features: Features) -> None:
-    """To 1e-6 of the bars of an element, for each of its numbers; but where a difference spans two pieces."""
+    """To 1e-6 of the adjoints of an element, for each of its numbers; but where a difference spans two pieces."""
     random = np.random.default_rng(1)
     stress = random_stresses(features.stresses, 2000, random)
     inputs = inputs_of(stress, random, features, size=0.05)
-    bar = random.normal(size=stress.shape)
-    ours = reversed_step(features, inputs, bar)
+    adj = random.normal(size=stress.shape)
+    ours = reversed_step(features, inputs, adj)
     assert np.isfinite(ours).all()
     first = len(inputs) - CONSTANTS
     read = strength_count(features) if features.cohesive or features.law_name == VON_MISES else 1
@@ -186,7 +186,7 @@ def test_the_reverse_is_that_of_central_differences(features: Features) -> None:
             ahead, behind = inputs.copy(), inputs.copy()
             ahead[row] += step
             behind[row] -= step
-            values.append(((stepped(features, ahead) - stepped(features, behind)) * bar).sum(axis=0) / (2.0 * step))
+            values.append(((stepped(features, ahead) - stepped(features, behind)) * adj).sum(axis=0) / (2.0 * step))
         coarse, fine = values
         # Of two steps on one piece the difference falls to a quarter: Richardson's value is of fourth order.
         best = fine + (fine - coarse) / 3.0
@@ -214,20 +214,20 @@ def same_axes(width: int, values: tuple[float, float, float], count: int, random
 def test_elastic_stresses_that_are_equal_have_the_derivative_of_elasticity(
     dimension: int, values: tuple[float, float, float]
 ) -> None:
-    """Nothing yields: the bar of the trial is that of the new stress, whatever the axes, to rounding."""
+    """Nothing yields: the adjoint of the trial is that of the new stress, whatever the axes, to rounding."""
     random = np.random.default_rng(2)
     features = Features(dimension=dimension, precision="f64", dilates=True, cohesive=True)
     stress = same_axes(features.stresses, values, 64, random)
     inputs = inputs_of(stress, random, features)
     inputs[len(inputs) - CONSTANTS + 2] = 50.0
-    bar = random.normal(size=stress.shape)
-    np.testing.assert_allclose(reversed_step(features, inputs, bar)[: features.stresses], bar, atol=1e-12)
+    adj = random.normal(size=stress.shape)
+    np.testing.assert_allclose(reversed_step(features, inputs, adj)[: features.stresses], adj, atol=1e-12)
 
 
 @pytest.mark.parametrize(("pair", "single"), [(-1.0, -9.0), (-9.0, -1.0)])
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_on_an_edge_two_stresses_stay_equal(dimension: int, pair: float, single: float) -> None:
-    """A bar that would part the two equal stresses of an edge, by turning or by stretching, gives none to the trial."""
+    """An adjoint that would part the equal stresses of an edge, by a turn or a stretch, gives none to the trial."""
     features = Features(dimension=dimension, precision="f64", dilates=True, cohesive=True)
     random = np.random.default_rng(4)
     stress = np.zeros((features.stresses, 16))
@@ -237,9 +237,9 @@ def test_on_an_edge_two_stresses_stay_equal(dimension: int, pair: float, single:
     inputs[len(inputs) - CONSTANTS + 2] = 0.1
     assert not np.allclose(stepped(features, inputs)[2], single)
     for parting in ([1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]):
-        bar = np.zeros_like(stress)
-        bar[:4] = np.array(parting)[:, None]
-        found = reversed_step(features, inputs, bar)
+        adj = np.zeros_like(stress)
+        adj[:4] = np.array(parting)[:, None]
+        found = reversed_step(features, inputs, adj)
         np.testing.assert_allclose(found[: features.stresses], 0.0, atol=1e-12)
 
 
@@ -253,8 +253,8 @@ def test_beside_a_crack_equal_stresses_turn_freely(dimension: int) -> None:
     inputs = inputs_of(stress, random, features)
     first = len(inputs) - CONSTANTS
     inputs[first : first + 4] = np.array([0.3, 0.0, 20.0, 0.5])[:, None]
-    bar = np.zeros_like(stress)
-    bar[3] = 1.0
-    found = reversed_step(features, inputs, bar)
+    adj = np.zeros_like(stress)
+    adj[3] = 1.0
+    found = reversed_step(features, inputs, adj)
     np.testing.assert_allclose(found[3], 1.0, atol=1e-12)
     np.testing.assert_allclose(found[:3], 0.0, atol=1e-12)

@@ -112,7 +112,7 @@ def test_scenes_side_by_side_are_as_alone() -> None:
 
 
 def test_a_gradient_without_bound_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where more bars are cut than may be: here all that are not 0."""
+    """Where more adjoints are cut than may be: here all that are not 0."""
     scene = dataclasses.replace(FLAT, step_fraction=0.9)
     tape = Tape([scene], [8], threads=1)
     monkeypatch.setattr("mpm.adjoint.tape.CUT", 0.0)
@@ -133,7 +133,7 @@ def test_steady_steps_are_those_of_a_lone_particle() -> None:
 def test_lone_particles_that_swing_are_cut() -> None:
     """Sand of ten layers without memory of gaps: at 0.9 of the step lone particles swing, at 0.8 none does.
 
-    Exact, the first gradient has no bound; with a few bars cut it is that of the same flow in shorter steps.
+    Exact, the first gradient has no bound; with a few adjoints cut it is that of the same flow in shorter steps.
     """
     scene = read_scene("layers-10")
     sand = dataclasses.replace(scene.material, cohesion=0.0, tension_cutoff=None)
