@@ -11,6 +11,7 @@ import numpy as np
 
 from datasets.errors import InputError, keyed, naming, require
 from datasets.files import read_toml
+from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
 from datasets.scene.grid_field import FRICTION, Field
 from datasets.scene.library import find, read_scene
@@ -21,6 +22,7 @@ from inverse.observations.settings import FILES
 from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, check_parameters, check_scene, with_kinds, with_parameters
 from inverse.parameters.field import UnknownField
+from inverse.parameters.kind import Clock
 from inverse.parameters.prior import Correlation, JointPrior
 from inverse.settings import LoopSettings, OptimiserSettings, Surrogate, TargetSettings
 
@@ -106,6 +108,12 @@ class Problem(ProblemKeys):
         # It refuses correlations that are none.
         _ = self.prior
         self._check_observations()
+        for key, each in by_key.items():
+            # Without files: what is in these has times of its own.
+            timeless = each.name == "time_offset" and not any(
+                "csv" in settings.given or settings.operator(self.scene).over_time for settings in self.observations
+            )
+            require(not timeless, f"{key}.name", "an observation over time for a clock", "none")
         self._check_target()
         budget, fewest = self.loop.budget(len(self.parameters)), len(self.parameters) + FEWEST_RUNS
         require(budget >= fewest, "loop.mpm_runs", f"an integer of at least {fewest}", budget)
@@ -166,6 +174,11 @@ class Problem(ProblemKeys):
             kept = tuple(each for each in scene.fields if each.quantity not in unknown)
             scene = replace(scene, fields=kept + tuple(fields))
         return scene if seed is None else replace(scene, seed=seed)
+
+    def clocked(self, run: Trajectory, values: Vector) -> Trajectory:
+        """A run at numbers `values` [U] by the clock of the observations, which starts `time_offset` after the flow."""
+        late = sum(float(values[n]) for n, kind in enumerate(self.kinds) if isinstance(kind, Clock))
+        return replace(run, time=run.time - late) if late else run
 
     def named(self, values: Vector) -> dict[str, Any]:
         """The entries of a vector of numbers [U], or the rows of many such columns [U, ...], by name."""
@@ -271,6 +284,9 @@ class Problem(ProblemKeys):
                 for number, mass in enumerate(self.scene.masses):
                     require(mass.k0 is None, f"scene.masses[{number}].k0", expected, mass.k0)
         for index, parameter in enumerate(self.parameters):
+            require(
+                parameter.name != "time_offset", f"unknowns[{index}].name", "no clock beside a field", parameter.name
+            )
             require(parameter.prior is None, f"unknowns[{index}].prior", "none beside a field", "one")
         require(not self.correlations, "correlations", "none beside a field", "some")
         for index, observation in enumerate(self.observations):

@@ -22,7 +22,8 @@ def read_target(problem: Problem, simulate: Callable[[Scene], Trajectory]) -> Ta
     truth = None
     if problem.target.twin:
         scene = problem.twin_scene
-        run, truth = simulate(scene), {each.name: each.kind.read(scene) for each in problem.numbers}
+        truth = {each.name: each.kind.read(scene) for each in problem.numbers} | problem.target.truth
+        run = problem.clocked(simulate(scene), np.array([truth[each.name] for each in problem.numbers]))
     else:
         run = read_run(problem)
     parts = []

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from datasets.errors import require
 from datasets.scene import Scene
 from datasets.scene.particles import initial_volumes
 from inverse.forward import Simulate
@@ -121,6 +122,7 @@ class AdjointForward(MpmForward):
         """options: of `Run`."""
         super().__init__(problem, observation, simulate)
         scene = problem.scene
+        require("time_offset" not in problem.names, "unknowns", "numbers of the scene for the adjoint", "time_offset")
         frames = range(scene.frames) if observation.over_time else (0, scene.frames - 1)
         self.run = Run(scene, problem.names, frames=[*frames], **options)
         self.times = np.array(self.run.frames) * scene.frame_dt

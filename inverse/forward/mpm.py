@@ -33,7 +33,8 @@ class MpmForward:
         """The exact observation [m] of an MPM run at each vector of parameters [U]."""
         record = ALL if self.observation.over_time else LAST
         trajectories = self.simulate([self.problem.scene_at(values) for values in parameters], record=record)
-        return [self.select(self.observation.observe(trajectory)) for trajectory in trajectories]
+        flows = [self.problem.clocked(*each) for each in zip(trajectories, parameters, strict=True)]
+        return [self.select(self.observation.observe(flow)) for flow in flows]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
         """Columns of the covariance of its errors at parameters [U], those of its band: shape [K, m]."""

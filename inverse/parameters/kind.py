@@ -178,6 +178,16 @@ class ChannelFriction(Kind):
         return {"channel": replace(draft.channel, friction_deg=value)}
 
 
+class Clock(Kind):
+    """By how much the clock of the observations starts after the flow [s]; the flow itself has none."""
+
+    def read(self, scene: Scene) -> float:
+        return 0.0
+
+    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
+        return {}
+
+
 class Constant(Kind):
     """A constant of the material of a mass, or of the shared one."""
 
@@ -339,6 +349,7 @@ KINDS: dict[str, Kind] = {
         Kind(form="wall_friction", unit="-", digits=3, input=with_constant),
         Kind(form="baffle_friction", unit="-", digits=3, input=with_baffle_friction),
         Kind(form="damping", unit="-", digits=3, input=with_constant),
+        Clock(form="time_offset", unit="s", digits=4, positive=False),
         *(replace(each, form=f"masses[].{each.form}", order=each.order + 2) for each in _MATERIAL),
         *(Velocity(form=f"masses[].velocity_{x}", axis=axis, positive=False, **_VELOCITY) for x, axis in _AXES.items()),
         *(Centre(form=f"baffles[].{x}", axis=_AXES[x], positive=False, **_BAFFLE) for x in "xz"),

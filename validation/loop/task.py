@@ -70,7 +70,7 @@ class Task:
             purpose=purpose,
             parameters=location,
             point=self.problem.box.shares(location),
-            numbers=self.target.observation.observe(flow),
+            numbers=self.target.observation.observe(self.problem.clocked(flow, location)),
             trajectory=flow,
             seconds=float(flow.summary.get(SHARE, 0.0)) if file else 0.0,
             file=file,

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from datasets.scene.grid_field import Floats
+from inverse import Parameter, TargetSettings
 from inverse.answer import Verdict
 from inverse.observations import FrontSettings
 from inverse.observations.errors import Student
 from inverse.residuals import residuals
 from inverse.saving import save
 from inverse.target import read_target
+from tests.refusals import refused
 from tests.validation.loop.test_outlier import BOUNDS, FRICTION, NAMES, NOISE, SPEED, TIMES, moved, problem_of, slide
 from validation.loop.solve import run
 from validation.loop.task import Task
@@ -81,3 +83,43 @@ def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(t
     )
     low, high = np.interp((0.025, 0.975), np.cumsum(density) / density.sum(), speeds)
     assert widths["front"] == pytest.approx(0.5 * (high - low), rel=0.2)
+
+
+@pytest.mark.parametrize("late", [0.04, -0.035])
+def test_a_clock_that_starts_late_is_an_unknown(tmp_path: Path, late: float) -> None:
+    """Speed and clock of the block by its fronts over time, beside the exact posterior over both."""
+    values = 0.3 + moved(np.maximum(TIMES + late, 0.0), np.array(SPEED), np.array(FRICTION))
+    problem = problem_of(tmp_path, values, NAMES[:1])
+    clock = Parameter(name="time_offset", initial=0.0, lower=-0.1, upper=0.1)
+    problem = replace(problem, parameters=(*problem.parameters, clock))
+    target = read_target(problem, lambda asked: slide([asked])[0])
+    found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=slide))
+    assert found.verdict is Verdict.CONFIRMED
+    assert found.answers[0].holds(np.array([SPEED, late])).all()
+    shares = (np.arange(600) + 0.5) / 600
+    speed, offset = 0.5 + 1.7 * shares, -0.1 + 0.2 * shares
+    times = np.maximum(TIMES + offset[:, None], 0.0)
+    squares = (((0.3 + moved(times, speed[:, None, None], np.array(FRICTION)) - values) / NOISE) ** 2).sum(axis=-1)
+    weights = np.exp(-0.5 * squares)
+    for index, (own, axis) in enumerate(((weights.sum(axis=1), speed), (weights.sum(axis=0), offset))):
+        low, middle, high = np.interp((0.025, 0.5, 0.975), np.cumsum(own) / own.sum(), axis)
+        shown = np.array(
+            [found.answers[0].interval[0][index], found.answer[index], found.answers[0].interval[1][index]]
+        )
+        assert np.abs(shown - (low, middle, high)).max() < 0.25 * (high - low)
+
+
+def test_a_twin_has_the_clock_of_its_truth_and_a_deposit_has_none(tmp_path: Path) -> None:
+    problem = problem_of(tmp_path, TIMES, NAMES[:1])
+    clock = Parameter(name="time_offset", initial=0.0, lower=-0.1, upper=0.1)
+    twin = replace(
+        problem,
+        parameters=(*problem.parameters, clock),
+        observations=(FrontSettings(times=tuple(TIMES)),),
+        target=TargetSettings(twin=True, truth={"time_offset": 0.04}),
+    )
+    target = read_target(twin, lambda asked: slide([asked])[0])
+    assert target.truth == {NAMES[0]: SPEED, "time_offset": 0.04}
+    expected = 0.3 + moved(TIMES + 0.04, np.array(SPEED), np.array(FRICTION))
+    np.testing.assert_allclose(target.values, expected, atol=1e-5)
+    refused(lambda: replace(twin, observations=(FrontSettings(),)), said="an observation over time")
