@@ -20,7 +20,7 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from datasets.errors import InputError, require
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.flow.fields import FlowFields
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
+from datasets.geometry.ground import elevation, slopes_in_plan
 from datasets.geometry.placement import tops_beneath
 from datasets.geometry.surface import surface_of
 from datasets.scene import Mass, Scene
@@ -139,18 +140,17 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
             momentum = np.linalg.norm(spread @ (volumes[inside, None] * velocity[inside]), axis=1).reshape(grid.nodes)
             speed = np.divide(momentum, volume, out=np.zeros_like(volume), where=thickness > threshold)
             fastest = speed if fastest is None else np.maximum(fastest, speed)
-    east, up, north = scene.domain.corner.tolist()
-    corners = ((solid.corner, solid.crs) for solid in scene.solids if solid.corner is not None)
-    corner, crs = next(corners, ((east, north), scene.domain.crs))
+    corner, crs = map_corner(scene)
+    steep = np.hypot(*slopes_in_plan(scene, grid))
     return PlanMaps(
         grid=grid,
         thickness=thickness,
         start=start,
         depth=depth,
-        normal_depth=depth * bed_cosine(scene, grid),
+        normal_depth=depth / np.hypot(1.0, steep),
         velocity=fastest,
         arrival=arrival,
-        ground=ground(scene, grid) + up,
+        ground=ground(scene, grid) + float(scene.domain.corner[1]),
         threshold=threshold,
         volume=float(volumes[inside].sum()),
         left=float(volumes[~inside].sum()),
@@ -184,14 +184,6 @@ def moments_between(first: Moment, second: Moment, cell: float) -> Iterator[Mome
         yield begin + share * elapsed, line + bend, rest * velocity + share * faster
 
 
-def bed_cosine(scene: Scene, grid: Grid) -> Floats:
-    """Cosine of the terrain's slope at each cell, shape [X, Z]; 1 where there is none, or none but in one row."""
-    terrain = tuple(solid for solid in scene.solids if solid.kind == "terrain")
-    heights = ground(replace(scene, baffles=(), solids=terrain), grid)
-    slopes = [np.gradient(heights, step, axis=a) for a, step in enumerate(grid.spacing) if heights.shape[a] > 1]
-    return np.asarray(1.0 / np.sqrt(1.0 + sum((slope**2 for slope in slopes), np.zeros(grid.nodes))))
-
-
 def least_thickness(mass: Mass) -> float:
     """Of a layer where it is thinnest, of another body its height [m]."""
     if mass.kind != "layer":
@@ -205,15 +197,28 @@ def ground(scene: Scene, grid: Grid) -> Floats:
 
     Of cells that go beyond the box that at the nearest place in it.
     """
-    surface = surface_of(scene)
-    if surface is None:
-        return np.zeros(grid.nodes)
     plan = np.minimum(grid.positions, scene.domain.size[::2])
+    if not scene.baffles and all(solid.kind == "terrain" for solid in scene.solids):
+        return elevation(scene.solids, scene.domain, plan).reshape(grid.nodes)
+    surface = surface_of(scene)
+    assert surface is not None, "of the solids"
     return tops_beneath(surface, np.insert(plan, 1, np.inf, axis=1), 0.0).reshape(grid.nodes)
 
 
+def map_corner(scene: Scene) -> tuple[tuple[float, ...], str | None]:
+    """Easting and northing of x = z = 0 [m] and their reference system: the box's, else those of a terrain's raster."""
+    corners = ((solid.corner, solid.crs) for solid in scene.solids if solid.corner is not None)
+    east, _, north = scene.domain.corner.tolist()
+    return next(corners, ((east, north), scene.domain.crs))
+
+
 def outline(maps: PlanMaps, values: Floats, threshold: float) -> MultiPolygon:
-    """Where one of `maps`, shape [X, Z], exceeds a threshold: polygons with holes, in the maps' coordinates.
+    """Where one of `maps`, shape [X, Z], exceeds a threshold, in their coordinates; see `region_above`."""
+    return region_above(maps.grid, values, threshold, maps.corner)
+
+
+def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[float] = (0.0, 0.0)) -> MultiPolygon:
+    """Where `values` [X, Z] at the middles of cells exceed a threshold: polygons with holes, `corner` [m] added.
 
     The line runs where the map, linear between the middles of its cells and even in the outer half of the last, equals
     the threshold, and along the edge of the map. Outer rings run anticlockwise, holes clockwise.
@@ -222,8 +227,8 @@ def outline(maps: PlanMaps, values: Floats, threshold: float) -> MultiPolygon:
 
     padded = np.pad(np.pad(values, 1, mode="edge"), 1)
     x, z = (
-        first + maps.cell * np.concatenate([[-CLOSE, 0.0], np.arange(count) + 0.5, [count, count + CLOSE]])
-        for first, count in zip(maps.corner, values.shape, strict=True)
+        first + step * np.concatenate([[-CLOSE, 0.0], np.arange(count) + 0.5, [count, count + CLOSE]])
+        for first, step, count in zip(corner, grid.spacing, values.shape, strict=True)
     )
     filled = contour_generator(x, z, padded.T, fill_type=FillType.OuterOffset).filled(threshold, np.inf)
     parts = [np.split(points, offsets[1:-1]) for points, offsets in zip(*filled, strict=True)]

@@ -2,8 +2,9 @@
 
     e_i = (y_i - median_i) / s_i,    s_i^2 = p_i^2 + n_i^2
 
-p is the standard deviation of what further flows would show without errors of measurement, n the stated one. Under
-robust noise the band is as wide as the noise that the number shows, e counts the stated one all the same.
+p is the standard deviation of what further flows would show without errors of measurement, n is the stated standard
+deviation of the measurement. Under robust noise the band includes the larger noise of a misread number, and e still
+uses the stated one, so that the number is named.
 """
 
 from collections.abc import Sequence

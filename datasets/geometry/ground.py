@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datasets.errors import InputError
+from datasets.scene.grid_field import Grid
 from datasets.scene.parts import Domain, SceneLayout, Solid, coefficient
 
 Floats = NDArray[np.float64]
@@ -29,6 +30,15 @@ def plan_axes(dimension: int) -> list[int]:
 def elevation(solids: tuple[Solid, ...], domain: Domain, plan: Floats) -> Floats:
     """Elevation [m] of the highest terrain, or of the floor y = 0, at places in plan [m], [N, D - 1]; shape [N]."""
     return highest(solids, domain, plan, 0.0)[0]
+
+
+def slopes_in_plan(scene: SceneLayout, grid: Grid) -> list[Floats]:
+    """dh/dx and dh/dz [-] of `elevation` at the nodes of a grid in plan, both of shape [X, Z]; 0 along a single row."""
+    heights = elevation(scene.solids, scene.domain, grid.positions).reshape(grid.nodes)
+    return [
+        np.gradient(heights, step, axis=axis) if heights.shape[axis] > 1 else np.zeros(grid.nodes)
+        for axis, step in enumerate(grid.spacing)
+    ]
 
 
 def ground_raster(scene: SceneLayout, spacing: float) -> tuple[Floats, Floats, Integers]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import PlainValidator
 from scipy.linalg import block_diag
+from scipy.spatial.distance import cdist
 
 from datasets.errors import InputError, require
 from datasets.scene.grid_field import Floats
@@ -81,6 +82,14 @@ class Covariance:
     def of(matrix: Floats) -> "Covariance":
         """That of a matrix [M, M]."""
         return Covariance(np.sqrt(np.diag(matrix)), matrix)
+
+    @staticmethod
+    def correlated(deviation: Floats, places: Floats, length: float | None) -> "Covariance":
+        """Errors at places [m], shape [M, 2], correlated as exp(-distance / length); independent without `length`."""
+        if length is None:
+            return Covariance(deviation)
+        distance = cdist(places, places)
+        return Covariance(deviation, np.outer(deviation, deviation) * np.exp(-distance / length))
 
     @staticmethod
     def joined(parts: Sequence["Covariance"]) -> "Covariance":

@@ -25,8 +25,8 @@ from inverse.observations.settings import LengthsSettings, TabulatedSettings
 ARRIVAL_SCATTER, SPEED_SCATTER = 0.02, 0.05
 """Standard deviations from flow to flow over the value, until an ensemble has measured them."""
 LAYER = 0.5
-"""Of a layer of particles: of less material than this a speed counts in proportion, for no single particle is a flow.
-"""
+"""Of a layer of particles. Where less material than this is at the place, its speed counts in proportion: a single
+particle is no flow."""
 
 
 class Arrival(SmoothObservation):

@@ -13,22 +13,20 @@ from pathlib import Path
 import numpy as np
 import shapely
 import torch
-from contourpy import FillType, contour_generator
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 from torch import Tensor
 
 from datasets.errors import InputError, naming, require
 from datasets.exchange.vectors import read_polygons
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory
-from datasets.maps import least_thickness
+from datasets.maps import least_thickness, map_corner, region_above
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.scene.particles import mass_centroids, mass_volumes, particle_volumes
 from inverse.observations.errors import Covariance, Noise
 from inverse.observations.observation import Numbers, Observation, SmoothObservation, Values, fitted_tail
-from inverse.observations.plan import map_corner, plan_grid, volume_over
+from inverse.observations.plan import plan_grid, volume_over
 from inverse.observations.settings import LengthsSettings
 from inverse.observations.target import Target
 
@@ -98,14 +96,7 @@ class Boundary(SmoothObservation):
 
     def covered(self, thickness: Floats) -> shapely.Geometry:
         """Where thicknesses [K] exceed that of the outline, single islands left out."""
-        padded = np.pad(thickness.reshape(self.grid.nodes), 1)
-        x, z = (
-            np.concatenate([[at[0] - step], at, [at[-1] + step]])
-            for at, step in zip(self.grid.axes, self.grid.spacing, strict=True)
-        )
-        filled = contour_generator(x, z, padded.T, fill_type=FillType.OuterOffset).filled(self.thickness, np.inf)
-        parts = [np.split(points, offsets[1:-1]) for points, offsets in zip(*filled, strict=True)]
-        polygons = [shapely.Polygon(outer, holes) for outer, *holes in parts]
+        polygons = region_above(self.grid, thickness.reshape(self.grid.nodes), self.thickness).geoms
         largest = max((each.area for each in polygons), default=0.0)
         return shapely.union_all([each for each in polygons if each.area >= ISLAND * largest])
 
@@ -180,7 +171,7 @@ class OutlineSettings(LengthsSettings):
         path, (corner, crs) = folder / str(self.csv or self.file), map_corner(scene)
         with naming(path):
             if self.csv is not None:
-                corner = scene.domain.corner[::2]
+                corner = (float(scene.domain.corner[0]), float(scene.domain.corner[2]))
                 polygons = [shapely.Polygon(np.stack([*self.table(path, ("x", "z")).values()], axis=1))]
                 require(
                     polygons[0].is_valid, "", "vertices in order along the outline", "an outline that crosses itself"
@@ -211,8 +202,5 @@ class OutlineSettings(LengthsSettings):
         values = np.zeros(operator.count)
         require(Noise.stated(self.noise).share == 0.0, "noise", "a distance in m for an outline", self.noise)
         deviation = Noise.stated(self.noise).of(values)
-        errors = Covariance(deviation)
-        if self.length is not None:
-            places = shapely.get_coordinates(operator.points)
-            errors = Covariance.of(np.outer(deviation, deviation) * np.exp(-cdist(places, places) / self.length))
+        errors = Covariance.correlated(deviation, shapely.get_coordinates(operator.points), self.length)
         return Target(observation=operator, values=values, errors=errors)

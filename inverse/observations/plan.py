@@ -8,6 +8,7 @@ normal to the ground, and n_y |g| / (-n . g) for a vertical one, along gravity.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,13 +17,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt
-from scipy.spatial.distance import cdist
 from torch import Tensor
 
 from datasets.errors import naming, require
 from datasets.exchange.rasters import Raster, read_raster, same_system
 from datasets.flow.trajectory import Trajectory
-from datasets.geometry.ground import elevation
+from datasets.geometry.ground import slopes_in_plan
+from datasets.maps import map_corner
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats, Grid
 from inverse.observations.errors import Covariance, Noise
@@ -36,12 +37,6 @@ AROUND = 0.25
 """Distance from the deposit, over the root of its area, up to which bare cells count: more would hide a misfit."""
 TOO_MUCH = 2.0
 """Volume of a deposit over the released one that another unit makes, or another scene."""
-
-
-def map_corner(scene: Scene) -> tuple[Floats, str | None]:
-    """Easting and northing of the box's lower corner [m], 0 where it has none, and their reference system."""
-    corners = ((np.array(solid.corner), solid.crs) for solid in scene.solids if solid.corner is not None)
-    return next(corners, (scene.domain.corner[::2], scene.domain.crs))
 
 
 def plan_grid(scene: Scene, cell: float) -> Grid:
@@ -73,15 +68,7 @@ def volume_over(grid: Grid, positions: Tensor, volumes: Tensor) -> Tensor:
 
 def factors(scene: Scene, grid: Grid, direction: str) -> Floats:
     """f of each cell of `grid`, shape [K]; `direction` is normal or vertical."""
-    step = scene.domain.cell
-    slopes = [
-        (
-            elevation(scene.solids, scene.domain, grid.positions + off)
-            - elevation(scene.solids, scene.domain, grid.positions - off)
-        )
-        / (2.0 * step)
-        for off in step * np.eye(2)
-    ]
+    slopes = [slope.ravel() for slope in slopes_in_plan(scene, grid)]
     upright = 1.0 / np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
     if direction == "normal" or scene.gravity == 0.0:
         return np.asarray(upright)
@@ -186,14 +173,11 @@ class ThicknessSettings(ObservationSettings):
         # Bare ground among bare ground is known to be bare.
         edge = binary_dilation(covered, np.ones((3, 3))).ravel()[cells]
         deviation = np.where(edge, Noise.stated(self.noise).of(shown), 0.0)
-        errors = Covariance(deviation)
-        if self.length is not None:
-            distance = cdist(grid.positions[cells], grid.positions[cells])
-            errors = Covariance.of(np.outer(deviation, deviation) * np.exp(-distance / self.length))
+        errors = Covariance.correlated(deviation, grid.positions[cells], self.length)
         return Target(observation=self.over(scene, grid, cells), values=shown, errors=errors)
 
 
-def blocks(raster: Raster, corner: Floats, scene: Scene) -> tuple[Grid, Values]:
+def blocks(raster: Raster, corner: Sequence[float], scene: Scene) -> tuple[Grid, Values]:
     """The cells of a raster in the box, and their values [K]: means over blocks of a cell of the scene at least.
 
     corner: of the box on the map [m], shape [2]; a block with a hole is one. Raises InputError where none lies in it.
