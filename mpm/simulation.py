@@ -38,8 +38,8 @@ PARTICLE_STEPS_PER_CALL = 5.0e6
 """About what a thread does in a second or two; a call of the kernel, which a stop waits for, has a frame at least."""
 SHORT = 0.02
 """Seconds of a call that says too little of how busy the processors are."""
-PATIENCE = 16
-"""A large scene tries all its threads again after one call, then after two, four and so on, up to this many."""
+PATIENCE = 4.0
+"""A large scene tries all its threads again after a second, then after two, at last after this many."""
 
 
 class Options(TypedDict, total=False):
@@ -260,7 +260,7 @@ class Crew:
     def __init__(self, batch: Batch, threads: int | None = None) -> None:
         self.most = self.threads = threads or len(batch.workers)
         self.shared = batch.features.processor.shared
-        self.calls, self.patience = 0, 1
+        self.wait, self.patience = 0.0, 1.0
 
     def choose(self, wall: float, used: float) -> None:
         """Choose the number of threads of the next call from the last one.
@@ -268,14 +268,14 @@ class Crew:
         wall: seconds that it took; used: seconds of all processors together.
         """
         if self.shared and self.threads > 1 and wall > SHORT and self.threads - used / wall > 0.5:
-            self.threads, self.calls = self.threads // 2, self.patience
-            self.patience = min(2 * self.patience, PATIENCE)
+            self.threads, self.wait = self.threads // 2, self.patience
+            self.patience = min(2.0 * self.patience, PATIENCE)
         elif self.threads < self.most:
-            self.calls -= 1
-            if self.calls <= 0:
+            self.wait -= wall
+            if self.wait <= 0.0:
                 self.threads = self.most
         else:
-            self.patience = 1
+            self.patience = 1.0
 
 
 def progress_bar(frames: int, computed: int, options: Options) -> "tqdm[None]":

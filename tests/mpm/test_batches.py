@@ -149,7 +149,7 @@ def test_a_large_scene_takes_fewer_threads_while_processors_are_missing() -> Non
     for share in missing:
         threads.append(crew.threads)
         crew.choose(1.0, crew.threads - share)
-    # One call with one thread after the first that lacks a processor, then two calls, then four.
+    # A second with one thread after the first call that lacks a processor, then two seconds, then four.
     assert threads == [2, 2, 2, 1, 2, 1, 1, 2, 1, 1, 1, 1, 2, 2]
 
 

@@ -9,7 +9,7 @@ highest density regions, Am. Stat. 50 (1996) 120-126).
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -21,15 +21,19 @@ from tqdm import tqdm
 from datasets.errors import InputError
 from datasets.files import read_json, read_toml, write_json
 from datasets.processes import processors
+from datasets.scene.library import read_scene
 from datasets.schema import Record, from_mapping
+from inverse.forward import Simulate
 from inverse.observations.target import Target
 from inverse.parameters.prior import Correlation, Prior
 from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate, TargetSettings
 from inverse.target import read_target
-from mpm import simulate_many
+from mpm import LAST, simulate_many
 from mpm.cluster import pool
 from validation.bench.page import Keep, Many, Out, Row, emphasised, write_page
+from validation.forecast.predict import at, numbers_of, quantiles
+from validation.forecast.solve import forecast_scene
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
 from validation.plots import GREY, figure
@@ -69,6 +73,8 @@ class Family(Record):
     """Whether one leads."""
     adapted: bool = False
     """Whether it is one of `inverse.adapt`, whose runs of the MPM are known."""
+    forecast: str | None = None
+    """Path beside this file of another scene, whose flow is forecast by each posterior and then run with the truth."""
     twins: int = 40
     """How many are solved unless another number is asked for; of dear ones half as many."""
 
@@ -95,6 +101,8 @@ class Twin(Record):
     verdict: str
     runs: int
     seconds: float
+    forecast: dict[str, bool] = field(default_factory=dict)
+    """Whether the 95 % interval of each number of a forecast holds that of the true flow."""
 
 
 def bench(
@@ -157,12 +165,14 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
     """Solve the twin of this number on one thread; model: of an adaptation."""
     simulate = partial(simulate_many, threads=1)
     problem = drawn(family, number)
-    if family.outlier == 0.0:
-        found = solve(problem, simulate=simulate, model=model if family.adapted else None)
-    else:
-        with kept(None) as folder:
+    with kept(None) as folder:
+        if family.outlier != 0.0:
             target = misread(read_target(problem, lambda scene: simulate([scene])[0]), family.outlier, number)
             found = run(Task(problem=problem, target=target, folder=folder, simulate=simulate))
+        else:
+            out = None if family.forecast is None else folder / "loop"
+            found = solve(problem, out, simulate=simulate, model=model if family.adapted else None)
+        forecast = {} if family.forecast is None else forecasts(family, number, problem, folder / "loop", simulate)
     posterior, box = found.posterior, problem.box
     assert posterior is not None, "of numbers"
     where, samples = posterior.region.sampled, posterior.samples
@@ -179,7 +189,21 @@ def solve_twin(family: Family, number: int, model: Path | None = None) -> Twin:
         verdict=found.verdict.value,
         runs=len(found.mpm_runs),
         seconds=found.seconds["total"],
+        forecast=forecast,
     )
+
+
+def forecasts(family: Family, number: int, problem: Problem, result: Path, simulate: Simulate) -> dict[str, bool]:
+    """Whether the intervals of a forecast by the posterior in `result` hold the numbers of the flow with the truth."""
+    scene = replace(read_scene(Path(__file__).parent / str(family.forecast)), seed=FIRST_SEED + number)
+    found = forecast_scene(result, scene, simulate=simulate)
+    # Further jitter seeds than those of the draws.
+    true = at(scene, problem.names, np.array([problem.target.truth[name] for name in problem.names]), number)
+    if family.finer is not None:
+        true = true.with_cell(family.finer * true.domain.cell)
+    (flow,) = simulate([true], record=LAST)
+    ends = {name: quantiles(values, 0.95) for name, values in found.predicted.items()}
+    return {name: bool(ends[name][0] <= value <= ends[name][-1]) for name, value in numbers_of(flow).items()}
 
 
 def misread(target: Target, outlier: float, number: int) -> Target:
@@ -263,10 +287,17 @@ def row(family: Family, found: Sequence[Twin]) -> Row:
         "truths in the " + " / ".join(f"{level:.0%}" for level in REGIONS) + " region": " / ".join(within),
         "p, regions / ranks": f"{uniformity(found):.2g} / {ranks(found):.2g}",
         "numbers in their intervals": f"{inside:.0%}",
+        "numbers in the 95 % intervals of a forecast": forecast(found),
         "confirmed": f"{sum(each.verdict == 'confirmed' for each in found)} of {len(found)}",
         "MPM runs": f"{np.median([each.runs for each in found]):.0f}",
         "seconds": f"{np.median([each.seconds for each in found]):.0f}",
     }
+
+
+def forecast(found: Sequence[Twin]) -> str:
+    """Share of the flows of another scene whose numbers lie in the intervals of their forecasts, by number."""
+    names = list(dict.fromkeys(name for each in found for name in each.forecast))
+    return ", ".join(f"{name} {np.mean([each.forecast[name] for each in found]):.0%}" for name in names)
 
 
 def draw(path: Path, found: Mapping[Family, Sequence[Twin]]) -> None:
