@@ -1,6 +1,7 @@
 """The exceptions that mean "the input is wrong" or "the work failed", rather than "the program is wrong"."""
 
-from collections.abc import Iterator
+import difflib
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -51,6 +52,12 @@ def require(ok: bool, key: str, expected: str, got: object) -> None:
     """Raise InputError where `ok` does not hold of `key`."""
     if not ok:
         raise InputError(f"expected {expected}, got {got}", key=key)
+
+
+def suggestion(name: str, known: Collection[str]) -> str:
+    """Which of the known names may be meant by one that is none of them: the nearest, otherwise any."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"one of {', '.join(known)}"
 
 
 def shortened(text: str, most: int = LONGEST) -> str:

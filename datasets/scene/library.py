@@ -9,7 +9,6 @@ single precision has steps of 0.25 m at 2,600,000 m, but of 0.25 mm at 4,096 m f
 `DIGITS`, so that 2600000.1 - 2600000 is 0.1: the scene is that of a file in coordinates of its own, to the bit.
 """
 
-import difflib
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from datasets.errors import InputError, OutOfRange, naming
+from datasets.errors import InputError, OutOfRange, naming, suggestion
 from datasets.exchange.scene_files import with_files
 from datasets.files import read_toml, write_text
 from datasets.scene import Scene
@@ -45,9 +44,8 @@ def find(name: str, shelf: Path, what: str) -> Path:
         return Path(name)
     shipped = sorted(path.stem for path in shelf.glob("*.toml"))
     if name not in shipped:
-        near = difflib.get_close_matches(name, shipped, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"one of {', '.join(shipped)}"
-        raise InputError(f"expected the path of a {what} in TOML or a shipped name: {hint}", where=name)
+        expected = f"the path of a {what} in TOML or a shipped name: {suggestion(name, shipped)}"
+        raise InputError(f"expected {expected}", where=name)
     return shelf / f"{name}.toml"
 
 

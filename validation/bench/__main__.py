@@ -8,10 +8,10 @@ from datasets.command_line import run
 PAGES = {
     "experiments": ("validation.bench.experiments:bench", "measured experiments, forward and backward"),
     "accuracy": ("validation.bench.accuracy.bench:bench", "error over seconds of the MPM, whether --tolerance holds"),
-    "stability": ("validation.bench.stability.bench:bench", "hard cases and exact solutions of the MPM"),
+    "stability": ("validation.bench.stability.bench:bench", "hard cases, exact solutions and stiffness of the MPM"),
     "problems": ("validation.bench.problems:bench", "the shipped inverse problems beside the reference paper"),
     "coverage": ("validation.bench.coverage:bench", "how often the posterior contains the truth, in twin experiments"),
-    "speed": ("validation.bench.speed:bench", "rates of MPM and network, price of a gradient, a large terrain"),
+    "speed": ("validation.bench.speed:bench", "rates of MPM and network, baffles, a gradient, a large terrain"),
     "gpu": ("validation.bench.gpu:bench", "rates of MPM and network on a GPU, beside all processors"),
     "mountain": ("validation.bench.mountain:bench", "slides of kilometres beside other codes (data: ISeeSnow)"),
     "back_analysis": ("validation.bench.back_analysis:bench", "which bed explains such a slide (data: ISeeSnow)"),

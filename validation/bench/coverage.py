@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import chisquare, kstest
 from tqdm import tqdm
 
-from datasets.errors import InputError
+from datasets.errors import InputError, suggestion
 from datasets.files import read_json, read_toml, write_json
 from datasets.processes import processors
 from datasets.scene.library import read_scene
@@ -128,7 +128,7 @@ def bench(
         Processes that solve a twin each; one per processor unless given.
     """
     if unknown := [name for name in only if name not in FAMILIES]:
-        raise InputError(f"expected {', '.join(FAMILIES)}, got {unknown[0]}", where="--only")
+        raise InputError(f"expected a family: {suggestion(unknown[0], FAMILIES)}", where=unknown[0], key="--only")
     if model is None and any(FAMILIES[name].adapted for name in only):
         raise InputError("expected the folder of an adaptation", key="--model")
     with kept(keep) as folder:

@@ -5,8 +5,9 @@ shared. Variants of other scenes are left out.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -19,12 +20,14 @@ from datasets.definitions import read_definition
 from datasets.errors import InputError
 from datasets.flow import measures
 from datasets.flow.measures import Errors
-from datasets.scene import Domain, Scene
+from datasets.flow.trajectory import Trajectory
+from datasets.scene import Domain, Mass, Scene
+from datasets.scene.material import Material
 from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
 from validation.bench.accuracy.bench import deposit_of
-from validation.bench.page import Keep, Out, Row, signed, tables, write_page
+from validation.bench.page import Keep, Out, Row, between, signed, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
 from validation.runs import Run, RunStore, kept
 
@@ -37,6 +40,12 @@ CELLS = {2: (7, 10, 14, 20, 28), 3: (3, 5, 7)}
 LEVEL = 0.95
 """Of the bands."""
 AGAIN = "the MPM, jittered anew"
+CREST = ((0.3, 0.0), (1.1, 0.0), (0.7, 0.2))
+"""Corners of a mound [m]."""
+MOUNDS = ((45.0, 12.0), (42.0, 8.0), (35.0, 0.0))
+"""Angles of friction and of the floor [deg] under which it stays where it is."""
+JITTERS = 3
+"""Of a mound."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +90,10 @@ class Model:
         return [abs(each.band[0]) <= each.band[1] for each in self.compared if each.band]
 
 
+Mounds = Mapping[tuple[float, float], Mapping[str, float]]
+"""Creep of each of the `MOUNDS` from its start on [mm/s], the worst of its jitters, by the MPM and by each model."""
+
+
 def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     """Compare models with the MPM on fine cells; some twenty minutes, most of them for the references.
 
@@ -96,6 +109,7 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
             for path, dimension in paths.items()
             for family, number in SCENES[dimension].items()
         ]
+    mounds = at_rest([path for path, dimension in paths.items() if dimension == 2])
     draw(out / "gns.png", found)
     bands = [
         {
@@ -109,13 +123,18 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     return write_page(
         out,
         "gns",
-        conclusion(found),
+        conclusion(found, mounds),
         flags="".join(f" --model {path}" for path in model),
         seed=SEED,
         level=LEVEL,
+        jitters=JITTERS,
         kinds=tables(kind_rows(each) for each in found),
         prices=tables(price_rows(each) for each in found),
         bands=bands,
+        mounds=[
+            {"mound": f"{friction:g}° on {slope:g}°"} | {name: f"{speed:+.2g}" for name, speed in by.items()}
+            for (friction, slope), by in mounds.items()
+        ],
     )
 
 
@@ -153,6 +172,18 @@ def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequen
     return Model(name=path.stem, family=family, compared=compared)
 
 
+def at_rest(models: Sequence[Path]) -> Mounds:
+    """The stable mounds by the MPM and by these models; none without models."""
+    ways: dict[str, Callable[[Scene], Trajectory]] = {"MPM": simulate}
+    ways |= {path.stem: partial(gns.simulate, model=gns.load(path)) for path in models}
+    found = {}
+    for friction_deg, slope_deg in tqdm(MOUNDS if models else (), desc="mounds at rest", unit="mound"):
+        scenes = [mound(friction_deg, slope_deg, seed) for seed in range(JITTERS)]
+        by = {name: worst([creep(run(each)) for each in scenes]) for name, run in ways.items()}
+        found[friction_deg, slope_deg] = by
+    return found
+
+
 def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
     """See `Compared.band`."""
     try:
@@ -162,7 +193,7 @@ def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
     return prediction.front - front, prediction.half_width
 
 
-def conclusion(found: Sequence[Model]) -> list[str]:
+def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
     fronts, prices = [], []
     for each in found:
         off, again = ([one.by[method].front for one in each.compared if one.free] for method in (each.name, AGAIN))
@@ -180,6 +211,12 @@ def conclusion(found: Sequence[Model]) -> list[str]:
     ]
     if held := [inside for each in found for inside in each.held]:
         sentences.append(f"The {LEVEL:.0%} bands contain {sum(held)} of {len(held)} fronts.")
+    if mounds:
+        by_mpm = max(abs(by["MPM"]) for by in mounds.values())
+        by_models = [abs(speed) for by in mounds.values() for name, speed in by.items() if name != "MPM"]
+        sentences.append(
+            f"Stable mounds creep by {between(by_models, '.2g')} mm/s; with the MPM by at most {by_mpm:.2g} mm/s."
+        )
     return sentences
 
 
@@ -246,6 +283,26 @@ def coarse(scene: Scene, cells: int) -> Scene:
     cell = fitted_cell(plan, characteristic_length(scene) / cells)
     domain = Domain(size=(length, math.ceil(height / cell - ROUNDING) * cell, *width), cell=cell)
     return replace(scene, domain=domain, particles_per_axis=2, step_fraction=0.9)
+
+
+def mound(friction_deg: float, slope_deg: float, seed: int) -> Scene:
+    """A mound of the corners `CREST`, stable where it is less steep than its angle of friction."""
+    return Scene(
+        domain=Domain(size=(2.0, 0.4), cell=0.01),
+        material=Material(friction_deg=friction_deg),
+        masses=(Mass(kind="polygon", vertices=CREST),),
+        duration=1.5,
+        frame_dt=0.02,
+        floor_friction=0.9,
+        slope_deg=slope_deg,
+        seed=seed,
+    )
+
+
+def creep(flow: Trajectory) -> float:
+    """Mean speed of the faster of a deposit's ends, outwards [mm/s]."""
+    old, new = (measures.ends(flow.positions[frame], flow.volumes) for frame in (0, -1))
+    return 1000.0 * max(old[0] - new[0], new[1] - old[1], key=abs) / float(flow.time[-1] - flow.time[0])
 
 
 def mean(values: Sequence[float]) -> float:

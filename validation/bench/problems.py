@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import InputError, WorkFailed
+from datasets.errors import InputError, WorkFailed, suggestion
 from datasets.files import make_folder, read_json, read_toml, write_text
 from datasets.schema import Record, from_mapping
 from gns import library
@@ -187,7 +187,8 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
     """
     names = [name for family in FAMILIES for name in family.problems]
     if unknown := [name for name in only if name not in names]:
-        raise InputError("expected the name of a shipped problem", where=unknown[0], key="--only")
+        expected = f"expected the name of a shipped problem: {suggestion(unknown[0], names)}"
+        raise InputError(expected, where=unknown[0], key="--only")
     failed, pictures, found = list[str](), list[str](), dict[str, list[Outcomes]]()
     with kept(keep) as folder:
         for family in FAMILIES:

@@ -1,11 +1,13 @@
-"""`python -m validation.bench speed`: rates, price of a gradient, steps of the networks, a large terrain."""
+"""`python -m validation.bench speed`: rates, baffles, first runs, price of a gradient, networks, a large terrain."""
 
+import os
 import statistics
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,7 @@ from datasets import maps
 from datasets.files import make_folder
 from datasets.flow.trajectory import open_trajectory
 from datasets.processes import processors
-from datasets.scene import Domain, Mass, Scene
+from datasets.scene import Baffle, Domain, Mass, Scene
 from datasets.scene.library import read_scene
 from datasets.scene.material import Material
 from datasets.scene.particles import particle_count
@@ -31,6 +33,8 @@ CUBE = 0.375
 """Edge of the body in 3D [m]."""
 GRADIENT_MIB = 1024.0
 """Memory that a gradient may take: enough for the checkpoints of the largest scene priced."""
+STARTED = ("column-short-21", "flume-35", "baffles-2", "valley-3d")
+"""Shipped scenes of several kinds of kernels: nothing but the box, terrain, baffles; two dimensions, then three."""
 PRICED = "column-tall-42"
 FINER = ((1, 0.5), (2, 0.25), (2, 0.5), (4, 0.0625))
 """How many times finer than the shipped column's the cells are, and duration [s], of runs whose gradient is priced."""
@@ -71,10 +75,12 @@ class Case:
 CASES = (
     Case(dimension=2, cells=100, scenes=1, frames=400),
     Case(dimension=2, cells=100, scenes=8, frames=200),
+    Case(dimension=2, cells=280, scenes=1, frames=20),
     Case(dimension=2, cells=560, scenes=1, frames=4),
     Case(dimension=2, cells=1770, scenes=1, frames=1),
     Case(dimension=3, cells=32, scenes=1, frames=100),
     Case(dimension=3, cells=32, scenes=8, frames=50),
+    Case(dimension=3, cells=64, scenes=1, frames=20),
     Case(dimension=3, cells=106, scenes=1, frames=5),
 )
 Mode = tuple[Precision, int]
@@ -119,6 +125,47 @@ def rate(case: Case, mode: Mode) -> float:
         simulate_many([replace(scene, duration=scene.frame_dt) for scene in scenes], **place)
     summaries = [flow.summary for flow in simulate_many(scenes, **place)]
     return float(sum(each["particles"] * each["steps"] for each in summaries) / summaries[0]["wall_s"] / 1.0e6)
+
+
+def behind_baffles() -> dict[str, Scene]:
+    """The paper's short column, which runs against a baffle, and the shipped scenes with baffles in 3D, by name."""
+    baffle = Baffle(lower=(0.6, 0.0), size=(0.05, 0.1))
+    short = replace(read_scene("column-short-21"), baffles=(baffle,), baffle_friction=0.385)
+    return {"column-short-21": short} | {name: read_scene(name) for name in ("baffles-2", "baffles-5")}
+
+
+def baffle_row(name: str, scene: Scene, rounds: int) -> Row:
+    """Nanoseconds of a particle-step on one thread, with baffles and without, in turn."""
+
+    def nanoseconds(scene: Scene) -> float:
+        summary = simulate(scene, record=LAST, threads=1).summary
+        return float(1.0e9 * summary["wall_s"] / (summary["particles"] * summary["steps"]))
+
+    work = {"with [ns]": scene, "without [ns]": replace(scene, baffles=())}
+    timed = turns({key: partial(nanoseconds, each) for key, each in work.items()}, rounds, name)
+    ratio = Spread([one / other for one, other in zip(*timed.values(), strict=True)])
+    row = {"scene": f"`{name}`", "particles": f"{particle_count(scene):,}", "baffles": len(scene.baffles)}
+    return row | {key: f"{Spread(each):.1f}" for key, each in timed.items()} | {"ratio": f"{ratio:.3f}"}
+
+
+def started(scene: Scene, folder: str) -> float:
+    """CPU seconds of this new process, its kernels kept in `folder`, up to the end of the first frame of a scene."""
+    os.environ["TI_OFFLINE_CACHE_FILE_PATH"] = folder
+    simulate(replace(scene, duration=scene.frame_dt), record=LAST, threads=1)
+    seconds = time.process_time()
+    # Taichi writes its kernels when it ends, to which a worker of a pool does not come.
+    import taichi as ti
+
+    ti.reset()
+    return seconds
+
+
+def started_row(name: str) -> Row:
+    """A first run, which compiles, and a second one, which finds the kernels on disk."""
+    scene = read_scene(name)
+    with TemporaryDirectory() as folder:
+        seconds = {f"{which} run [s]": f"{isolated(started, scene, folder):.1f}" for which in ("first", "second")}
+    return {"scene": f"`{name}` ({scene.dimension}D)"} | seconds
 
 
 def mean_x(positions: NDArray[np.float64], _: NDArray[np.float64]) -> tuple[float, NDArray[np.float64], None]:
@@ -218,7 +265,7 @@ def terrain(folder: Path) -> Found:
 
 
 def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
-    """Measure rates over sizes, gradients, steps of networks, a large terrain; needs a quiet machine.
+    """Measure rates over sizes and at baffles, first runs, gradients, networks, a large terrain; needs a quiet machine.
 
     KEEP has the large terrain; other times are of one command.
     """
@@ -226,6 +273,7 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
     keys = sorted(((case, mode) for case in CASES for mode in modes(case)), key=lambda key: key[1])
     timed = turns({key: partial(rate, *key) for key in keys}, rounds, "rates")
     rates = {key: Spread(found) for key, found in timed.items()}
+    baffles = [baffle_row(name, scene, 3 * rounds) for name, scene in behind_baffles().items()]
     whole = read_scene(PRICED)
     finer = [replace(whole.with_cell(whole.domain.cell / times), duration=duration) for times, duration in FINER]
     prices = [isolated(price, scene, rounds) for scene in finer]
@@ -241,6 +289,8 @@ def bench(*, out: Out, keep: Keep = None, rounds: Rounds = 2) -> str:
         flags=f" --rounds {rounds}",
         large=LARGE,
         rates=rate_rows(rates),
+        baffles=baffles,
+        starts=[started_row(name) for name in STARTED],
         priced=PRICED,
         prices=formatted(prices, PRICE),
         networks=formatted(networks, NETWORK),

@@ -2,15 +2,18 @@
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from datasets import Scene
 from datasets.lock import locked
 from validation.bench import gns as bench_gns
+from validation.bench import speed
 from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
-from validation.bench.speed import mean_x
+from validation.bench.speed import baffle_row, behind_baffles, mean_x, started_row
 from validation.runs import kept
 
 
@@ -33,9 +36,30 @@ def test_a_page_of_few_runs(name: str, flags: tuple[str, ...], tmp_path: Path, m
     monkeypatch.setattr(accuracy, "TRIED", (0.2,))
     monkeypatch.setattr(bench_gns, "SCENES", {2: {"columns2d": 2}})
     monkeypatch.setattr(bench_gns, "CELLS", {2: (7, 10)})
+    monkeypatch.setattr(bench_gns, "JITTERS", 1)
     assert main([name, "--out", str(tmp_path), *flags]) == 0
     assert (tmp_path / f"{name}.md").read_text().startswith("# ")
     assert list(tmp_path.rglob("*.png")) or name == "accuracy"
+
+
+def test_baffles_are_priced_beside_the_same_scene_without_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    def simulate(scene: Scene, **_: object) -> SimpleNamespace:
+        return SimpleNamespace(summary={"wall_s": 3e-5 if scene.baffles else 2e-5, "particles": 100, "steps": 10})
+
+    monkeypatch.setattr(speed, "simulate", simulate)
+    row = baffle_row("short", behind_baffles()["column-short-21"], 2)
+    assert [*row.values()] == ["`short`", "3,200", 1, "30.0", "20.0", "1.500"]
+
+
+def test_the_second_run_finds_the_kernels_of_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    def isolated(work: object, scene: Scene, folder: str) -> float:
+        seconds = 0.5 if any(Path(folder).iterdir()) else 9.0
+        Path(folder, "kernel").touch()
+        return seconds
+
+    monkeypatch.setattr(speed, "isolated", isolated)
+    row = {"scene": "`valley-3d` (3D)", "first run [s]": "9.0", "second run [s]": "0.5"}
+    assert started_row("valley-3d") == row
 
 
 def test_the_objective_of_the_priced_gradient_has_its_derivative() -> None:

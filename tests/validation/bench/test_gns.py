@@ -8,10 +8,10 @@ import pytest
 
 from datasets import Mass, Scene, Trajectory
 from datasets.flow.measures import Deposit, Errors
-from datasets.scene.particles import initial_particles
+from datasets.scene.particles import initial_particles, released_volume
 from tests.scenes import flow_of, scene_of
 from validation.bench.accuracy.bench import deposit_of
-from validation.bench.gns import AGAIN, Compared, Model, conclusion
+from validation.bench.gns import AGAIN, MOUNDS, Compared, Model, conclusion, creep, mound
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
 
@@ -45,6 +45,15 @@ def test_errors_of_deposits_of_known_length() -> None:
     assert deposit_of(stretched(BLOCK, 4.5)).at_wall
 
 
+def test_a_mound_that_creeps_is_measured_from_its_start_on() -> None:
+    assert creep(stretched(BLOCK, 2.0)) == pytest.approx(200.0, rel=0.03)
+    for friction_deg, slope_deg in MOUNDS:
+        assert math.degrees(math.atan(0.5)) + slope_deg < friction_deg
+        assert released_volume(mound(friction_deg, slope_deg, 0)) == pytest.approx(0.08)
+    speeds = {(45.0, 12.0): {"MPM": -0.1, "tiny": 90.0}, (35.0, 0.0): {"MPM": 0.05, "tiny": -0.2}}
+    assert "by 0.2 to 90 mm/s; with the MPM by at most 0.1 mm/s" in conclusion([model()], speeds)[-1]
+
+
 def model() -> Model:
     """Two scenes of one model, the second at the wall, beside an MPM on three grids."""
 
@@ -66,12 +75,12 @@ def model() -> Model:
 
 
 def test_the_price_is_that_of_the_cheapest_mpm_with_no_larger_error() -> None:
-    _, price, bands = conclusion([model()])
+    _, price, bands = conclusion([model()], {})
     assert "0.5 s and 0.25 s (flow2d)" in price
     assert "1 of 1 fronts" in bands
     (scene, other), points = model().compared, model().points
     finer = replace(
         model(), compared=[replace(each, by=each.by | {"tiny": scene.by[AGAIN]}) for each in (scene, other)]
     )
-    assert "no coarse run" in conclusion([finer])[1]
+    assert "no coarse run" in conclusion([finer], {})[1]
     assert points["tiny"] == (0.5, pytest.approx(0.05))

@@ -16,8 +16,9 @@ from tests import scenes
 from tests.refusals import refused
 from tests.scenes import flow_of
 from validation.bench.__main__ import main
-from validation.bench.stability import invariants
-from validation.bench.stability.bench import FOLDER, ROWS, HardCase, read_rows, run, verdict
+from validation.bench.accuracy.flows import Flow
+from validation.bench.stability import bench, invariants
+from validation.bench.stability.bench import FOLDER, ROWS, HardCase, front_changes, fronts, read_rows, run, verdict
 from validation.bench.stability.invariants import ALWAYS, Finding
 
 BED = Mass(lower=(0.0, 0.0), size=(0.4, 0.2))
@@ -130,7 +131,7 @@ def test_every_row_has_a_scene_and_every_scene_a_row() -> None:
     assert {check["quantity"] for row in rows for check in row.checks} == ROWS["quantities"].keys()
     assert all(row.checks or row.over or row.what for row in rows)
     assert [row.name for row in read_rows(["long-step"])] == ["column", "long-step"]
-    refused(read_rows, ["thin-layers"], said="thin-layer,")
+    refused(read_rows, ["thin-layers"], said="did you mean 'thin-layer'?")
 
 
 def test_a_verdict_says_what_is_wrong() -> None:
@@ -143,6 +144,16 @@ def test_a_verdict_says_what_is_wrong() -> None:
     assert verdict(row, WorkFailed("it blew up")).failures == ["it blew up"]
     lost = verdict(row, changed(flow, "positions", 2, np.nan))
     assert lost.failures == ["not finite 1600 (required ≤ 0)"]
+
+
+def test_fronts_over_stiffness_and_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "RELEASED", {2: (Flow(aspect=1.0, friction_deg=30.0, box=3.0, duration=0.5), 4)})
+    monkeypatch.setattr(bench, "STIFFNESSES", (1.0,))
+    found = fronts()
+    assert found.keys() == {(2, 1.0, 0.9), (2, 1.0, 0.3)}
+    assert all(0.09 < x < 0.15 for by in found.values() for x in by.values())
+    known = {(2, 1.0, 0.9): {"AFLIP": 0.98, "APIC": 0.8}, (2, 1.0, 0.3): {"AFLIP": 1.02, "APIC": 1.2}}
+    assert front_changes(known) == "4 % in 2D (with APIC by 40 %)"
 
 
 def test_a_short_row_holds() -> None:

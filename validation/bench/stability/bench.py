@@ -1,19 +1,24 @@
-"""`python -m validation.bench stability`: hard cases, a flume, factors of safety."""
+"""`python -m validation.bench stability`: hard cases, factors of safety, fronts over stiffness and step."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from datasets.errors import InputError, WorkFailed
+import numpy as np
+
+from datasets.errors import InputError, WorkFailed, suggestion
 from datasets.files import read_toml
 from datasets.flow.measures import front
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from datasets.schema import Record, from_mapping
-from mpm import WITH_FIELDS, simulate_each
+from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
 from mpm.arrays.layout import Precision
+from mpm.resolution import Resolution, with_resolution
+from validation.bench.accuracy.flows import Flow
 from validation.bench.page import Out, Row, emphasised, percent, write_page
 from validation.bench.stability import quantities, slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
@@ -27,6 +32,17 @@ COLUMNS = {
 }
 """Checks that have a column of their own, with its heading and form."""
 ROWS = read_toml(FOLDER / "rows.toml")
+RELEASED = {
+    2: (Flow(aspect=2.0, friction_deg=30.0, box=8.0), 10),
+    3: (Flow(aspect=1.0, friction_deg=30.0, depth=1.0, box=6.0, duration=5.0), 6),
+}
+"""Columns whose fronts are compared, and cells across them, by dimension."""
+STIFFNESSES, STEPS = (1.0, 10.0, 100.0), (0.9, 0.3)
+"""Young's moduli over 150 rho g H, and steps over cell / wave speed."""
+TRANSFERS = {"AFLIP, default": None, "APIC": 0.0}
+"""Relaxation times of the transfer."""
+Fronts = Mapping[tuple[int, float, float], Mapping[str, float]]
+"""Fronts [m] by each transfer, by dimension, stiffness and step."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +89,7 @@ def read_rows(names: Sequence[str] = ()) -> list[HardCase]:
     rows = {each["name"]: from_mapping(HardCase, each) for each in ROWS["rows"]}
     for name in names:
         if name not in rows:
-            raise InputError(f"expected the name of a row, one of {', '.join(rows)}", where=name)
+            raise InputError(f"expected the name of a row: {suggestion(name, rows)}", where=name)
     chosen = {*names, *(rows[name].over for name in names)} if names else rows.keys()
     return [row for name, row in rows.items() if name in chosen]
 
@@ -113,8 +129,30 @@ def verdict(row: HardCase, flow: Trajectory | WorkFailed, other: Trajectory | Wo
     return CheckedCase(row=row, kept=tuple(kept), own=tuple(own))
 
 
+def fronts() -> Fronts:
+    """Of the columns over stiffness and step."""
+    scenes = {}
+    for dimension, stiffness, step in itertools.product(RELEASED, STIFFNESSES, STEPS):
+        flow, cells = RELEASED[dimension]
+        chosen = Resolution(cells=cells, particles_per_axis=2, step_fraction=step, precision="f32")
+        scene = with_resolution(replace(flow, stiffness=stiffness * flow.stiffness).scene(), chosen)
+        scenes[dimension, stiffness, step] = [replace(scene, relaxation_time=time) for time in TRANSFERS.values()]
+    flows = iter(simulate_many([*itertools.chain(*scenes.values())], record=LAST, progress=True))
+    return {key: {by: next(flows).summary["front"] for by in TRANSFERS} for key in scenes}
+
+
+def front_changes(columns: Fronts) -> str:
+    """The range of the fronts over their mean, by dimension, with the default transfer and with APIC."""
+    changes = []
+    for dimension in RELEASED:
+        x = np.array([[*by.values()] for (size, *_), by in columns.items() if size == dimension])
+        default, apic = map(percent, np.ptp(x, axis=0) / x.mean(axis=0))
+        changes.append(f"{default} in {dimension}D (with APIC by {apic})")
+    return ", ".join(changes)
+
+
 def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32") -> str:
-    """Check every hard case, and measure factors of safety.
+    """Check every hard case, and measure factors of safety and fronts over stiffness and step.
 
     What is wrong with a red row fails the command, once the page is written.
 
@@ -125,25 +163,30 @@ def bench(*, out: Out, rows: tuple[str, ...] = (), precision: Precision = "f32")
     precision
         Of the rows.
     """
-    chosen, safety = read_rows(rows), slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION)
+    chosen, columns, safety = read_rows(rows), fronts(), slopes.factors(slopes.KNOWN + slopes.WITHOUT_DILATION)
     flows = run(chosen, precision)
     verdicts = [verdict(row, flows[row.name], flows.get(row.over)) for row in chosen]
     said = write_page(
         out,
         "stability",
-        conclusion(verdicts, safety),
+        conclusion(verdicts, columns, safety),
         flags=f" --precision {precision}",
         count=len(verdicts),
         precision=precision,
         cases=[row_of(each) for each in verdicts],
         safety=slopes.rows(safety),
+        fronts=[
+            {"": f"{dimension}D", "stiffness": f"{stiffness:g}", "step": f"{step:g}"}
+            | {transfer: f"{x:.4f}" for transfer, x in by.items()}
+            for (dimension, stiffness, step), by in columns.items()
+        ],
     )
     if red := [f"{each.row.name}: {'; '.join(each.failures)}" for each in verdicts if each.failures]:
         raise WorkFailed("red rows: " + ". ".join(red))
     return said
 
 
-def conclusion(verdicts: Sequence[CheckedCase], safety: slopes.Factors) -> list[str]:
+def conclusion(verdicts: Sequence[CheckedCase], columns: Fronts, safety: slopes.Factors) -> list[str]:
     red = [each.row.name for each in verdicts if each.failures]
     exact = [not each.failures for each in verdicts if each.row.exact]
     rise, balance = (
@@ -155,6 +198,8 @@ def conclusion(verdicts: Sequence[CheckedCase], safety: slopes.Factors) -> list[
         f"{sum(exact)} of {len(exact)} cases with an exact solution agree with it.",
         f"No flow gains more than {percent(rise)} of its energy; momentum and the impulses on walls and solids balance"
         f" within {balance:.0e}.",
+        f"When the stiffness grows {STIFFNESSES[-1]:g} times and the step shrinks to a third, a front moves by"
+        f" {front_changes(columns)}.",
         slopes.conclusion(safety),
     ]
 
