@@ -50,6 +50,8 @@ class Case:
     """1 where coordinates grow along the flow, else -1."""
     sections: tuple[float, ...]
     """Coordinates of the cross-sections [m]."""
+    cells: tuple[float, ...] = (4.0, 2.0)
+    """Edges of the grid's cells [m] that are affordable, coarse ones first."""
 
 
 OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")
@@ -61,7 +63,7 @@ CASES = {
     "IdealizedTopo": Case(OTHERS, 0, 1, (1500.0, 1750.0, 2000.0, 2250.0, 2500.0, 2750.0, 3000.0, 3200.0)),
     "RealTopo": Case(
         ("com1DFA", "samosat", "RAMMSUSER", "TRENT2D"), 1, -1,
-        (364000.0, 363750.0, 363500.0, 363250.0, 363000.0, 362750.0, 362600.0, 362450.0),
+        (364000.0, 363750.0, 363500.0, 363250.0, 363000.0, 362750.0, 362600.0, 362450.0), (4.0,),
     ),
 }  # fmt: skip
 
@@ -127,12 +129,7 @@ def peaks(case: Case, places: Sequence[Floats], speed: Floats, thickness: float)
 
 
 def bench(
-    *,
-    out: Out,
-    data: Path,
-    keep: Keep = None,
-    case: tuple[str, ...] = tuple(CASES),
-    cells: tuple[float, ...] = (4.0, 2.0),
+    *, out: Out, data: Path, keep: Keep = None, case: tuple[str, ...] = tuple(CASES), cells: tuple[float, ...] = ()
 ) -> str:
     """Measure slides of kilometres on rasters of some 300,000 posts: how far, how fast, at what price.
 
@@ -144,7 +141,7 @@ def bench(
     case
         Those to measure.
     cells
-        Edges of the grid's cells [m], coarse ones first.
+        Edges of the grid's cells [m], coarse ones first; unless given, of each case its own.
     """
     require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
     require(set(case) <= set(CASES), "--case", f"some of {', '.join(CASES)}", list(case))
@@ -159,7 +156,7 @@ def bench(
                 thickest = float(np.nanmax(thick.values))
                 others[code] = peaks(CASES[name], (speed.x, speed.z), np.nan_to_num(speed.values), thickest)
             make_folder(folder / name)
-            for cell in cells:
+            for cell in cells or CASES[name].cells:
                 found[cell] = once(folder / name / f"{cell:g}.json", slid, place, cell, folder / name)
             codes = {f"**Talus, {cell:g} m**": each for cell, each in found.items()} | others
             rows = [row(CASES[name], code, each) for code, each in codes.items()]
@@ -169,7 +166,7 @@ def bench(
             all_found += found.values()
     seconds, memory = (max(each[key] for each in all_found) for key in ("seconds", "memory"))
     conclusion.append(f"The longest run takes {seconds:.0f} s; no run needs more than {memory:.0f} MiB.")
-    flags = f" --data DIR --cells {' --cells '.join(f'{cell:g}' for cell in cells)}"
+    flags = " --data DIR" + "".join(f" --cells {cell:g}" for cell in cells)
     return write_page(out, "mountain", conclusion, flags=flags, codes="\n\n".join(beside), costs=costs)
 
 
