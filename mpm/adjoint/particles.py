@@ -70,7 +70,7 @@ def update_block_reverse(block: ti.template(), arrays: ti.template()):
             arrays.scratch[density + 1 + k] = mass_slopes[k]
     if ti.static(features.turbulent):
         for k in ti.static(range(2)):
-            arrays.scratch[block.scratch + features.scratch.drag + k] = 0.0 * arrays.state[block.state]
+            arrays.scratch[block.scratch + features.scratch.layer + k] = 0.0 * arrays.state[block.state]
     stress_reverse(block, arrays)
     adj_motion_slopes, adj_kappa = affine_reverse(block, arrays)
     adj_motion = adjoints_of(block, 0, size, arrays)
