@@ -18,8 +18,8 @@ from mpm.adjoint.boundary import after_contact_reverse
 from mpm.adjoint.faces import add_face, depends, found_reverse, terrain_reverse
 from mpm.adjoint.layout import add_adjoints, add_property_adjoint, adjoints_of, impulse_adjoint
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import TINY, lane_numbers, maximum, put_lane_numbers, vectors
-from mpm.arrays.layout import Contact, Offset, Property
+from mpm.arrays.access import lane_numbers, put_lane_numbers, vectors
+from mpm.arrays.layout import Contact, Offset, Property, Setting
 from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
     contact_at,
@@ -123,7 +123,7 @@ def slip_reverse(block: ti.template(), shear, arrays: ti.template()):
     """From the adjoints of what a step leaves of contact to those of its stress, of C and of the contact before it.
 
     Those of the grid's velocity come in `scratch` from `layout.scratch.foot`, with turbulence those of the grid's mass
-    and distances in place of `drag` and `layer`. Returns that of the shear modulus.
+    and distances in place of `layer`. Returns that of the shear modulus.
     """
     features, layout, scene = arrays.features, arrays.layout, block.scene
     size, contacts = ti.static(features.dimension, features.state.contacts)
@@ -131,15 +131,16 @@ def slip_reverse(block: ti.template(), shear, arrays: ti.template()):
     affine = vectors(arrays.history, block.after + features.state.affine, size * size)
     if ti.static(features.turbulent):
         find_drags(scene, block.number, block.scratch, arrays.history_lanes, block.after * features.lanes, arrays)
-        around = maximum(arrays.scratch[block.scratch + layout.scratch.sums + size], TINY)
-        distance = arrays.scratch[block.scratch + layout.scratch.sums + features.node.distance]
-        arrays.scratch[block.scratch + features.scratch.layer] = distance / around
+        for k, number in ti.static(enumerate((size, features.node.distance))):
+            seen = arrays.scratch[block.scratch + layout.scratch.sums + number]
+            arrays.scratch[block.scratch + features.scratch.layer + k] = seen
     volume = property_of(scene, block.number, Property.VOLUME, arrays)
     density = property_of(scene, block.number, Property.DENSITY, arrays)
     turbulence = turbulence_at(block.scratch, density, arrays)
     motion = grid_motion(block, arrays), affine, contact_of(block.number, arrays)
     numbers = ti.static((motion, stress, shear, turbulence))
-    sheared = ti.static([Pullback(sheared_traction, numbers, (block.dt, size))])[0]
+    dx = arrays.settings[scene, Setting.CELL]
+    sheared = ti.static([Pullback(sheared_traction, numbers, (block.dt, dx, size))])[0]
     before = block.scratch + layout.scratch.before
     for k in ti.static(range(size)):
         arrays.scratch[before + size + k] = sheared.values[k]
@@ -162,11 +163,8 @@ def slip_reverse(block: ti.template(), shear, arrays: ti.template()):
     if ti.static(features.turbulent):
         add_property_adjoint(block, Property.DENSITY, adj_turbulence[0], arrays)
         add_drag_adjoints(block, adj_turbulence[1], arrays)
-        # Of the sums of mass and distance that particles see: D is their quotient.
-        around = maximum(arrays.scratch[block.scratch + layout.scratch.sums + size], TINY)
-        adj_distance = adj_turbulence[2] / around
-        arrays.scratch[block.scratch + features.scratch.drag] = 0.0 - turbulence[2] * adj_distance
-        arrays.scratch[block.scratch + features.scratch.layer] = adj_distance
+        for k in ti.static(range(2)):
+            arrays.scratch[block.scratch + features.scratch.layer + k] = adj_turbulence[2 + k]
     add_motion(block, adj_motion, arrays)
     add_adjoints(block, features.state.stress, adj_stress, arrays)
     return adj_shear

@@ -70,7 +70,7 @@ def update_block_reverse(block: ti.template(), arrays: ti.template()):
             arrays.scratch[density + 1 + k] = mass_slopes[k]
     if ti.static(features.turbulent):
         for k in ti.static(range(2)):
-            arrays.scratch[block.scratch + features.scratch.drag + k] = 0.0 * arrays.state[block.state]
+            arrays.scratch[block.scratch + features.scratch.layer + k] = 0.0 * arrays.state[block.state]
     stress_reverse(block, arrays)
     adj_motion_slopes, adj_kappa = affine_reverse(block, arrays)
     adj_motion = adjoints_of(block, 0, size, arrays)
@@ -110,9 +110,9 @@ def update_block_reverse(block: ti.template(), arrays: ti.template()):
             at = block.scratch + features.scratch.values + k * NODE + features.node.side_friction
             arrays.scratch[at] = 0.0 * arrays.state[block.state]
     if ti.static(features.turbulent):
-        at = block.scratch + features.scratch.values
-        arrays.scratch[at + size] = arrays.scratch[at + size] + arrays.scratch[block.scratch + features.scratch.drag]
-        arrays.scratch[at + features.node.distance] = arrays.scratch[block.scratch + features.scratch.layer]
+        at, layer = block.scratch + features.scratch.values, block.scratch + features.scratch.layer
+        arrays.scratch[at + size] = arrays.scratch[at + size] + arrays.scratch[layer]
+        arrays.scratch[at + features.node.distance] = arrays.scratch[layer + 1]
         for k in ti.static(range(size)):
             arrays.scratch[at + (1 + k) * NODE + features.node.distance] = 0.0 * arrays.state[block.state]
     transfer_reverse(block, True, arrays)

@@ -212,7 +212,7 @@ class Features:
             origin=size * contact,  # the positions before a step
             push=2 * size * contact,  # the contact's force per volume and its arm
             drag=int(self.turbulent),  # g / xi of the solid next to each particle [1/m]
-            layer=int(self.turbulent),  # mean distance from solids of what is around each particle [widths of contact]
+            layer=2 * int(self.turbulent),  # mass around each particle and its sum times distances from solids
             look=Look.SIZE * int(self.terrain),  # at the triangle of a height field near each particle
         )
 

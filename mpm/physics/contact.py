@@ -30,15 +30,20 @@ shear modulus mu_s, and is then scaled back to Coulomb's bound |q| <= mu (-sigma
 1993), a terrain perhaps with another xi at each place in plan. With the particle's density rho and
 v_t = v_f - n (n . v_f),
 
-    |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / (xi I(e)),    I(e) = e (8 - 7 e^2 + 3 e^3) / 4
-    e = min(2 D, 1),    D_p = sum_i w_ip H_i / sum_i w_ip m_i,    H_i = sum_p w_ip m_p min(d_p / h, 1)
+    |q| <= mu (-sigma_nn)_+ + rho g |v_t|^2 / (xi I),    I = 2 e (1 - 7/2 D^2 + 3 D^3),    D <= e / 2
+    e = min(max(2 D, phi / G(0), THINNEST), 1),    phi_p = sum_i w_ip m_i / (rho dx^dim)
+    D_p = sum_i w_ip H_i / sum_i w_ip m_i,    H_i = sum_p w_ip m_p min(d_p / h, 1)
 
-I(e) is the integral of delta over a layer of e widths: the mean of 2 (e - e^3 + e^4 / 2) for many rows of particles and
-of e delta(e / 2) for one. D is the mean distance from the bed, half of that thickness, of what is around a particle: a
-quotient that hardly depends on where the bed cuts the grid, on the ends of the layer and on walls beside it. So the
-traction per area of the bed is whole under thin layers too: one of thickness t that moves as a block on an incline has
-the speed v with dv/dt = g (sin a - mu cos a) - g v^2 / (xi t). Below e = THINNEST it fades: a lone grain on the bed has
-no thickness. The second term acts on all that is within the width of the contact, whether it presses at the moment or
+I is the integral of delta over a layer of e widths whose mean distance from the bed is D: the mean of
+2 e (1 - 4 D^2 + 4 D^3) for many rows of particles and of e h delta(D h) for one. It is 1 for e = 1 and D = 1/2. Two
+quotients of sums over the grid tell e. D is half the thickness of a layer that stands on the bed; it hardly depends on
+where the bed cuts the grid, on the ends of the layer and on walls beside it. A single row of particles that slides does
+sink to the bed in time, for the grid does not resolve it: then phi, the part of space that the material around a
+particle fills, tells how much there is. G(0) = 11/20 is what a thin sheet gives to itself over the grid, per cell of
+thickness: the middle of the quintic B-spline, which two quadratic ones make. So the traction per area of the bed is
+whole under thin layers too: one of thickness t that moves as a block on an incline has the speed v with
+dv/dt = g (sin a - mu cos a) - g v^2 / (xi t). Below e = THINNEST it fades: a lone grain on the bed has no thickness.
+The second term acts on all that is within the width of the contact, whether it presses at the moment or
 not: a flow over small bumps presses for a part of the time, with a mean pressure that bears its weight, and a drag of
 that part alone would be too small. The holds of deep nodes and the stop of a particle that meets a face take mu of an
 impulse, as without turbulence: the drag is no share of an impulse, and the delta gives all of it.
@@ -60,6 +65,8 @@ from mpm.solids.terrain_holds import removed_by_terrain
 
 NO_FACE = -2.0 * FIRST_FACE
 """Less than the number of any face among reals."""
+SHEET = 0.55
+"""What a thin sheet gives to itself over the grid, per cell of thickness [-]."""
 THINNEST = 0.1
 """Thickness [widths of contact] of the thinnest layer that feels the whole drag."""
 
@@ -139,11 +146,11 @@ def with_jump(increment: ti.template(), jump, contact: ti.template(), dimension:
 
 @ti.func
 def sheared_traction(
-    motion: ti.template(), stress: ti.template(), shear, turbulence: ti.template(), dt, dimension: ti.template()
+    motion: ti.template(), stress: ti.template(), shear, turbulence: ti.template(), dt, dx, dimension: ti.template()
 ):
     """The shear traction q [Pa] after a step, a list of D, within the bound for the new `stress`.
 
-    turbulence: rho [kg/m^3], g / xi [1/m] and D [-] where solids have it, else nothing; a list.
+    turbulence: rho [kg/m^3], g / xi [1/m], sum w m [kg] and sum w H [kg] where solids have it, else nothing; a list.
     """
     contact = motion[2]
     foot, opening = foot_velocity(motion, dimension)
@@ -155,7 +162,7 @@ def sheared_traction(
         square = square + q[k] * q[k]
     bound = contact[Contact.FRICTION] * maximum(0.0 - normal_stress(stress, contact, dimension), 0.0)
     if ti.static(len(turbulence) > 0):
-        drag = turbulence[0] * turbulence[1] / weight_in_layer(turbulence[2])
+        drag = turbulence[0] * turbulence[1] / weight_in_layer(turbulence, dx**dimension)
         for k in ti.static(range(dimension)):
             bound = bound + drag * slip[k] * slip[k]
     scale = minimum(bound / ti.sqrt(square), 1.0)
@@ -163,10 +170,13 @@ def sheared_traction(
 
 
 @ti.func
-def weight_in_layer(middle):
-    """I [-], the integral of delta over a layer from the bed on whose mean distance from it is `middle` [widths]."""
-    e = maximum(minimum(2.0 * middle, 1.0), THINNEST)
-    return 2.0 * e * (1.0 - e * e * (0.875 - 0.375 * e))
+def weight_in_layer(turbulence: ti.template(), volume):
+    """I [-], the integral of delta over the layer around a particle; volume: of a cell [m^D]."""
+    mass = maximum(turbulence[2], TINY)
+    middle, filled = turbulence[3] / mass, mass / (turbulence[0] * volume)
+    e = maximum(minimum(maximum(2.0 * middle, filled / SHEET), 1.0), THINNEST)
+    middle = minimum(middle, 0.5 * e)
+    return 2.0 * e * (1.0 - middle * middle * (3.5 - 3.0 * middle))
 
 
 @ti.func
@@ -226,7 +236,7 @@ def find_drags(scene, block, scratch, places: ti.template(), first, arrays: ti.t
 def turbulence_at(scratch, density, arrays: ti.template()):
     """What `sheared_traction` takes of a block, after `find_drags`; density: of its particles [kg/m^3]."""
     count = ti.static(int(arrays.features.turbulent))
-    drags = vectors(arrays.scratch, scratch + arrays.features.scratch.drag, 2 * count)
+    drags = vectors(arrays.scratch, scratch + arrays.features.scratch.drag, 3 * count)
     return [density for _ in ti.static(range(count))] + drags
 
 
@@ -261,7 +271,8 @@ def shear_traction_step(scene, block, scratch, dt, shear, density, arrays: ti.te
         find_drags(scene, block, scratch, arrays.lanes, position, arrays)
     motion, stress = motion_and_stress(block, scratch, arrays)
     turbulence = turbulence_at(scratch, density, arrays)
-    q = sheared_traction(motion, stress, shear, turbulence, dt, dimension)
+    dx = arrays.settings[scene, Setting.CELL]
+    q = sheared_traction(motion, stress, shear, turbulence, dt, dx, dimension)
     for k in ti.static(range(dimension)):
         arrays.state[contact_at(block, Contact.NORMAL + dimension + k, arrays)] = q[k]
 

@@ -30,7 +30,7 @@ a particle gives to a node is linear in the node's position: its value at the lo
 
 import taichi as ti
 
-from mpm.arrays.access import TINY, add, clamp, columns_deep, no_overflow, vectors, zero_node
+from mpm.arrays.access import add, clamp, columns_deep, no_overflow, vectors, zero_node
 from mpm.arrays.features import NODE, REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
@@ -354,8 +354,8 @@ def store_sums(v, slopes: ti.template(), first, scratch, lane, loose, arrays: ti
     at = own + (features.scratch.lowest + size) * lanes
     affine = no_overflow(first * lanes + lane) + features.state.affine * lanes
     if ti.static(features.turbulent):
-        layer = v[features.node.distance] / ti.max(v[size], TINY)
-        arrays.scratch_lanes[own + features.scratch.layer * lanes] = layer
+        arrays.scratch_lanes[own + features.scratch.layer * lanes] = v[size]
+        arrays.scratch_lanes[own + (features.scratch.layer + 1) * lanes] = v[features.node.distance]
     for i in ti.static(range(size)):
         arrays.scratch_lanes[at + i * lanes] = v[i]
         arrays.scratch_lanes[at + (size + i) * lanes] = v[features.node.change + i]

@@ -193,7 +193,7 @@ def test_scenes_without_turbulence_pay_for_none() -> None:
     plain = dataclasses.replace(scene, solids=(dataclasses.replace(scene.solids[0], turbulence=None),))
     assert features_of([scene], "f32").turbulent
     assert not features_of([plain], "f32").turbulent
-    assert features_of([plain], "f32").scratch.size == features_of([scene], "f32").scratch.size - 2
+    assert features_of([plain], "f32").scratch.size == features_of([scene], "f32").scratch.size - 3
 
 
 def test_what_turbulence_does_not_go_with_is_refused() -> None:
