@@ -33,7 +33,7 @@ from validation.bench.page import Keep, Many, Out, Row, emphasised, write_page
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
 from validation.plots import GREY, figure
-from validation.runs import kept
+from validation.run_store import kept
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}

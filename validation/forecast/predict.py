@@ -38,7 +38,7 @@ from inverse.parameters import with_parameters
 from inverse.search.waves import jitter_seed
 from mpm import LAST, Recording
 from validation.loop.verdict import OTHER_CELLS
-from validation.runs import RunStore, caveats
+from validation.run_store import RunStore, caveats
 
 FRAMES = 50
 """Frames of a flow that are kept at most where its peaks are wanted."""

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import numpy as np
-from tabulate import tabulate
 
 from datasets.errors import InputError, require
 from datasets.files import read_json, write_json, write_text
+from datasets.markdown import markdown_table
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
@@ -16,7 +16,7 @@ from inverse.saving import read_samples
 from mpm import simulate_many
 from validation.forecast.predict import LEVELS, Forecast, predicted, quantiles
 from validation.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
-from validation.runs import RunStore, kept
+from validation.run_store import RunStore, kept
 
 DRAWS = 40
 """Of the posterior: the least and the largest of so many flows are the ends of an interval of 95 %."""
@@ -135,7 +135,7 @@ def report(found: Forecast, command: str) -> str:
         "# Forecast",
         "\n".join(f"- {line}" for line in summary(found)),
         "![fronts of the flows; profile or map of probability](forecast.png)",
-        tabulate(rows, "keys", "pipe", disable_numparse=True),
+        markdown_table(rows),
         f"`{command}`",
     ]
     if found.maps is not None:

@@ -11,7 +11,7 @@ from datasets.flow.measures import Deposit, Errors
 from datasets.scene.particles import initial_particles
 from tests.scenes import flow_of, scene_of
 from validation.bench.accuracy.bench import deposit_of
-from validation.bench.gns import AGAIN, Compared, Model, conclusion
+from validation.bench.gns import AGAIN, Compared, ModelErrors, conclusion
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
 
@@ -45,7 +45,7 @@ def test_errors_of_deposits_of_known_length() -> None:
     assert deposit_of(stretched(BLOCK, 4.5)).at_wall
 
 
-def model() -> Model:
+def model() -> ModelErrors:
     """Two scenes of one model, the second at the wall, beside an MPM on three grids."""
 
     def off(front: float) -> Errors:
@@ -62,7 +62,7 @@ def model() -> Model:
         band=(0.01, 0.02),
     )
     second = replace(first, free=False, by=first.by | {"tiny": off(0.05)}, band=None)
-    return Model(name="tiny", family="flow2d", compared=[first, second])
+    return ModelErrors(name="tiny", family="flow2d", compared=[first, second])
 
 
 def test_the_price_is_that_of_the_cheapest_mpm_with_no_larger_error() -> None:

@@ -18,7 +18,7 @@ from tests.scenes import flow_of, room, scene_of
 from validation import forecast_scene
 from validation.forecast.__main__ import main
 from validation.forecast.predict import predicted
-from validation.runs import RunStore
+from validation.run_store import RunStore
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), duration=0.1, frame_dt=0.05, floor_friction=0.4)
 MEAN, DEVIATION = 30.0, 1.5
