@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming, require
+from datasets.exchange.map_box import whole_cells
 from datasets.files import write_text
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import scene_from
@@ -40,8 +41,8 @@ PARTICLES, COLUMNS = 3.0e5, 1.0e7
 """Of the release, and of nodes in the box, at most about, where no cell is given: minutes on two processors."""
 ACROSS = 2.0
 """Cells over the thickness of the release, where the box allows it."""
-AROUND, AIR = 4, 10
-"""Cells of ground around what is reached; of air over it."""
+AROUND = 4
+"""Cells of ground around what is reached."""
 TRAVEL = 4.0
 """Simulated time over that in which the largest speed reaches the end of the box."""
 FRAMES = 100
@@ -77,19 +78,11 @@ def site(
     plan = float(np.prod((upper - lower)[::2]))
     few = max(2.0 * (volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(plan / COLUMNS))
     edge = cell or round_up(max(max(thick) / ACROSS, few))
-    lower[1], upper[1] = lower[1] - AROUND * edge, upper[1] + AIR * edge + max(thick)
-    # Within the raster, whose posts stand half a spacing inside its edge.
-    ends = [(axis[0], axis[-1]) for axis in (raster.x, raster.z)]
-    for axis, (first, last) in zip((0, 2), ends, strict=True):
-        lower[axis] = max(first, lower[axis] - AROUND * edge)
-        upper[axis] = min(last, upper[axis] + AROUND * edge)
-    origin = np.ceil(lower)
-    origin[1] = math.floor(lower[1])
-    counts = np.floor((upper - origin) / edge + 1.0e-9)
-    counts[1] += 1.0
-    require(bool((counts >= 1.0).all()), "--cell", "cells that fit what the flow reaches", f"{edge:g} m")
-    size = np.round(counts * edge, 9)
-    domain = {"size": size.tolist(), "cell": edge, "origin": origin.tolist()}
+    beside = AROUND * edge * np.array([1.0, 0.0, 1.0])
+    upper[1] += max(thick)
+    # Posts of the raster stand half a spacing inside its edge.
+    ends = [(float(axis[0]), float(axis[-1])) for axis in (raster.x, raster.z)]
+    domain = whole_cells(lower - beside, upper + beside, edge, ends, "--cell")
     return {
         "open_sides": ["x-", "x+", "z-", "z+"],
         "domain": domain | ({} if raster.crs is None else {"crs": raster.crs}),

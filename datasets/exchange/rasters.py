@@ -120,6 +120,15 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     return Raster(x, z, np.ascontiguousarray(values.T), spacing, corner, crs.to_string() if crs else None)
 
 
+def raster_system(path: Path) -> str | None:
+    """The reference system that a raster names, as an authority's code or in WKT. Raises InputError."""
+    file_size(path, "a raster", most=LARGEST)
+    with reading(path, "a readable raster"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with opened(path) as file:
+            return str(file.crs.to_string()) if file.crs else None
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """A raster as rasterio has it; a mosaic (.vrt) opens the files that it names, on this machine alone."""
