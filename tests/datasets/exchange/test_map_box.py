@@ -91,7 +91,7 @@ def test_a_box_ends_with_the_terrain(tmp_path: Path) -> None:
         (
             'kind = "terrain", file = "dem.tif"',
             "lower = [0, 0, 0], size = [1, 1, 1]",
-            "domain.around: expected a terrain",
+            "around: expected a terrain",
         ),
     ],
 )
@@ -101,7 +101,7 @@ def test_what_makes_no_box_is_one_line(tmp_path: Path, old: str, new: str, said:
 
 def test_shapes_beside_the_terrain_are_refused(tmp_path: Path) -> None:
     refused(
-        made, tmp_path, shapely.affinity.translate(FIELD, 5_000.0), said="domain.around: expected shapes that lie on"
+        made, tmp_path, shapely.affinity.translate(FIELD, 5_000.0), said="around: expected shapes that lie on"
     )
     point = shapely.Point(EAST + 100.0, NORTH + 100.0)
     refused(made, tmp_path, point, SCENE.replace("30.0, cell", "0, cell"), said="above 0 m around a single place")
