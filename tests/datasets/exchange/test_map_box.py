@@ -88,11 +88,7 @@ def test_a_box_ends_with_the_terrain(tmp_path: Path) -> None:
         ("cell = 4.0", 'cell = 4.0, crs = "EPSG:4326"', "domain.crs: expected a projected coordinate system"),
         ("release.gpkg", "no.gpkg", "no.gpkg: expected polygons, lines or points, there is none"),
         ('"release.gpkg"', "3", "domain.around: expected the name of a file"),
-        (
-            'kind = "terrain", file = "dem.tif"',
-            "lower = [0, 0, 0], size = [1, 1, 1]",
-            "around: expected a terrain",
-        ),
+        ('kind = "terrain", file = "dem.tif"', "lower = [0, 0, 0], size = [1, 1, 1]", "around: expected a terrain"),
     ],
 )
 def test_what_makes_no_box_is_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -100,8 +96,6 @@ def test_what_makes_no_box_is_one_line(tmp_path: Path, old: str, new: str, said:
 
 
 def test_shapes_beside_the_terrain_are_refused(tmp_path: Path) -> None:
-    refused(
-        made, tmp_path, shapely.affinity.translate(FIELD, 5_000.0), said="around: expected shapes that lie on"
-    )
+    refused(made, tmp_path, shapely.affinity.translate(FIELD, 5_000.0), said="around: expected shapes that lie on")
     point = shapely.Point(EAST + 100.0, NORTH + 100.0)
     refused(made, tmp_path, point, SCENE.replace("30.0, cell", "0, cell"), said="above 0 m around a single place")

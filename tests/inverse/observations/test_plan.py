@@ -113,6 +113,28 @@ def test_what_is_no_raster_of_this_flow_is_refused(tmp_path: Path) -> None:
     refused(lambda: ThicknessSettings(cell=-1.0), said="a length above 0")
 
 
+@pytest.mark.parametrize("direction", ["normal", "vertical"])
+def test_points_of_a_survey_are_the_thickness_above_the_terrain(direction: str, tmp_path: Path) -> None:
+    """Of 0.1 m along y over a plane, with 5 mm of noise; bare ground is bare, a cell without points does not count."""
+    made, rng = scene(PLANE, origin=True), np.random.default_rng(0)
+    plan = rng.uniform(0.0, 4.0, (20_000, 2))
+    plan = plan[(plan < 2.4).any(axis=1) | (plan > 2.6).any(axis=1)]
+    inside = ((plan > 0.8) & (plan < 2.4)).all(axis=1)
+    height = 2.5 - 0.5 * plan[:, 0] + 0.1 * inside + rng.normal(0.0, 0.005, len(plan))
+    rows = np.column_stack([plan + CORNER, height + 1300.0])
+    np.savetxt(tmp_path / "survey.csv", rows, "%.6f", ",", header="x,y,z", comments="")
+    settings = ThicknessSettings(file="survey.csv", noise=0.01, direction=direction, cell=0.4)
+    target = settings.read(made, tmp_path, 0.04)
+    places = target.observation.grid.positions[target.observation.cells]
+    core = ((places > 0.8 + 0.01) & (places < 2.4 - 0.01)).all(axis=1)
+    factor = NORMAL if direction == "normal" else 1.0
+    np.testing.assert_allclose(target.values[core], 0.1 * factor, atol=0.003)
+    assert not target.values[~core].any()
+    np.savetxt(tmp_path / "survey.csv", rows - [0.0, 0.0, 1.0], "%.6f", ",", header="x,y,z", comments="")
+    with pytest.warns(UserWarning, match=r"half of the survey lies 1 m or more beneath the terrain"):
+        refused(settings.read, made, tmp_path, 0.04, said="survey.csv: expected a thickness above 0 m in the box")
+
+
 def disc(scene: Scene, radius: float, middle: tuple[float, float] = (2.0, 2.0)) -> Trajectory:
     """A layer 0.1 m thick within a circle."""
     x, z = np.meshgrid(*(np.arange(0.0125, 4.0, 0.025),) * 2, indexing="ij")
