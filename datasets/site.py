@@ -11,6 +11,7 @@ A thickness T normal to the bed is T / cos(slope) along the vertical, cell by ce
 import math
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming, require
-from datasets.exchange.map_box import whole_cells
+from datasets.exchange.map_box import largest, whole_cells
 from datasets.files import write_text
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import scene_from
@@ -43,6 +44,8 @@ ACROSS = 2.0
 """Cells over the thickness of the release, where the box allows it."""
 AROUND = 4
 """Cells of ground around what is reached."""
+OVERLAP = 1.0e-3
+"""Share of the area of a release that two polygons have in common, from which on it is said."""
 TRAVEL = 4.0
 """Simulated time over that in which the largest speed reaches the end of the box."""
 FRAMES = 100
@@ -66,20 +69,25 @@ def site(
     """
     thick = [thickness_of(each, thickness) for each in release]
     covered = np.zeros(raster.values.shape, bool)
-    masses, top = [], -math.inf
+    masses, top, taken = [], -math.inf, shapely.Polygon()
     for feature, own in zip(release, thick, strict=True):
-        for polygon in without_rings(feature.polygon):
+        shape, taken = feature.polygon.difference(taken), taken.union(feature.polygon)
+        for polygon in without_rings(shape):
             mass, inside = layer(raster, polygon, own, vertical)
             covered |= inside
             masses.append(mass)
             top = max(top, float(raster.values[inside].max()) + 2.0 * own)
+    twice = sum(each.polygon.area for each in release) - taken.area
+    if twice > OVERLAP * taken.area:
+        said = f"polygons of the release share {twice:.3g} m^2, which count once, by the first of them"
+        warnings.warn(said, stacklevel=2)
     lower, upper = reached(raster, covered, top, slope)
     volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
     plan = float(np.prod((upper - lower)[::2]))
     few = max(2.0 * (volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(plan / COLUMNS))
     edge = cell or round_up(max(max(thick) / ACROSS, few))
     beside = AROUND * edge * np.array([1.0, 0.0, 1.0])
-    upper[1] += max(thick)
+    upper[1] += max(largest(mass["thickness"]) for mass in masses)
     # Posts of the raster stand half a spacing inside its edge.
     ends = [(float(axis[0]), float(axis[-1])) for axis in (raster.x, raster.z)]
     domain = whole_cells(lower - beside, upper + beside, edge, ends, "--cell")
@@ -103,15 +111,18 @@ def thickness_of(feature: "Feature", given: float | None) -> float:
     return found
 
 
-def without_rings(polygon: shapely.Polygon) -> list[shapely.Polygon]:
-    """A polygon as parts side by side without holes: cut to the north and south through each hole."""
-    if not polygon.interiors:
-        return [polygon]
-    west, south, east, north = polygon.bounds
-    middle = float(np.mean(polygon.interiors[0].bounds[::2]))
-    halves = shapely.box(west, south, middle, north), shapely.box(middle, south, east, north)
-    cut = [part for half in halves for part in shapely.get_parts(polygon.intersection(half)) if part.area > 0.0]
-    return [one for part in cut for one in without_rings(part)]
+def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
+    """Polygons as parts side by side without holes: cut to the north and south through each hole."""
+    parts = []
+    for polygon in shapely.get_parts(shape):
+        if polygon.area > 0.0 and polygon.interiors:
+            west, south, east, north = polygon.bounds
+            middle = float(np.mean(polygon.interiors[0].bounds[::2]))
+            for half in (shapely.box(west, south, middle, north), shapely.box(middle, south, east, north)):
+                parts += without_rings(polygon.intersection(half))
+        elif polygon.area > 0.0:
+            parts.append(polygon)
+    return parts
 
 
 def layer(

@@ -4,20 +4,25 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pyogrio
 import pytest
 import shapely
+import shapely.affinity
 from rasterio.transform import Affine
 
 from datasets import Scene, read_scene
 from datasets.command_line import run
+from datasets.exchange.rasters import read_raster
+from datasets.exchange.vectors import read_polygons
 from datasets.scene.particles import initial_particles, mass_volumes
-from datasets.site import command
+from datasets.site import command, site
 from tests.datasets.exchange.test_scene_files import write_raster
 from tests.datasets.exchange.test_vectors import written
 from tests.refusals import refused_by
 
 EAST, UP, NORTH = 2_600_000.0, 1_800.0, 1_200_000.0
 SLOPE = math.radians(30.0)
+BED = {"thickness": None, "vertical": False, "bed": {"friction": 0.4}, "slope": 0.3, "cell": 2.0}
 FIELD = shapely.box(EAST + 30.0, NORTH + 80.0, EAST + 70.0, NORTH + 120.0)
 
 
@@ -71,6 +76,19 @@ def test_several_polygons_and_holes_of_the_raster(tmp_path: Path) -> None:
     found = made(tmp_path, "--cell", "2", hole=True, shape=pair)
     assert mass_volumes(found) * math.cos(SLOPE) / 1.5 == pytest.approx([1600.0, 400.0], rel=1e-3)
     assert (tmp_path / "new" / "site.dem.tif").is_file()
+
+
+def test_ground_that_two_polygons_share_counts_once(tmp_path: Path) -> None:
+    """By the thickness of the first: the second is cut, here to 20 of 40 m."""
+    folder = tmp_path / "release.gpkg"
+    shapes = [FIELD, shapely.affinity.translate(FIELD, 20.0)]
+    values = [np.array([3.0, 1.5])]
+    geometry = np.array([shapely.to_wkb(each) for each in shapes])
+    pyogrio.raw.write(folder, geometry, values, ["thickness"], geometry_type="Polygon", crs="EPSG:2056")
+    with pytest.warns(UserWarning, match=r"polygons of the release share 800 m\^2, which count once"):
+        table = site(read_raster(dem(tmp_path)), read_polygons(folder, "EPSG:2056"), **BED)
+    volumes = [np.mean(mass["thickness"]) * shapely.Polygon(mass["outline"]).area for mass in table["masses"]]
+    assert np.array(volumes) * math.cos(SLOPE) == pytest.approx([3.0 * 1600.0, 1.5 * 800.0], rel=1e-5)
 
 
 def test_a_bed_by_rasters(tmp_path: Path) -> None:
