@@ -39,6 +39,8 @@ AROUND = 0.25
 """Distance from the deposit, over the root of its area, up to which bare cells count: more would hide a misfit."""
 TOO_MUCH = 2.0
 """Volume of a deposit over the released one that another unit makes, or another scene."""
+OPEN = 0.5
+"""Share of the cells around a deposit without data that is said: a model that goes beyond would not be seen."""
 SUNKEN = 0.1
 """Depth of a survey beneath the terrain, in cells, that is said."""
 
@@ -197,6 +199,11 @@ class ThicknessSettings(ObservationSettings):
         """The target of values [m] in the cells of `grid` [K], NaN where there are none; cells around them count."""
         covered = (np.nan_to_num(values) > 0.0).reshape(grid.nodes)
         require(bool(covered.any()), "", "a thickness above 0 m in the box", "none")
+        beside = binary_dilation(covered, np.ones((3, 3))) & ~covered
+        unknown = float(np.isnan(values.reshape(grid.nodes)[beside]).mean()) if beside.any() else 0.0
+        if unknown > OPEN:
+            said = f"{unknown:.0%} of the cells around the deposit have no data and are not compared; 0 is bare ground"
+            warnings.warn(said, stacklevel=2)
         apart = distance_transform_edt(~covered, sampling=grid.spacing)
         reach = max(2.0 * max(grid.spacing), AROUND * math.sqrt(covered.sum() * math.prod(grid.spacing)))
         cells = np.flatnonzero((apart <= reach).ravel() & np.isfinite(values))

@@ -111,6 +111,11 @@ def test_what_is_no_raster_of_this_flow_is_refused(tmp_path: Path) -> None:
     refused(ThicknessSettings(file="cm.tif").read, made, tmp_path, 0.04, said="cm.tif: expected a volume of at most")
     refused(ThicknessSettings(file="far.tif").read, made, tmp_path, 0.04, said="far.tif: expected cells between 0 and")
     refused(lambda: ThicknessSettings(cell=-1.0), said="a length above 0")
+    middles = 0.2 * (np.arange(20) + 0.5)
+    inside = np.outer(abs(middles - 1.6) < 0.8, abs(middles - 1.6) < 0.8)
+    write_raster(tmp_path / "cut.tif", np.where(inside, 0.1, np.nan), 0.2, CORNER, "EPSG:2056", "thickness", "m")
+    with pytest.warns(UserWarning, match="100% of the cells around the deposit have no data"):
+        ThicknessSettings(file="cut.tif").read(made, tmp_path, 0.04)
 
 
 @pytest.mark.parametrize("direction", ["normal", "vertical"])
@@ -229,6 +234,9 @@ def test_places_of_a_problem_are_on_the_map_of_its_scene(tmp_path: Path) -> None
         np.testing.assert_allclose(there.values, here.values, atol=1e-9)
         assert getattr(there.observation, "line", 0.0) == pytest.approx(getattr(here.observation, "line", 0.0))
         np.testing.assert_allclose(getattr(there.observation, "x", 0.0), getattr(here.observation, "x", 0.0))
-    problem = (tmp_path / "problem.toml").read_text().replace("value = 500.6", "value = 0.6")
-    (tmp_path / "problem.toml").write_text(problem)
-    refused(read_problem, str(tmp_path / "problem.toml"), said="from the origin of the scene, 500, 1300")
+    problem = (tmp_path / "problem.toml").read_text()
+    (tmp_path / "problem.toml").write_text(problem.replace("value = 500.6", "value = 0.6"))
+    said = "lengths count from the corner of the box here, 500, 1300 on the map"
+    refused(read_problem, str(tmp_path / "problem.toml"), said=said)
+    (tmp_path / "problem.toml").write_text(problem.replace("noise = 0.1", "noise = 0.1\nwindow = -1.0"))
+    assert "corner" not in str(refused(read_problem, str(tmp_path / "problem.toml"), said="observations[4].window"))
