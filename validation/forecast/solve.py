@@ -1,5 +1,7 @@
 """A forecast, from the files of a result to its own: `forecast.json`, `report.md`, a picture, in 3D maps."""
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -78,20 +80,42 @@ def known_of(result: Path, scene: Scene) -> tuple[list[str], Floats, list[str]]:
         expected = "expected the folder of validation.loop with posterior.npz, of unknown numbers and not of fields"
         raise InputError(expected, where=str(result))
     names, samples = read_samples(path)
+    record = read_json(path.parent / "result.json") or {}
     remarks, kept = [], []
     for index, name in enumerate(names):
         try:
-            kind(name).check(scene)
+            names[index] = in_scene(name, record.get("solids", []), scene)
+            kind(names[index]).check(scene)
         except InputError as error:
             remarks.append(f"{name} is no part of the forecast: {error.message}")
         else:
             kept.append(index)
+            if names[index] != name:
+                remarks.append(f"{name} of the inversion is {names[index]} of this scene")
     if not kept:
         raise InputError(f"expected a scene with one of {', '.join(names)}: {remarks[0]}", where=str(path))
-    verdict = (read_json(path.parent / "result.json") or {}).get("verdict")
+    verdict = record.get("verdict")
     if verdict not in (None, "confirmed"):
         remarks.append(f"the answer that is forecast is {verdict}")
     return [names[index] for index in kept], samples[:, kept], remarks
+
+
+def in_scene(name: str, solids: Sequence[tuple[str | None, str]], scene: Scene) -> str:
+    """The name in `scene` of an unknown: that of a solid goes to the one of the same name, else the one of its kind.
+
+    solids: name and kind of each in the inversion. Raises InputError where the scene has none like it.
+    """
+    number = re.match(r"solids\[(\d+)\]", name)
+    if number is None or int(number[1]) >= len(solids):
+        return name
+    index, (called, form) = int(number[1]), solids[int(number[1])]
+    named = [called is not None and each.name == called for each in scene.solids]
+    for alike in (named, [each.kind == form for each in scene.solids]):
+        if sum(alike) == 1:
+            return f"solids[{alike.index(True)}]{name[number.end() :]}"
+    same = index < len(scene.solids) and scene.solids[index].kind == form
+    require(same, "", f"a {form} in the scene, as solids[{index}] of the inversion", "none or several")
+    return name
 
 
 def save(found: Forecast, folder: Path, command: str) -> None:

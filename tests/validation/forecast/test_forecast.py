@@ -11,13 +11,14 @@ import pytest
 import rasterio
 from scipy.stats import norm
 
-from datasets import Mass, Scene, Trajectory
+from datasets import Mass, Scene, Solid, Trajectory
 from mpm import LAST
 from tests.refusals import refused, refused_by
 from tests.scenes import flow_of, room, scene_of
 from validation import forecast_scene
 from validation.forecast.__main__ import main
 from validation.forecast.predict import predicted
+from validation.forecast.solve import in_scene
 from validation.run_store import RunStore
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), duration=0.1, frame_dt=0.05, floor_friction=0.4)
@@ -118,6 +119,20 @@ def test_maps_of_probability(tmp_path: Path) -> None:
     forecast_scene(posterior(tmp_path / "loop"), scene, tmp_path / "out", draws=4, simulate=flows)
     with rasterio.open(tmp_path / "out" / "probability-depth.tif") as raster:
         assert 0.0 <= raster.read(1).min() <= raster.read(1).max() <= 1.0
+
+
+def test_the_solid_of_an_unknown_is_found_by_its_name_or_its_kind() -> None:
+    """Not by its place in the list: barriers stand before the terrain in one scene and behind it in the other."""
+    wall = Solid(name="wall", lower=(0.8, 0.0), size=(0.1, 0.1))
+    ground = Solid(kind="terrain", points=((0.0, 0.0), (1.0, 0.0)))
+    scene = replace(SCENE, solids=(ground, wall, replace(wall, name="low", lower=(0.6, 0.0))))
+    before = [("wall", "box"), ("bed", "terrain"), (None, "box"), (None, "mesh")]
+    found = [in_scene(f"solids[{index}].friction", before, scene) for index in range(2)]
+    assert found == ["solids[1].friction", "solids[0].friction"]
+    assert in_scene("solids[2].friction", before, scene) == "solids[2].friction"  # one of two boxes, in its place
+    refused(in_scene, "solids[3].friction", before, scene, said="expected a mesh in the scene, as solids[3]")
+    for name in ("friction_deg", "solids[9].friction"):
+        assert in_scene(name, before, scene) == name
 
 
 def test_mistakes_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
