@@ -38,8 +38,9 @@ def whole_cells(lower: Floats, upper: Floats, cell: float, ends: Ends, key: str)
     unit = min(1.0, 10.0 ** math.floor(math.log10(cell)))
     origin = unit * np.ceil(lower / unit)
     origin[1] = unit * math.floor(lower[1] / unit)
-    counts = np.floor((upper - origin) / cell + 1.0e-9)
-    counts[1] += 1.0
+    # Even numbers: on cells twice as large the same box shows their error (`surrogate = "coarse"`, forecasts).
+    counts = 2.0 * np.floor((upper - origin) / (2.0 * cell) + 1.0e-9)
+    counts[1] += 2.0
     require(bool((counts >= 1.0).all()), key, "cells that fit what lies in the box", f"{cell:g} m")
     return {"size": np.round(counts * cell, 9).tolist(), "cell": cell, "origin": np.round(origin, 9).tolist()}
 

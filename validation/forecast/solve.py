@@ -23,6 +23,8 @@ from validation.run_store import RunStore, kept
 DRAWS = 40
 """Of the posterior: the least and the largest of so many flows are the ends of an interval of 95 %."""
 MOST_DRAWS = 10_000
+ON_MAP = 1.0e4
+"""Fronts [m] from here on are eastings: four digits would not tell one from another."""
 
 
 def forecast_scene(
@@ -131,12 +133,17 @@ def save(found: Forecast, folder: Path, command: str) -> None:
     write_text(folder / "report.md", report(found, command))
 
 
+def worded(name: str, value: float) -> str:
+    """A number of a forecast; the front on a map to a decimetre."""
+    return f"{value:.1f}" if name == "front" and abs(value) >= ON_MAP else f"{value:.4g}"
+
+
 def summary(found: Forecast) -> list[str]:
     """The forecast in sentences."""
     lines = []
     for name, number in found.as_json()["numbers"].items():
-        low, high = number["interval"]
-        said = f"{number['median']:.4g} {number['unit']}, 95 %: {low:.4g} to {high:.4g} {number['unit']}"
+        middle, low, high = (worded(name, each) for each in (number["median"], *number["interval"]))
+        said = f"{middle} {number['unit']}, 95 %: {low} to {high} {number['unit']}"
         lines.append(f"{name.replace('_', ' ')}: {said}")
     lines.append(f"{len(found.draws)} flows with {', '.join(found.names)} drawn from the posterior")
     return [*lines, *found.remarks]
@@ -147,9 +154,9 @@ def report(found: Forecast, command: str) -> str:
     rows = [
         {
             "number": name,
-            "median": f"{number['median']:.4g}",
-            "50 %": " to ".join(f"{end:.4g}" for end in number["half"]),
-            "95 %": " to ".join(f"{end:.4g}" for end in number["interval"]),
+            "median": worded(name, number["median"]),
+            "50 %": " to ".join(worded(name, end) for end in number["half"]),
+            "95 %": " to ".join(worded(name, end) for end in number["interval"]),
             "error of the cells": "-" if number["cells"] is None else f"{number['cells']:.2g}",
             "unit": number["unit"],
         }
