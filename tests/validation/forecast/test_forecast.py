@@ -122,11 +122,13 @@ def test_maps_of_probability(tmp_path: Path) -> None:
 
 
 def test_the_mean_height_of_a_thin_deposit_is_that_of_its_thickness() -> None:
-    """0.02 m thick over 0.4 x 0.4 m on cells of 0.04 m, whose particles have sunk to the ground."""
+    """0.02 m thick over 0.4 x 0.4 m on cells of 0.04 m, whose particles have sunk to the ground; less at its edges."""
     scene = room(Mass(lower=(0.0, 0.0, 0.3), size=(0.2, 0.1, 0.2)))
     x, z = np.meshgrid(*(0.2 + 0.01 * (np.arange(40) + 0.5),) * 2, indexing="ij")
     positions = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
-    assert height_of(scene, positions, np.full(x.size, 0.02 * 0.01**2)) == pytest.approx(0.01, rel=0.1)  # less at its edges
+    assert height_of(scene, positions, np.full(x.size, 0.02 * 0.01**2)) == pytest.approx(
+        0.01, rel=0.1
+    )  # less at its edges
 
 
 def test_the_solid_of_an_unknown_is_found_by_its_name_or_its_kind() -> None:
