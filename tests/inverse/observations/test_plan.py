@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pyogrio
 import pytest
 import shapely
 import torch
@@ -162,8 +163,6 @@ def test_an_outline_is_signed_distances_along_the_boundary(suffix: str, tmp_path
     if suffix == "csv":
         path.write_text("x,z\n" + "".join(f"{x:.6f},{z:.6f}\n" for x, z in vertices))
     else:
-        import pyogrio
-
         polygon = shapely.to_wkb(np.array([shapely.Polygon(vertices)]))
         pyogrio.raw.write(path, polygon, [], [], geometry_type="Polygon", crs="EPSG:2056")
     key = "csv" if suffix == "csv" else "file"
@@ -182,6 +181,27 @@ def test_an_outline_is_signed_distances_along_the_boundary(suffix: str, tmp_path
     matrix = target.errors.matrix / 0.05**2
     step = 2.0 * 1.15 * np.sin(np.pi / len(matrix))
     assert matrix[0, 1] == pytest.approx(np.exp(-step), rel=1e-3)
+
+
+def test_our_own_outline_is_compared_at_its_own_threshold(tmp_path: Path) -> None:
+    """Of several the lowest, or the one that is named; of a file without any a large default is said."""
+    made, corner = scene(origin=True), np.array(CORNER)
+    circles = {
+        level: shapely.transform(shapely.Polygon(ring(r)), corner.__add__) for level, r in ((0.05, 1.2), (0.08, 1))
+    }
+    written = np.array([shapely.to_wkb(each) for each in circles.values()])
+    columns = [np.array(["deposit"] * 2, object), np.array([*circles])]
+    for name, fields in (("own.gpkg", ["name", "threshold_m"]), ("other.gpkg", ["name", "depth"])):
+        pyogrio.raw.write(tmp_path / name, written, columns, fields, geometry_type="Polygon", crs="EPSG:2056")
+    for thickness, level, area in ((None, 0.05, 1.2), (0.08, 0.08, 1.0)):
+        settings = OutlineSettings(file="own.gpkg", noise=0.05, thickness=thickness)
+        operator = settings.read(made, tmp_path, None).observation
+        assert operator.thickness == level
+        assert operator.region.area == pytest.approx(np.pi * area**2, rel=1e-2)
+    wrong = OutlineSettings(file="own.gpkg", noise=0.05, thickness=0.07)
+    refused(wrong.read, made, tmp_path, None, said="thickness: expected one of the file's, 0.05, 0.08, got 0.07")
+    with pytest.warns(UserWarning, match="the model's outline is where it is 0.1 m thick"):
+        OutlineSettings(file="other.gpkg", noise=0.05).read(made, tmp_path, None)
 
 
 def test_the_slope_of_a_distance_is_that_of_the_boundary() -> None:
