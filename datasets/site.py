@@ -56,7 +56,7 @@ def site(
     raster: "Raster",
     release: "list[Feature]",
     *,
-    thickness: float | None,
+    thickness: "float | Floats | None",
     vertical: bool,
     bed: dict[str, Any],
     slope: float,
@@ -64,16 +64,19 @@ def site(
 ) -> dict[str, Any]:
     """The tables of a scene file without its terrain's path, its material and its times; lengths in m on the map.
 
-    bed: `friction` of the ground, and perhaps its `turbulence`; slope: of the energy line. Raises InputError for a
-    release that does not lie on the raster or has no thickness.
+    thickness: of all polygons, at the posts of the raster [X, Z], or as each polygon says; bed: `friction` of the
+    ground, and perhaps its `turbulence`; slope: of the energy line. Raises InputError for a release that does not lie
+    on the raster or has no thickness.
     """
-    thick = [thickness_of(each, thickness) for each in release]
+    field = thickness if isinstance(thickness, np.ndarray) else None
+    given = thickness if isinstance(thickness, float) else None
+    thick = [float(np.max(field)) if field is not None else thickness_of(each, given) for each in release]
     covered = np.zeros(raster.values.shape, bool)
     masses, top, taken = [], -math.inf, shapely.Polygon()
     for feature, own in zip(release, thick, strict=True):
         shape, taken = feature.polygon.difference(taken), taken.union(feature.polygon)
         for polygon in without_rings(shape):
-            mass, inside = layer(raster, polygon, own, vertical)
+            mass, inside = layer(raster, polygon, own if field is None else field, vertical)
             covered |= inside
             masses.append(mass)
             top = max(top, float(raster.values[inside].max()) + 2.0 * own)
@@ -126,9 +129,12 @@ def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
 
 
 def layer(
-    raster: "Raster", polygon: shapely.Polygon, thickness: float, vertical: bool
+    raster: "Raster", polygon: shapely.Polygon, thickness: float | Floats, vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
-    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster within it or beside it."""
+    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster within it or beside it.
+
+    thickness: [m], a number or one for each post.
+    """
     box = polygon.bounds
     axes, parts = (raster.x, raster.z), []
     for axis, spacing, low, high in zip(axes, raster.spacing, box[:2], box[2:], strict=True):
@@ -143,11 +149,22 @@ def layer(
     holes = int(np.isnan(raster.values[inside]).sum())
     require(holes == 0, "--release", "ground beneath all of it", f"{holes} posts of the raster without data")
     mass: dict[str, Any] = {"kind": "layer", "outline": [list(place) for place in polygon.exterior.coords[:-1]]}
-    if vertical:
-        return mass | {"thickness": thickness}, inside
-    rows = np.round(thickness * steepness(raster)[parts[0], parts[1]], 6)
+    here = thickness[parts[0], parts[1]] if isinstance(thickness, np.ndarray) else thickness
+    if vertical and isinstance(here, float):
+        return mass | {"thickness": here}, inside
+    require(bool(np.max(here) > 0.0), "--thickness", "a thickness above 0 m in each polygon", "none")
+    rows = np.round(here * (1.0 if vertical else steepness(raster)[parts[0], parts[1]]), 6)
     place = {"origin": [float(raster.x[parts[0]][0]), float(raster.z[parts[1]][0])], "spacing": list(raster.spacing)}
     return mass | {"thickness": rows.tolist()} | place, inside
+
+
+def at_posts(values: "Raster", raster: "Raster") -> Floats:
+    """Values of one raster at the posts of another [X, Z], bilinear; 0 in its holes and beyond it."""
+    from scipy.ndimage import map_coordinates
+
+    sides = zip((raster.x, raster.z), (values.x, values.z), values.spacing, strict=True)
+    places = np.meshgrid(*((posts - own[0]) / step for posts, own, step in sides), indexing="ij")
+    return np.asarray(map_coordinates(np.nan_to_num(values.values), places, order=1, mode="constant"))
 
 
 def steepness(raster: "Raster") -> Floats:
@@ -195,7 +212,7 @@ def command(
     *,
     release: Path,
     out: Path,
-    thickness: float | None = None,
+    thickness: float | Path | None = None,
     vertical: bool = False,
     friction: float | Path = 0.4,
     turbulence: float | Path | None = None,
@@ -208,14 +225,14 @@ def command(
         dem: Raster (ESRI ASCII, GeoTIFF and others) of elevations [m], in a projected coordinate system or none.
         release: Polygons: shapefile, GeoPackage, GeoJSON or KML.
         out: The scene to write (TOML).
-        thickness: Of the release [m]; else the attribute `thickness` or `d0` of each polygon.
+        thickness: Of the release [m], or a raster of it; else the attribute `thickness` or `d0` of each polygon.
         vertical: Whether the thickness is measured along the vertical; else normal to the ground.
         friction: Coulomb coefficient of the ground, or a raster of it.
         turbulence: Voellmy's turbulent coefficient of the ground [m/s^2], or a raster of it; none unless given.
         internal_friction: Angle of internal friction of the material [deg].
         cell: Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
     """
-    from datasets.exchange.rasters import read_raster, write_raster
+    from datasets.exchange.rasters import read_raster, same_system, write_raster
     from datasets.exchange.vectors import read_polygons
 
     if isinstance(friction, Path):
@@ -229,10 +246,16 @@ def command(
     require(cell is None or 0.0 < cell < math.inf, "--cell", "a length above 0 m", cell)
     with naming(dem):
         raster = read_raster(dem)
+    thick: float | Floats | None = None if isinstance(thickness, Path) else thickness
+    if isinstance(thickness, Path):
+        with naming(thickness, "--thickness"):
+            values = read_raster(thickness)
+            require(same_system(raster.crs, values), "", f"the reference system of {dem}, {raster.crs}", values.crs)
+            thick = at_posts(values, raster)
     with naming(release):
         features = read_polygons(release, raster.crs)
         bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
-        options: dict[str, Any] = {"thickness": thickness, "vertical": vertical, "cell": cell}
+        options: dict[str, Any] = {"thickness": thick, "vertical": vertical, "cell": cell}
         table = site(raster, features, bed=bed, slope=REACH * least, **options)
         table = {"material": {"friction_deg": internal_friction}, **table}
     whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
