@@ -24,6 +24,7 @@ from datasets.command_line import run
 from datasets.errors import InputError, naming, require
 from datasets.exchange.map_box import largest, whole_cells
 from datasets.files import write_text
+from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import scene_from
 from datasets.scene.particles import particle_count, released_volume
@@ -271,6 +272,7 @@ def command(
         scene = scene_from({"duration": 1.0, "frame_dt": 1.0, **table}, out.resolve().parent)
     except InputError as error:
         raise error if error.where else error.at(str(out)) from None
+    warn_if_unlikely(scene)
     terrain |= {name: os.path.relpath(path.resolve(), out.resolve().parent) for name, path in paths.items()}
     size, speed = scene.domain.size, greatest_speed(scene)
     seconds = 10.0 * math.ceil(0.1 * TRAVEL * math.hypot(*size[::2]) / max(speed, 1.0))
