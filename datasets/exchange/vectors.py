@@ -1,6 +1,7 @@
 """Shapes from the vector files of a GIS by pyogrio: shapefile, GeoPackage, GeoJSON, KML."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +25,8 @@ BEGINNINGS = {
     ".kml": rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<kml",
 }
 """How files of these endings begin: GDAL goes by what is in them, and some formats name other files."""
+LAYER = "|layername="
+"""Between the name of a file and that of one of its layers, as QGIS has it."""
 MOST_DEGREES = 360.0
 """Coordinates beyond it are no degrees: GeoJSON without a reference system counts as degrees for GDAL."""
 
@@ -39,9 +42,14 @@ class Feature(NamedTuple):
 
 def read_polygons(path: Path, crs: str | None) -> list[Feature]:
     """The polygons of a file, each of several in a feature by itself, in the reference system `crs` (`read_shapes`)."""
-    shapes = [(part, named) for place, named in read_shapes(path, crs, "polygons") for part in shapely.get_parts(place)]
-    features = [Feature(part, named) for part, named in shapes if part.geom_type == "Polygon" and not part.is_empty]
-    require(bool(features), "", "polygons", "none")
+    found: dict[str, list[Feature]] = {}
+    for place, named, layer in read_shapes(path, crs, "polygons"):
+        polygons = [part for part in shapely.get_parts(place) if part.geom_type == "Polygon" and not part.is_empty]
+        found.setdefault(layer, []).extend(Feature(each, named) for each in polygons)
+    layers = [layer for layer, polygons in found.items() if polygons]
+    require(len(layers) > 0, "", "polygons", "none")
+    require(len(layers) == 1, "", f"polygons in one layer, or FILE{LAYER}NAME", f"them in {', '.join(layers)}")
+    features = found[layers[0]]
     require(all(each.polygon.is_valid for each in features), "", "polygons that do not cross themselves", "others")
     return features
 
@@ -49,20 +57,23 @@ def read_polygons(path: Path, crs: str | None) -> list[Feature]:
 def read_bounds(path: Path, crs: str | None) -> tuple[float, float, float, float]:
     """West, south, east and north end [m] of all polygons, lines and points of a file (`read_shapes`)."""
     with naming(path):
-        found = shapely.total_bounds([place for place, _ in read_shapes(path, crs, "polygons, lines or points")])
+        found = shapely.total_bounds([place for place, *_ in read_shapes(path, crs, "polygons, lines or points")])
         require(bool(np.isfinite(found).all()), "", "polygons, lines or points", "none")
     west, south, east, north = map(float, found)
     return west, south, east, north
 
 
-def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Geometry, dict[str, Any]]]:
-    """The shapes of a file and their attributes, names in lower case, in the reference system `crs` in metres.
+def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Geometry, dict[str, Any], str]]:
+    """The shapes of a file, their attributes, names in lower case, and their layers, in the system `crs` in metres.
 
-    crs: of the map, as an authority's code or in WKT; None of a map that names none, in which the file then is too. A
-    file that names none is in that of the map. Raises InputError.
+    path: of the file, or of one layer of it as QGIS has it, FILE|layername=NAME. crs: of the map, as an authority's
+    code or in WKT; None of a map that names none, in which the file then is too. A file that names none is in that of
+    the map. Raises InputError.
     """
     import pyogrio
 
+    name, _, chosen = str(path).partition(LAYER)
+    path = Path(name)
     file_size(path, what, most=LARGEST)
     pattern = BEGINNINGS.get(path.suffix.lower())
     require(pattern is not None, "", f"a file whose name ends in {' '.join(BEGINNINGS)}", repr(path.suffix))
@@ -70,7 +81,19 @@ def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Ge
         known = re.match(pattern or b"", raw.read(4096), re.DOTALL) is not None
     require(known, "", f"a file as its ending {path.suffix} says", "another one")
     with reading(path, what):
-        described, _, shapes, values = pyogrio.raw.read(path.resolve(), force_2d=True)
+        layers = [str(layer) for layer, kind in pyogrio.list_layers(path.resolve()) if kind is not None]
+    require(not chosen or chosen in layers, "", f"one of the layers {', '.join(layers)}", repr(chosen))
+    return [each for layer in ([chosen] if chosen else layers) for each in shapes_of(path, layer, crs, what)]
+
+
+def shapes_of(
+    path: Path, layer: str, crs: str | None, what: str
+) -> Iterator[tuple[shapely.Geometry, dict[str, Any], str]]:
+    """What `read_shapes` says of one layer."""
+    import pyogrio
+
+    with reading(path, what):
+        described, _, shapes, values = pyogrio.raw.read(path.resolve(), layer=layer, force_2d=True)
         places = shapely.from_wkb(shapes)
     system, bounds = described["crs"], np.abs(shapely.total_bounds(places))
     degrees = system is not None and CRS.from_user_input(system).is_geographic
@@ -82,7 +105,8 @@ def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Ge
         with reading(path, f"coordinates of {system} that lie in {crs}"):
             places = shapely.transform(places, lambda rows: projected(rows, system, crs))
     columns = {name.lower(): column for name, column in zip(described["fields"], values, strict=True)}
-    return [(place, {name: column[n] for name, column in columns.items()}) for n, place in enumerate(places)]
+    for number, place in enumerate(places):
+        yield place, {name: column[number] for name, column in columns.items()}, layer
 
 
 def projected(rows: Any, system: str, crs: str) -> Any:

@@ -1,5 +1,6 @@
 """What a camera or a radar records of a moving flow: when it arrives at a place, and how fast it moves there."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -128,6 +129,7 @@ class Speed(SmoothObservation):
     kind = "speed"
     label = "the speed of the flow at a place"
     unit = "m/s"
+    limits = (0.0, math.inf)
     over_time = True
 
     def __init__(

@@ -159,6 +159,8 @@ class OutlineSettings(LengthsSettings):
         for key in ("thickness", "length"):
             given = getattr(self, key)
             require(given is None or given > 0.0, key, "a length above 0 m", given)
+        far = self.values is not None or self.directions_deg is not None or Noise.stated(self.noise).share == 0.0
+        require(far, "noise", "a distance in m for an outline", self.noise)
 
     def operator(self, scene: Scene) -> Observation:
         require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
@@ -215,7 +217,6 @@ class OutlineSettings(LengthsSettings):
     def around(self, operator: Boundary) -> Target:
         """The target of an observed boundary: no distance from it, with the stated errors."""
         values = np.zeros(operator.count)
-        require(Noise.stated(self.noise).share == 0.0, "noise", "a distance in m for an outline", self.noise)
         deviation = Noise.stated(self.noise).of(values)
         errors = Covariance.correlated(deviation, shapely.get_coordinates(operator.points), self.length)
         return Target(observation=operator, values=values, errors=errors)

@@ -224,7 +224,7 @@ def test_a_twins_outline_is_its_own_and_a_wrong_one_is_refused(tmp_path: Path) -
     (tmp_path / "bow.csv").write_text("x,z\n1,1\n2,2\n2,1\n1,2\n")
     for name, said in (("far", "within the box"), ("bow", "in order along the outline")):
         refused(OutlineSettings(csv=f"{name}.csv", noise=0.1).read, made, tmp_path, None, said=said)
-    refused(OutlineSettings(noise="5%").of_run, made, disc(made, 1.0), said="a distance in m")
+    refused(lambda: OutlineSettings(noise="5%"), said="a distance in m")
 
 
 def test_places_of_a_problem_are_on_the_map_of_its_scene(tmp_path: Path) -> None:
