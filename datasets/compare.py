@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tabulate import tabulate
 
 from datasets.command_line import run
 from datasets.errors import naming, require
@@ -26,6 +25,7 @@ from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.flow import measures
 from datasets.flow.fields import FlowFields, Values, pairs
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
+from datasets.markdown import markdown_table
 from datasets.scene.grid_field import Floats
 
 Figures = dict[str, Floats]
@@ -83,7 +83,7 @@ class Comparison:
             rows.append([f"{name} [{unit}{per_width}]", spoken(one), spoken(other), spoken(other - one, "+.3g")])
         rows += [[f"{name}, rms [m]", "", "", spoken(self.apart[key][-1], ".3g")] for name, key in APART.items()]
         rows.append(["overlap in plan [-]", "", "", spoken(self.apart[OVERLAP][-1], ".3g")])
-        return tabulate(rows, ["where they end", *self.labels, "difference"], "pipe", disable_numparse=True)
+        return markdown_table(rows, ["where they end", *self.labels, "difference"])
 
 
 def figures_of(flow: FlowFields, values: Values) -> list[float]:

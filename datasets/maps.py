@@ -328,7 +328,7 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
         "volume": maps.volume,
         "left": maps.left,
         **{f"area_{name}": each.area for (name, level), each in outlines.items() if level == maps.threshold},
-        "extent": None if largest is None else largest.bounds[2] - maps.corner[0],
+        "extent": None if largest is None else largest.bounds[2] - maps.corner[0] + trajectory.scene.domain.corner[0],
         **dict(zip(("east", "north"), maps.corner, strict=True)),
         "crs": maps.crs,
         **{f"{name}_max": value for name, value in most.items()},
@@ -353,7 +353,7 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
     edge, first = flow.scene.domain.cell if cell is None else cell, threshold[0] if threshold else None
     maps = maps_of(flow, edge, threshold=first, progress=True)
     said = write(flow, maps, out, threshold)
-    extent = "" if said["extent"] is None else f", extent x = {said['extent']:.4g} m"
+    extent = "" if said["extent"] is None else f", extent x = {said['extent']:.4f} m"
     deposit = f"volume {maps.volume:.4g}, largest thickness {said['thickness_max']:.3g} m{extent}"
     print(f"t = {said['time']:g} s: {deposit}, written to {out}")
     if maps.left > 0.0 and maps.volume == 0.0:

@@ -11,6 +11,7 @@ A thickness T normal to the bed is T / cos(slope) along the vertical, cell by ce
 import math
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,9 @@ from numpy.typing import NDArray
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming, require
+from datasets.exchange.map_box import largest, whole_cells
 from datasets.files import write_text
+from datasets.scene.checks import warn_if_unlikely
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import scene_from
 from datasets.scene.particles import particle_count, released_volume
@@ -40,8 +43,10 @@ PARTICLES, COLUMNS = 3.0e5, 1.0e7
 """Of the release, and of nodes in the box, at most about, where no cell is given: minutes on two processors."""
 ACROSS = 2.0
 """Cells over the thickness of the release, where the box allows it."""
-AROUND, AIR = 4, 10
-"""Cells of ground around what is reached; of air over it."""
+AROUND = 4
+"""Cells of ground around what is reached."""
+OVERLAP = 1.0e-3
+"""Share of the area of a release that two polygons have in common, from which on it is said."""
 TRAVEL = 4.0
 """Simulated time over that in which the largest speed reaches the end of the box."""
 FRAMES = 100
@@ -52,7 +57,7 @@ def site(
     raster: "Raster",
     release: "list[Feature]",
     *,
-    thickness: float | None,
+    thickness: "float | Floats | None",
     vertical: bool,
     bed: dict[str, Any],
     slope: float,
@@ -60,36 +65,36 @@ def site(
 ) -> dict[str, Any]:
     """The tables of a scene file without its terrain's path, its material and its times; lengths in m on the map.
 
-    bed: `friction` of the ground, and perhaps its `turbulence`; slope: of the energy line. Raises InputError for a
-    release that does not lie on the raster or has no thickness.
+    thickness: of all polygons, at the posts of the raster [X, Z], or as each polygon says; bed: `friction` of the
+    ground, and perhaps its `turbulence`; slope: of the energy line. Raises InputError for a release that does not lie
+    on the raster or has no thickness.
     """
-    thick = [thickness_of(each, thickness) for each in release]
+    field = thickness if isinstance(thickness, np.ndarray) else None
+    given = thickness if isinstance(thickness, float) else None
+    thick = [float(np.max(field)) if field is not None else thickness_of(each, given) for each in release]
     covered = np.zeros(raster.values.shape, bool)
-    masses, top = [], -math.inf
+    masses, top, taken = [], -math.inf, shapely.Polygon()
     for feature, own in zip(release, thick, strict=True):
-        for polygon in without_rings(feature.polygon):
-            mass, inside = layer(raster, polygon, own, vertical)
+        shape, taken = feature.polygon.difference(taken), taken.union(feature.polygon)
+        for polygon in without_rings(shape):
+            mass, inside = layer(raster, polygon, own if field is None else field, vertical)
             covered |= inside
             masses.append(mass)
             top = max(top, float(raster.values[inside].max()) + 2.0 * own)
+    twice = sum(each.polygon.area for each in release) - taken.area
+    if twice > OVERLAP * taken.area:
+        said = f"polygons of the release share {twice:.3g} m^2, which count once, by the first of them"
+        warnings.warn(said, stacklevel=2)
     lower, upper = reached(raster, covered, top, slope)
     volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
     plan = float(np.prod((upper - lower)[::2]))
     few = max(2.0 * (volume / PARTICLES) ** (1.0 / 3.0), math.sqrt(plan / COLUMNS))
     edge = cell or round_up(max(max(thick) / ACROSS, few))
-    lower[1], upper[1] = lower[1] - AROUND * edge, upper[1] + AIR * edge + max(thick)
-    # Within the raster, whose posts stand half a spacing inside its edge.
-    ends = [(axis[0], axis[-1]) for axis in (raster.x, raster.z)]
-    for axis, (first, last) in zip((0, 2), ends, strict=True):
-        lower[axis] = max(first, lower[axis] - AROUND * edge)
-        upper[axis] = min(last, upper[axis] + AROUND * edge)
-    origin = np.ceil(lower)
-    origin[1] = math.floor(lower[1])
-    counts = np.floor((upper - origin) / edge + 1.0e-9)
-    counts[1] += 1.0
-    require(bool((counts >= 1.0).all()), "--cell", "cells that fit what the flow reaches", f"{edge:g} m")
-    size = np.round(counts * edge, 9)
-    domain = {"size": size.tolist(), "cell": edge, "origin": origin.tolist()}
+    beside = AROUND * edge * np.array([1.0, 0.0, 1.0])
+    upper[1] += max(largest(mass["thickness"]) for mass in masses)
+    # Posts of the raster stand half a spacing inside its edge.
+    ends = [(float(axis[0]), float(axis[-1])) for axis in (raster.x, raster.z)]
+    domain = whole_cells(lower - beside, upper + beside, edge, ends, "--cell")
     return {
         "open_sides": ["x-", "x+", "z-", "z+"],
         "domain": domain | ({} if raster.crs is None else {"crs": raster.crs}),
@@ -110,21 +115,27 @@ def thickness_of(feature: "Feature", given: float | None) -> float:
     return found
 
 
-def without_rings(polygon: shapely.Polygon) -> list[shapely.Polygon]:
-    """A polygon as parts side by side without holes: cut to the north and south through each hole."""
-    if not polygon.interiors:
-        return [polygon]
-    west, south, east, north = polygon.bounds
-    middle = float(np.mean(polygon.interiors[0].bounds[::2]))
-    halves = shapely.box(west, south, middle, north), shapely.box(middle, south, east, north)
-    cut = [part for half in halves for part in shapely.get_parts(polygon.intersection(half)) if part.area > 0.0]
-    return [one for part in cut for one in without_rings(part)]
+def without_rings(shape: shapely.Geometry) -> list[shapely.Polygon]:
+    """Polygons as parts side by side without holes: cut to the north and south through each hole."""
+    parts = []
+    for polygon in shapely.get_parts(shape):
+        if polygon.area > 0.0 and polygon.interiors:
+            west, south, east, north = polygon.bounds
+            middle = float(np.mean(polygon.interiors[0].bounds[::2]))
+            for half in (shapely.box(west, south, middle, north), shapely.box(middle, south, east, north)):
+                parts += without_rings(polygon.intersection(half))
+        elif polygon.area > 0.0:
+            parts.append(polygon)
+    return parts
 
 
 def layer(
-    raster: "Raster", polygon: shapely.Polygon, thickness: float, vertical: bool
+    raster: "Raster", polygon: shapely.Polygon, thickness: float | Floats, vertical: bool
 ) -> tuple[dict[str, Any], NDArray[np.bool_]]:
-    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster within it or beside it."""
+    """A polygon as a mass of a scene file, and the posts [X, Z] of the raster within it or beside it.
+
+    thickness: [m], a number or one for each post.
+    """
     box = polygon.bounds
     axes, parts = (raster.x, raster.z), []
     for axis, spacing, low, high in zip(axes, raster.spacing, box[:2], box[2:], strict=True):
@@ -139,11 +150,22 @@ def layer(
     holes = int(np.isnan(raster.values[inside]).sum())
     require(holes == 0, "--release", "ground beneath all of it", f"{holes} posts of the raster without data")
     mass: dict[str, Any] = {"kind": "layer", "outline": [list(place) for place in polygon.exterior.coords[:-1]]}
-    if vertical:
-        return mass | {"thickness": thickness}, inside
-    rows = np.round(thickness * steepness(raster)[parts[0], parts[1]], 6)
+    here = thickness[parts[0], parts[1]] if isinstance(thickness, np.ndarray) else thickness
+    if vertical and isinstance(here, float):
+        return mass | {"thickness": here}, inside
+    require(bool(np.max(here) > 0.0), "--thickness", "a thickness above 0 m in each polygon", "none")
+    rows = np.round(here * (1.0 if vertical else steepness(raster)[parts[0], parts[1]]), 6)
     place = {"origin": [float(raster.x[parts[0]][0]), float(raster.z[parts[1]][0])], "spacing": list(raster.spacing)}
     return mass | {"thickness": rows.tolist()} | place, inside
+
+
+def at_posts(values: "Raster", raster: "Raster") -> Floats:
+    """Values of one raster at the posts of another [X, Z], bilinear; 0 in its holes and beyond it."""
+    from scipy.ndimage import map_coordinates
+
+    sides = zip((raster.x, raster.z), (values.x, values.z), values.spacing, strict=True)
+    places = np.meshgrid(*((posts - own[0]) / step for posts, own, step in sides), indexing="ij")
+    return np.asarray(map_coordinates(np.nan_to_num(values.values), places, order=1, mode="constant"))
 
 
 def steepness(raster: "Raster") -> Floats:
@@ -191,7 +213,7 @@ def command(
     *,
     release: Path,
     out: Path,
-    thickness: float | None = None,
+    thickness: float | Path | None = None,
     vertical: bool = False,
     friction: float | Path = 0.4,
     turbulence: float | Path | None = None,
@@ -204,14 +226,14 @@ def command(
         dem: Raster (ESRI ASCII, GeoTIFF and others) of elevations [m], in a projected coordinate system or none.
         release: Polygons: shapefile, GeoPackage, GeoJSON or KML.
         out: The scene to write (TOML).
-        thickness: Of the release [m]; else the attribute `thickness` or `d0` of each polygon.
+        thickness: Of the release [m], or a raster of it; else the attribute `thickness` or `d0` of each polygon.
         vertical: Whether the thickness is measured along the vertical; else normal to the ground.
         friction: Coulomb coefficient of the ground, or a raster of it.
         turbulence: Voellmy's turbulent coefficient of the ground [m/s^2], or a raster of it; none unless given.
         internal_friction: Angle of internal friction of the material [deg].
         cell: Edge of a grid cell [m]; unless given half of the thickness, more where the box is large.
     """
-    from datasets.exchange.rasters import read_raster, write_raster
+    from datasets.exchange.rasters import read_raster, same_system, write_raster
     from datasets.exchange.vectors import read_polygons
 
     if isinstance(friction, Path):
@@ -225,10 +247,16 @@ def command(
     require(cell is None or 0.0 < cell < math.inf, "--cell", "a length above 0 m", cell)
     with naming(dem):
         raster = read_raster(dem)
+    thick: float | Floats | None = None if isinstance(thickness, Path) else thickness
+    if isinstance(thickness, Path):
+        with naming(thickness, "--thickness"):
+            values = read_raster(thickness)
+            require(same_system(raster.crs, values), "", f"the reference system of {dem}, {raster.crs}", values.crs)
+            thick = at_posts(values, raster)
     with naming(release):
         features = read_polygons(release, raster.crs)
         bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
-        options: dict[str, Any] = {"thickness": thickness, "vertical": vertical, "cell": cell}
+        options: dict[str, Any] = {"thickness": thick, "vertical": vertical, "cell": cell}
         table = site(raster, features, bed=bed, slope=REACH * least, **options)
         table = {"material": {"friction_deg": internal_friction}, **table}
     whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
@@ -244,6 +272,7 @@ def command(
         scene = scene_from({"duration": 1.0, "frame_dt": 1.0, **table}, out.resolve().parent)
     except InputError as error:
         raise error if error.where else error.at(str(out)) from None
+    warn_if_unlikely(scene)
     terrain |= {name: os.path.relpath(path.resolve(), out.resolve().parent) for name, path in paths.items()}
     size, speed = scene.domain.size, greatest_speed(scene)
     seconds = 10.0 * math.ceil(0.1 * TRAVEL * math.hypot(*size[::2]) / max(speed, 1.0))

@@ -40,7 +40,7 @@ def logarithm_of_tangent(degrees: float) -> float:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class RangedQuantity:
     """A quantity of a scene whose range bounds a surrogate's validity."""
 
     values: Sequence[float]
@@ -58,7 +58,7 @@ ABSOLUTE = ("length", "density", "gravity")
 """What a model that scales its scenes does not see."""
 
 
-def quantities(scene: Scene) -> dict[str, Quantity]:
+def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     """Those of a scene with gravity."""
     body, masses, baffles = Units.of_body(scene), scene.masses, scene.baffles
     sand = [scene.material_of(mass) for mass in masses]
@@ -69,57 +69,49 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
     rooms = [whole - own for whole, own in zip(scene.domain.size, extents, strict=True)]
     # None of a mass at rest.
     velocities = [(mass.velocity,) if mass.velocity else () for mass in masses]
-    stresses = [
-        each.poisson / (1.0 - each.poisson) if isinstance(mass.k0, str) else mass.k0
-        for mass, each in zip(masses, sand, strict=True)
-        if mass.k0 is not None
-    ]
     cohesions = [
         each.cohesion_at(depth) for mass, each in zip(masses, sand, strict=True) for depth in (0.0, height(scene, mass))
     ]
     held = sum(mass.release is not None for mass in masses)
-    # That which the scene would not have by itself.
-    corrected = scene.volume_correction
-    usual = corrected is None or corrected == remembers_gaps(replace(scene, volume_correction=None))
     elevation, roughness, steepness = terrain(scene, GROUND_SPACING * body.length)
 
-    def lengths(values: Iterable[float], **bounds: Any) -> Quantity:
-        return Quantity([value / body.length for value in values], "l", **bounds)
+    def lengths(values: Iterable[float], **bounds: Any) -> RangedQuantity:
+        return RangedQuantity([value / body.length for value in values], "l", **bounds)
 
-    def speeds(values: Iterable[float]) -> Quantity:
-        return Quantity([value / body.speed for value in values], "sqrt(g l)")
+    def speeds(values: Iterable[float]) -> RangedQuantity:
+        return RangedQuantity([value / body.speed for value in values], "sqrt(g l)")
 
     return {
-        "friction_deg": Quantity([each.phi_deg for each in sand], "deg", scale=logarithm_of_tangent),
-        "friction_limit_deg": Quantity(
+        "friction_deg": RangedQuantity([each.phi_deg for each in sand], "deg", scale=logarithm_of_tangent),
+        "friction_limit_deg": RangedQuantity(
             [each.friction_limit_deg for each in sand if each.friction_limit_deg is not None], "deg"
         ),
-        "cohesion": Quantity([each / body.stress for each in cohesions], "rho g l"),
-        "tension_cutoff": Quantity(
+        "cohesion": RangedQuantity([each / body.stress for each in cohesions], "rho g l"),
+        "tension_cutoff": RangedQuantity(
             [each.tension_limit / each.cohesion for each in sand if each.cohesion > 0.0], "of the cohesion"
         ),
-        "young": Quantity([each.modulus / body.stress for each in sand], "rho g l", above=False),
-        "poisson": Quantity([each.poisson for each in sand]),
-        "dilation_deg": Quantity([each.dilation_deg for each in sand], "deg"),
+        "young": RangedQuantity([each.modulus / body.stress for each in sand], "rho g l", above=False),
+        "poisson": RangedQuantity([each.poisson for each in sand]),
+        "dilation_deg": RangedQuantity([each.dilation_deg for each in sand], "deg"),
         "softening_length": lengths(each.softening_length for each in sand if each.softening_length is not None),
-        "k0": Quantity(stresses),
-        "barriers": Quantity([float(held)] if held else []),
-        "volume_correction": Quantity([] if usual else [float(bool(corrected))]),
-        "relaxation_time": Quantity(
+        "k0": RangedQuantity(stress_ratios(scene)),
+        "barriers": RangedQuantity([float(held)] if held else []),
+        "volume_correction": RangedQuantity(chosen_correction(scene)),
+        "relaxation_time": RangedQuantity(
             [scene.relaxation * math.sqrt(scene.gravity / scene.domain.cell)], "sqrt(cell / g)"
         ),
-        "floor_friction": Quantity([coefficient(scene.floor_friction)]),
-        "wall_friction": Quantity([coefficient(scene.wall_friction)]),
-        "baffle_friction": Quantity([coefficient(scene.friction_of(each)) for each in baffles]),
+        "floor_friction": RangedQuantity([coefficient(scene.floor_friction)]),
+        "wall_friction": RangedQuantity([coefficient(scene.wall_friction)]),
+        "baffle_friction": RangedQuantity([coefficient(scene.friction_of(each)) for each in baffles]),
         "channel": lengths([scene.channel.width] if scene.channel else ()),
-        "ground_friction": Quantity(roughness),
-        "ground_deg": Quantity(steepness, "deg", below=False),
+        "ground_friction": RangedQuantity(roughness),
+        "ground_deg": RangedQuantity(steepness, "deg", below=False),
         "ground_relief": lengths(elevation, below=False),
-        "damping": Quantity([scene.damping]),
-        "slope_deg": Quantity([abs(scene.slope_deg)], "deg"),
+        "damping": RangedQuantity([scene.damping]),
+        "slope_deg": RangedQuantity([abs(scene.slope_deg)], "deg"),
         "slope_length": lengths(scene.domain.size[:1] if scene.slope_deg != 0.0 or scene.solids else (), below=False),
-        "masses": Quantity([float(len(masses))]),
-        "mass_aspect": Quantity([extents[1] / extents[0]], scale=logarithm),
+        "masses": RangedQuantity([float(len(masses))]),
+        "mass_aspect": RangedQuantity([extents[1] / extents[0]], scale=logarithm),
         "mass_length": lengths(extents[:1], scale=logarithm),
         "mass_height": lengths(extents[1:2], scale=logarithm),
         "mass_width": lengths(extents[2:], scale=logarithm),
@@ -128,8 +120,8 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
         "room_across": lengths(rooms[2:], above=False),
         "speed": speeds(max((math.hypot(*each) for each in some), default=0.0) for some in velocities),
         "upward_speed": speeds(each[1] for some in velocities for each in some),
-        "spin": Quantity([float(abs(mass.spin).max()) * body.time for mass in masses], "sqrt(g / l)"),
-        "baffles": Quantity([float(len(baffles))]),
+        "spin": RangedQuantity([float(abs(mass.spin).max()) * body.time for mass in masses], "sqrt(g / l)"),
+        "baffles": RangedQuantity([float(len(baffles))]),
         "baffle_length": lengths(each.size[0] for each in baffles),
         "baffle_height": lengths(each.size[1] for each in baffles),
         "baffle_foot": lengths(each.lower[1] for each in baffles),
@@ -138,12 +130,25 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
         "baffle_distance": lengths(
             max(each.lower[0] - high[0], low[0] - each.lower[0] - each.size[0]) for each in baffles
         ),
-        "duration": Quantity([scene.duration / body.time], "sqrt(l / g)", below=False),
+        "duration": RangedQuantity([scene.duration / body.time], "sqrt(l / g)", below=False),
         "spacing": lengths([scene.particle_spacing], below=False),
-        "length": Quantity([body.length], "m"),
-        "density": Quantity([sand[0].density], "kg/m^3"),
-        "gravity": Quantity([scene.gravity], "m/s^2"),
+        "length": RangedQuantity([body.length], "m"),
+        "density": RangedQuantity([sand[0].density], "kg/m^3"),
+        "gravity": RangedQuantity([scene.gravity], "m/s^2"),
     }
+
+
+def stress_ratios(scene: Scene) -> list[float]:
+    """K0 [-] of the masses that have one; of an elastic one nu / (1 - nu)."""
+    stressed = [(mass.k0, scene.material_of(mass).poisson) for mass in scene.masses if mass.k0 is not None]
+    return [poisson / (1.0 - poisson) if isinstance(k0, str) else k0 for k0, poisson in stressed]
+
+
+def chosen_correction(scene: Scene) -> list[float]:
+    """Whether gaps are corrected, 1 or 0, where a scene chooses what it would not have by itself; else none."""
+    chosen = scene.volume_correction
+    usual = chosen is None or chosen == remembers_gaps(replace(scene, volume_correction=None))
+    return [] if usual else [float(bool(chosen))]
 
 
 def terrain(scene: Scene, spacing: float) -> tuple[list[float], list[float], list[float]]:

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
-from tabulate import tabulate
 
 from datasets import command_line
 from datasets.errors import InputError
 from datasets.flow import measures
+from datasets.markdown import markdown_table
 from gns import card
 from gns.card import LEVELS, Calibration
 from gns.library import model_path
@@ -122,7 +122,7 @@ def table(scores: Sequence[Score]) -> str:
             + [f"{100.0 * mean[name]:{form}} %" for name, (_, form) in MEANS.items()]
         )
     heads = ["start", "flows", "held by a wall", *FRONTS, *(head for head, _ in MEANS.values())]
-    return tabulate(rows, heads, "github", disable_numparse=True) + "\n"
+    return markdown_table(rows, heads, "github") + "\n"
 
 
 def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, keep: bool = False) -> None:

@@ -17,14 +17,17 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
+from shapely import get_parts
 
 from datasets import files
 from datasets.flow import measures
+from datasets.geometry.ground import ground_raster
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.scene.particles import particle_volumes
 from inverse.field_posterior import FieldPosterior
 from inverse.observations.deposit import Passed, Toe
+from inverse.observations.outline import Boundary
 from inverse.observations.profile import Profile
 from inverse.parameters.field import LABELS
 from inverse.residuals import draw, residuals
@@ -41,6 +44,8 @@ OUTLINES: dict[str, tuple[Literal[":", "-", "--"], str, str]] = {
 """Line, colour and meaning of the outline of a baffle."""
 HEIGHTS = "viridis"
 """Colours of the heights in a picture from above."""
+CONTOURS = 12
+"""Of the ground, about."""
 LINE = "#b2182b"
 WIDTH = 10.0
 """Of a picture [inches]."""
@@ -77,7 +82,10 @@ def write(result: Result, folder: Path) -> list[str]:
 def plot(result: Result) -> Figure:
     """The deposits of the target and of the answer, each by itself, and their height profiles over each other."""
     scene, scenes, target = result.problem.scene, standings(result), result.target.deposit
-    shown = ({} if target is None else {"target": target}) | {result.forward: result.deposit}
+    lying = ({} if target is None else {"target": target}) | {result.forward: result.deposit}
+    # Seen from above colours are heights over the ground; from the side the ground is drawn.
+    ground = measures.ground_of(scenes["found"]) if scene.dimension == 3 else lambda plan: np.zeros(len(plan))
+    shown = {name: measures.above(deposit, ground) for name, deposit in lying.items()}
     top = 1.08 * max(float(deposit[:, 1].max()) for deposit in shown.values())
     flat = (top if scene.dimension == 2 else scene.domain.size[2]) / scene.domain.size[0]
     # Of the height of a panel a part is its title and the names of its axis.
@@ -88,11 +96,12 @@ def plot(result: Result) -> Figure:
         # The baffles that were in the way of this deposit are filled.
         filled = "truth" if name == "target" and "truth" in scenes else "found"
         paint(axis, deposit, COLOURS[name], scenes, filled, top)
+        surroundings(axis, result, scenes["found"])
         axis.set_title(f"{name}: {mark(axis, result, deposit, COLOURS[name])}")
-    profiles(axes[-1], result, shown, scenes["found"])
+    profiles(axes[-1], result, lying, scenes["found"])
     if scene.dimension == 3:
         bar = figure.colorbar(ScalarMappable(Normalize(0.0, top), HEIGHTS), ax=list(axes[:-1]), shrink=0.6, aspect=30)
-        bar.set_label("height [m]")
+        bar.set_label("height above the ground [m]")
     drawn = [axis.get_legend_handles_labels() for axis in axes[:-1]]
     if labels := {label: handle for handles, names in drawn for handle, label in zip(handles, names, strict=True)}:
         figure.legend(labels.values(), labels.keys(), loc="outside lower center", ncols=len(labels))
@@ -131,6 +140,20 @@ def paint(axis: Axes, deposit: Deposit, colour: str, scenes: Mapping[str, Scene]
             axis.add_patch(box)
     axis.set(xlim=(0.0, size[0]), ylim=(0.0, top if across == 1 else size[2]), aspect="equal")
     axis.set(xlabel="x [m]", ylabel=f"{'xyz'[across]} [m]")
+
+
+def surroundings(axis: Axes, result: Result, scene: Scene) -> None:
+    """The ground, from above by contour lines, and the outlines that were observed."""
+    heights = ground_raster(scene, scene.domain.cell)[0]
+    axes = [scene.domain.cell * np.arange(count) for count in heights.shape]
+    if np.ptp(heights) > 0.0 and scene.dimension == 2:
+        axis.plot(axes[0], heights, color="#777777", linewidth=1.0)
+    elif np.ptp(heights) > 0.0:
+        axis.contour(*axes, heights.T, levels=CONTOURS, colors="#bbbbbb", linewidths=0.6)
+    for part in result.target.observation.parts:
+        if isinstance(part.observation, Boundary):
+            for polygon in get_parts(part.observation.region):
+                axis.plot(*polygon.exterior.xy, color=LINE, linewidth=1.5, zorder=5, label="observed outline")
 
 
 def mark(axis: Axes, result: Result, deposit: Deposit, colour: str) -> str:

@@ -316,7 +316,9 @@ def read_problem(name: str) -> Problem:
         try:
             return Problem(parameters=keys.pop("unknowns"), **keys)
         except InputError as error:
-            if not error.key.startswith("observations["):
+            number, _, key = error.key.removeprefix("observations[").partition("]")
+            if number == error.key or key[1:] not in ("", *file.observations[int(number)].places):
                 raise
             place = ", ".join(f"{each:.10g}" for each in scene.domain.origin)
-            raise InputError(f"{error.message}, from the origin of the scene, {place}", key=error.key) from None
+            message = f"{error.message}; lengths count from the corner of the box here, {place} on the map"
+            raise InputError(message, key=error.key) from None

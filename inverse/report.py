@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tabulate import tabulate
 
 from datasets.flow.measures import rms
+from datasets.markdown import markdown_table
 from inverse.answer import Answer, Combination, Purpose, Verdict, peak_memory_mib, unidentified
 from inverse.field_posterior import IDENTIFIED, FieldPosterior
 from inverse.noise import CONFIDENCE
@@ -43,7 +43,7 @@ def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
         parts += [f"## {field.name}", field_table(field), shown(f"{field.stem}.png", field.name)]
     parts += ["## Comparison with the target", comparison(result), shown("deposit.png", "deposits")]
     if fits := residuals(result):
-        listed = table([row for each in fits for row in each.rows])
+        listed = markdown_table([row for each in fits for row in each.rows])
         parts += [
             "## The fit, number by number",
             outlying(fits),
@@ -57,7 +57,7 @@ def markdown(result: Result, folder: Path, pictures: Collection[str]) -> str:
     parts.append(shown("posterior.png", "prior and posterior"))
     if result.further:
         gains = [{"measurement": name, "information [nat]": f"{gain:.2f}"} for name, gain in result.further.items()]
-        parts += ["## What a further measurement would decide", table(gains)]
+        parts += ["## What a further measurement would decide", markdown_table(gains)]
     parts += ["## How it was found", search_table(result), "## Cost", cost(result)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -240,7 +240,7 @@ def question(result: Result) -> str:
     if (origin := result.problem.scene.domain.origin) is not None:
         place = ", ".join(f"{each:.10g}" for each in origin)
         observed += f" Lengths below count from the lower corner of the box, at {place} m on the map."
-    return observed + (f"\n\n{table(rows)}" if rows else "")
+    return observed + (f"\n\n{markdown_table(rows)}" if rows else "")
 
 
 def every_answer(result: Result) -> str:
@@ -250,7 +250,7 @@ def every_answer(result: Result) -> str:
         row["share of the posterior"] = f"{100.0 * each.weight:.0f} %"
         row["the MPM there"] = "not asked" if each.fit is None else distance(result, each)
         rows.append(row)
-    return table(rows)
+    return markdown_table(rows)
 
 
 def comparison(result: Result) -> str:
@@ -267,7 +267,7 @@ def comparison(result: Result) -> str:
         row["residual (root mean square)"] = root(off)
         row |= {name.replace("_", " "): f"{score:.3f}" for name, score in result.scores.get(part.name, {}).items()}
         rows.append(row)
-    return table(rows)
+    return markdown_table(rows)
 
 
 def data_that_matter(result: Result) -> str:
@@ -280,7 +280,7 @@ def data_that_matter(result: Result) -> str:
             row[f"± `{number.name}` (95 %)"] = f"{number.kind.text(own)} ({share:.2g} times)"
         rows.append(row)
     said = "Half-widths without each observation, from the runs that there are, by an emulator of the whole box."
-    return f"{said}\n\n{table(rows)}"
+    return f"{said}\n\n{markdown_table(rows)}"
 
 
 def identified(field: FieldPosterior) -> str:
@@ -311,7 +311,7 @@ def field_table(field: FieldPosterior) -> str:
             row[f"of the found field [{unit}]"] = f"{field.error(where):.3g}"
             row["truth within 95 %"] = f"{100.0 * (field.covered(where) or 0.0):.0f} %"
         rows.append(row)
-    return table(rows)
+    return markdown_table(rows)
 
 
 def uncertainty(result: Result) -> list[str]:
@@ -370,7 +370,7 @@ def search_table(result: Result) -> str:
                 row[key.replace("_", " ")] = value
         rows.append(row)
     said = f"Surrogate: {result.surrogate['reason']}.\n\n" if result.surrogate else ""
-    return said + tabulate(rows, headers="keys", tablefmt="pipe", floatfmt=".4g")
+    return said + markdown_table(rows, disable_numparse=False, floatfmt=".4g")
 
 
 def cost(result: Result) -> str:
@@ -381,12 +381,7 @@ def cost(result: Result) -> str:
     counts = {key.replace("_", " "): value for key, value in result.record.items() if isinstance(value, int)}
     seconds = {f"{key.replace('_', ' ')} [s]": f"{value:.2f}" for key, value in result.seconds.items()}
     seconds["peak memory"] = f"{peak_memory_mib():.0f} MiB"
-    return table([{key: str(value) for key, value in (runs | counts | seconds).items()}])
-
-
-def table(rows: Sequence[dict[str, str]]) -> str:
-    """A table in Markdown of rows by column, whose cells are text already."""
-    return tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True)
+    return markdown_table([{key: str(value) for key, value in (runs | counts | seconds).items()}])
 
 
 def summary(result: Result) -> str:

@@ -185,6 +185,7 @@ class Result:
         ]
         keys: dict[str, Any] = {
             "problem": problem.name,
+            "solids": [[each.name, each.kind] for each in problem.scene.solids],
             "verdict": self.verdict.value,
             "unknowns": self.unknowns,
             "interval": self.interval,

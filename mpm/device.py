@@ -12,8 +12,8 @@ from tqdm import tqdm
 
 from mpm.arrays.batch import Array, Batch
 from mpm.arrays.features import NODE, Features
+from mpm.arrays.kernel_arguments import VIEWS
 from mpm.arrays.layout import Offset, Setting, StepControl, Worker
-from mpm.arrays.table import VIEWS
 from mpm.initial.stages import begin_stages, call_end, next_stage
 from mpm.kernel import Phase
 

@@ -23,8 +23,8 @@ import taichi as ti
 from mpm.arrays.access import columns_deep
 from mpm.arrays.batch import Batch
 from mpm.arrays.features import NODE, Features
+from mpm.arrays.kernel_arguments import DEVICE, RECORD, STEP, kernel_of
 from mpm.arrays.layout import Energy, Offset, Setting, StepControl, Worker
-from mpm.arrays.table import DEVICE, RECORD, STEP, kernel_of
 from mpm.output.recorder import (
     add_energies,
     record_block,

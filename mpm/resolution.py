@@ -52,7 +52,7 @@ class Resolution(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured(Record):
+class MeasuredResolution(Record):
     """Error and cost of a resolution, over the scenes of one dimension."""
 
     dimension: int
@@ -73,7 +73,7 @@ class Measured(Record):
 class Measurements(Record):
     """The contents of `resolution.toml`."""
 
-    measured: tuple[Measured, ...]
+    measured: tuple[MeasuredResolution, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ class Resolved:
     """A scene at the resolution that a tolerance requires, and what to expect of it."""
 
     scene: Scene
-    measured: Measured
+    measured: MeasuredResolution
     """Of the resolution."""
     cost: float
     """Particle-steps over those of the scene as it was given [-]."""
@@ -103,7 +103,7 @@ class Resolved:
         )
 
 
-def read_measured() -> tuple[Measured, ...]:
+def read_measured() -> tuple[MeasuredResolution, ...]:
     """The measurements that ship with the solver."""
     return from_mapping(Measurements, read_toml(MEASURED)).measured
 
@@ -115,7 +115,7 @@ def read_tolerance(text: str) -> float:
     return value
 
 
-def resolved(scene: Scene, tolerance: float, measured: Sequence[Measured] | None = None) -> Resolved:
+def resolved(scene: Scene, tolerance: float, measured: Sequence[MeasuredResolution] | None = None) -> Resolved:
     """`scene` at the cheapest resolution whose promised error is within `tolerance`, a fraction of the extent.
 
     Only what was measured is picked, in scenes of the same dimension, never an interpolation; `measured` defaults to

@@ -2,8 +2,10 @@
 
 import dataclasses
 import sys
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming
@@ -17,11 +19,14 @@ from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from datasets.scene.particles import particle_count
 from mpm.arrays.layout import Precision
-from mpm.footprint import expected, footprint, step_spoken
+from mpm.footprint import Footprint, expected, footprint, step_spoken
 from mpm.output.checkpoint import Checkpoint, described
 from mpm.output.recording import Recording
 from mpm.resolution import read_tolerance, resolved
 from mpm.runtime import Arch, parts_for
+
+if TYPE_CHECKING:
+    from mpm.simulation import Options
 
 
 def command(
@@ -46,40 +51,23 @@ def command(
     Ctrl-C and SIGTERM leave DIR/checkpoint.npz, from which the same command goes on, the same to the bit as without the
     break.
 
-    Parameters
-    ----------
-    scene
-        Path of a scene in TOML, or the name of a shipped one.
-    out
-        Folder for trajectory.npz and summary.json.
-    precision
-        Arithmetic of the solver; f32 unless given, or what the tolerance requires.
-    arch
-        Where to compute.
-    tolerance
-        Run at the cheapest resolution that was measured to keep front and profile within this, such as 2%.
-    every
-        Keep every so many frames only, and the last.
-    last_frame
-        Keep the last frame only.
-    fields
-        Record velocity, stress, pressure and plastic strain of every particle too, and forces on the walls.
-    until_rest
-        End when the deposit has come to rest; the frames that are left repeat the last one.
-    vtk
-        Write a series for ParaView to DIR/vtk too, with the fields.
-    forces
-        Write the force on each solid, and on floor and walls, over time too: DIR/forces.csv and DIR/forces.png.
-    hdf5
-        Write DIR/trajectory.h5 instead of trajectory.npz, frame by frame while the scene runs: positions need not fit
-        into memory, unless fields are recorded too.
-    safety
-        Find the factor by which the strength may be divided before the slope moves, in some twelve runs of the scene on
-        its cells, and write DIR/safety.json in place of a trajectory.
+    Args:
+        scene: Path of a scene in TOML, or the name of a shipped one.
+        out: Folder for trajectory.npz and summary.json.
+        precision: Arithmetic of the solver; f32 unless given, or what the tolerance requires.
+        arch: Where to compute.
+        tolerance: Run at the cheapest resolution that was measured to keep front and profile within this, such as 2%.
+        every: Keep every so many frames only, and the last.
+        last_frame: Keep the last frame only.
+        fields: Record velocity, stress, pressure and plastic strain of every particle too, and forces on the walls.
+        until_rest: End when the deposit has come to rest; the frames that are left repeat the last one.
+        vtk: Write a series for ParaView to DIR/vtk too, with the fields.
+        forces: Write the force on each solid, and on floor and walls, over time too: DIR/forces.csv and DIR/forces.png.
+        hdf5: Write DIR/trajectory.h5 instead of trajectory.npz, frame by frame while the scene runs: positions need not
+            fit into memory, unless fields are recorded too.
+        safety: Find the factor by which the strength may be divided before the slope moves, in some twelve runs of the
+            scene on its cells, and write DIR/safety.json in place of a trajectory.
     """
-    # Imported here: --help needs no compiler.
-    from mpm.simulation import Interrupted, Options, simulate
-
     if safety:
         others = {"arch": arch != "cpu", "tolerance": tolerance, "every": every, "last-frame": last_frame}
         others |= {"fields": fields, "until-rest": until_rest, "vtk": vtk, "forces": forces, "hdf5": hdf5}
@@ -105,30 +93,52 @@ def command(
     appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
     with naming(Path(scene)):
         plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)
+    options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
+    return write_flow(given, out, plan, options, workers=workers, hdf5=hdf5, appended=appended, vtk=vtk, forces=forces)
+
+
+def write_flow(
+    scene: Scene,
+    out: Path,
+    plan: Footprint,
+    options: "Options",
+    *,
+    workers: int,
+    hdf5: bool,
+    appended: bool,
+    vtk: bool,
+    forces: bool,
+) -> int:
+    """Simulate a scene, from a checkpoint where there is one, and write what `command` says; returns the exit status.
+
+    appended: frame by frame, to HDF5.
+    """
+    # Imported here: --help needs no compiler.
+    from mpm.simulation import Interrupted, simulate
+
+    record, precision, arch = options["record"], options["precision"], options["arch"]
     file, frames = out / "checkpoint.npz", out / f"trajectory{HDF5}"
     start = Checkpoint.load(file) if file.exists() else None
-    if start is not None and start.run != described(given, record, precise):
+    if start is not None and start.run != described(scene, record, precision):
         print(f"talus: {file}: of another scene, recording or precision; beginning anew", file=sys.stderr)
         start = None
     if start is not None and frames.exists():
         start.arrays["positions"] = open_trajectory(frames).positions
-    work = plan.work * (1.0 if start is None else 1.0 - start.frame / max(1, given.frames - 1))
-    price = expected(
-        given, work, memory=plan.bytes, processors=workers, precision=precise, arch=arch, until_rest=until_rest
-    )
-    print(f"{plan}; {step_spoken(given)}; {price}", flush=True)
+    work = plan.work * (1.0 if start is None else 1.0 - start.frame / max(1, scene.frames - 1))
+    machine: dict[str, Any] = {"processors": workers, "precision": precision, "arch": arch}
+    price = expected(scene, work, memory=plan.bytes, until_rest=record.until_rest, **machine)
+    print(f"{plan}; {step_spoken(scene)}; {price}", flush=True)
     with ExitStack() as stack:
-        options: Options = {"arch": arch, "record": record, "precision": precise, "progress": True}
         if appended:
             options["file"] = stack.enter_context(FrameWriter(frames))
         stop = stack.enter_context(stopping())
         try:
-            trajectory = simulate(given, resume=start, stop=stop, **options)
+            trajectory = simulate(scene, resume=start, stop=stop, **options)
         except Interrupted as interrupted:
             if appended:
                 options["file"].put(**interrupted.so_far.arrays())
             interrupted.checkpoint.save(file)
-            end_time = given.frame_dt * interrupted.checkpoint.frame
+            end_time = scene.frame_dt * interrupted.checkpoint.frame
             print(f"talus: interrupted at t = {end_time:g} s; the same command goes on from {file}", file=sys.stderr)
             return stop.status
         except InputError as error:
@@ -146,6 +156,12 @@ def command(
             write_vtk(trajectory, out / "vtk", progress=True)
         if forces:
             print("\n".join(spoken(write_forces(trajectory, out))))
+    print_summary(summary, out)
+    return 0
+
+
+def print_summary(summary: Mapping[str, Any], out: Path) -> None:
+    """Where the flow came to rest, what it cost, how to look at it, and what must be known of it besides."""
     rate = summary["particles"] * summary["steps"] / summary["wall_s"] / 1.0e6
     rest = f"at rest after {summary['rest_time']:g} s, " if summary["rest_time"] is not None else ""
     print(
@@ -156,7 +172,6 @@ def command(
     print(f"python -m validation.view {out} shows it in a browser")
     for line in summary["remarks"]:
         print(f"talus: {line}", file=sys.stderr)
-    return 0
 
 
 def write_safety(scene: Scene, out: Path, precision: Precision) -> int:

@@ -21,7 +21,7 @@ from datasets import Baffle, Channel, Domain, Gate, Mass, Material, Scene, Solid
 from datasets.scene.grid_field import Field
 from datasets.scene.particles import initial_particles
 from datasets.schema import from_mapping
-from inverse.forward.adjoint import Run
+from inverse.forward.adjoint import AdjointRun
 from inverse.problem import read_problem
 from tests.breaking import PROBLEM, SCENE
 from tests.commands import DOCS, README, ROOT, blocks, commands, measured_pages, status, written_pages
@@ -135,7 +135,7 @@ def test_the_gradients_of_the_page_agree() -> None:
     scene = read_scene("column-tall-42")
     parameters = torch.tensor([42.0, float(scene.floor_friction)], dtype=torch.float64, requires_grad=True)
     # Both in one precision: slopes of one flow, not of two that part in their last bits.
-    positions, _ = Run(scene, ("friction_deg", "floor_friction"), precision="f64")(parameters)
+    positions, _ = AdjointRun(scene, ("friction_deg", "floor_friction"), precision="f64")(parameters)
     positions[-1, :, 0].mean().backward()
     assert positions[-1, :, 0].mean().item() == pytest.approx(names["value"], rel=1e-12)
     assert parameters.grad[1].item() == pytest.approx(names["slope"].setting("floor_friction"), rel=1e-9)

@@ -104,6 +104,9 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     if not coefficients:
         none |= np.isfinite(values) & (np.abs(values) >= NO_ELEVATION)
         none |= beyond_cliffs(np.where(none, np.nan, values), max(CLIFF, STEEP * max(transform.a, abs(transform.e))))
+    got = f"{raw_values[none][0]:g} and the like" if none.any() else "no data everywhere"
+    some = bool((np.isfinite(values) & ~none).any())
+    require(some, "", "coefficients" if coefficients else f"lengths in m, below {NO_ELEVATION:g}", got)
     if none.any():
         which = f"{int(none.sum())} values such as {raw_values[none][0]:g}"
         warnings.warn(f"{path}: {which} are taken as no data, which the file does not declare", stacklevel=2)
@@ -118,6 +121,15 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
         check_lengths(crs, float(x.mean()), float(z.mean()))
     spacing, corner = (float(transform.a), float(height)), (float(transform.c), float(south))
     return Raster(x, z, np.ascontiguousarray(values.T), spacing, corner, crs.to_string() if crs else None)
+
+
+def raster_system(path: Path) -> str | None:
+    """The reference system that a raster names, as an authority's code or in WKT. Raises InputError."""
+    file_size(path, "a raster", most=LARGEST)
+    with reading(path, "a readable raster"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with opened(path) as file:
+            return str(file.crs.to_string()) if file.crs else None
 
 
 @contextmanager

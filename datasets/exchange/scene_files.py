@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError, keyed, require
+from datasets.exchange.map_box import plan_around, posts_of, with_elevations
 from datasets.exchange.meshes import read_mesh
 from datasets.exchange.spreadsheet import read_columns
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats
@@ -35,13 +36,19 @@ def with_files(data: Entry, folder: Path) -> Entry:
     """
     if not isinstance(data.get("domain"), dict):
         return data
+    domain, new = data["domain"], dict(data)
     with keyed("domain"):
-        reader, new = Reader(from_mapping(Domain, data["domain"]), folder), dict(data)
+        if "around" in domain:
+            new["domain"] = domain = plan_around(domain, data.get("solids"), folder)
+        reader = Reader(from_mapping(Domain, domain), folder)
     for group in ("solids", "masses"):
         if isinstance(data.get(group), list):
             new[group] = [reader.complete(entry, f"{group}[{index}]") for index, entry in enumerate(data[group])]
+    if "around" in data["domain"]:
+        with keyed("domain"):
+            new["domain"] = with_elevations(domain, new)
     if reader.lower is not None and reader.crs is not None:
-        new["domain"] = {**data["domain"], "crs": reader.crs}
+        new["domain"] = {**new["domain"], "crs": reader.crs}
     return new
 
 
@@ -112,11 +119,10 @@ class Reader:
         raster = read_raster(path, coefficients=True)
         require(same_system(self.crs, raster), "", f"the reference system of the terrain, {self.crs}", raster.crs)
         shift = self.offset or (-raster.corner[0], -raster.corner[1])
-        shape = np.array(terrain.get("heights", [[]])).shape
-        ok = len(shape) == 2 and min(shape) > 1 and all(len(terrain.get(key, ())) == 2 for key in ("origin", "spacing"))
-        require(ok, "", "a terrain with heights on a grid beneath it", "none")
-        sides = zip(terrain["origin"], terrain["spacing"], shape, strict=True)
-        posts = [float(first) + step * np.arange(count) for first, step, count in sides]
+        ground = posts_of(terrain)
+        if ground is None:
+            raise InputError("expected a terrain with heights on a grid beneath it, got none")
+        posts, _ = ground
         grid = zip(posts, (raster.x, raster.z), shift, raster.spacing, strict=True)
         axes = [(post - moved - own[0]) / step for post, own, moved, step in grid]
         places = np.array(np.meshgrid(*axes, indexing="ij"))

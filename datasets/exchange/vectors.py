@@ -1,6 +1,7 @@
-"""Polygons from the vector files of a GIS by pyogrio: shapefile, GeoPackage, GeoJSON, KML."""
+"""Shapes from the vector files of a GIS by pyogrio: shapefile, GeoPackage, GeoJSON, KML."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from rasterio.errors import RasterioError
 from rasterio.warp import transform as reprojected
 from shapely import Polygon
 
-from datasets.errors import require
+from datasets.errors import naming, require
 from datasets.files import file_size, reading
 
 LARGEST = 2**28
@@ -24,6 +25,8 @@ BEGINNINGS = {
     ".kml": rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<kml",
 }
 """How files of these endings begin: GDAL goes by what is in them, and some formats name other files."""
+LAYER = "|layername="
+"""Between the name of a file and that of one of its layers, as QGIS has it."""
 MOST_DEGREES = 360.0
 """Coordinates beyond it are no degrees: GeoJSON without a reference system counts as degrees for GDAL."""
 
@@ -38,40 +41,72 @@ class Feature(NamedTuple):
 
 
 def read_polygons(path: Path, crs: str | None) -> list[Feature]:
-    """The polygons of a file, each of several in a feature by itself, in the reference system `crs`.
+    """The polygons of a file, each of several in a feature by itself, in the reference system `crs` (`read_shapes`)."""
+    found: dict[str, list[Feature]] = {}
+    for place, named, layer in read_shapes(path, crs, "polygons"):
+        polygons = [part for part in shapely.get_parts(place) if part.geom_type == "Polygon" and not part.is_empty]
+        found.setdefault(layer, []).extend(Feature(each, named) for each in polygons)
+    layers = [layer for layer, polygons in found.items() if polygons]
+    require(len(layers) > 0, "", "polygons", "none")
+    require(len(layers) == 1, "", f"polygons in one layer, or FILE{LAYER}NAME", f"them in {', '.join(layers)}")
+    features = found[layers[0]]
+    require(all(each.polygon.is_valid for each in features), "", "polygons that do not cross themselves", "others")
+    return features
 
-    crs: of the map, as an authority's code or in WKT; None of a map that names none, in which the file then is too. A
-    file that names none is in that of the map. Raises InputError.
+
+def read_bounds(path: Path, crs: str | None) -> tuple[float, float, float, float]:
+    """West, south, east and north end [m] of all polygons, lines and points of a file (`read_shapes`)."""
+    with naming(path):
+        found = shapely.total_bounds([place for place, *_ in read_shapes(path, crs, "polygons, lines or points")])
+        require(bool(np.isfinite(found).all()), "", "polygons, lines or points", "none")
+    west, south, east, north = map(float, found)
+    return west, south, east, north
+
+
+def read_shapes(path: Path, crs: str | None, what: str) -> list[tuple[shapely.Geometry, dict[str, Any], str]]:
+    """The shapes of a file, their attributes, names in lower case, and their layers, in the system `crs` in metres.
+
+    path: of the file, or of one layer of it as QGIS has it, FILE|layername=NAME. crs: of the map, as an authority's
+    code or in WKT; None of a map that names none, in which the file then is too. A file that names none is in that of
+    the map. Raises InputError.
     """
     import pyogrio
 
-    file_size(path, "polygons", most=LARGEST)
+    name, _, chosen = str(path).partition(LAYER)
+    path = Path(name)
+    file_size(path, what, most=LARGEST)
     pattern = BEGINNINGS.get(path.suffix.lower())
     require(pattern is not None, "", f"a file whose name ends in {' '.join(BEGINNINGS)}", repr(path.suffix))
     with path.open("rb") as raw:
         known = re.match(pattern or b"", raw.read(4096), re.DOTALL) is not None
     require(known, "", f"a file as its ending {path.suffix} says", "another one")
-    with reading(path, "polygons"):
-        described, _, shapes, values = pyogrio.raw.read(path.resolve(), force_2d=True)
+    with reading(path, what):
+        layers = [str(layer) for layer, kind in pyogrio.list_layers(path.resolve()) if kind is not None]
+    require(not chosen or chosen in layers, "", f"one of the layers {', '.join(layers)}", repr(chosen))
+    return [each for layer in ([chosen] if chosen else layers) for each in shapes_of(path, layer, crs, what)]
+
+
+def shapes_of(
+    path: Path, layer: str, crs: str | None, what: str
+) -> Iterator[tuple[shapely.Geometry, dict[str, Any], str]]:
+    """What `read_shapes` says of one layer."""
+    import pyogrio
+
+    with reading(path, what):
+        described, _, shapes, values = pyogrio.raw.read(path.resolve(), layer=layer, force_2d=True)
         places = shapely.from_wkb(shapes)
-    columns = {name.lower(): column for name, column in zip(described["fields"], values, strict=True)}
-    system, features = described["crs"], list[Feature]()
-    bounds = np.abs(shapely.total_bounds(places))
+    system, bounds = described["crs"], np.abs(shapely.total_bounds(places))
     degrees = system is not None and CRS.from_user_input(system).is_geographic
     unnamed = crs is None and path.suffix.lower() in (".geojson", ".json")
     if degrees and (unnamed or bool((bounds > MOST_DEGREES).any())):
         system, degrees = None, False
     require(crs is not None or not degrees, "", "metres, as the map without a reference system", "degrees")
-    for index, place in enumerate(places):
-        if system is not None and crs is not None and system != crs:
-            with reading(path, f"coordinates of {system} that lie in {crs}"):
-                place = shapely.transform(place, lambda rows: projected(rows, system, crs))
-        for part in shapely.get_parts(place):
-            if part.geom_type == "Polygon" and not part.is_empty:
-                features.append(Feature(part, {name: column[index] for name, column in columns.items()}))
-    require(bool(features), "", "polygons", "none")
-    require(all(each.polygon.is_valid for each in features), "", "polygons that do not cross themselves", "others")
-    return features
+    if system is not None and crs is not None and system != crs:
+        with reading(path, f"coordinates of {system} that lie in {crs}"):
+            places = shapely.transform(places, lambda rows: projected(rows, system, crs))
+    columns = {name.lower(): column for name, column in zip(described["fields"], values, strict=True)}
+    for number, place in enumerate(places):
+        yield place, {name: column[number] for name, column in columns.items()}, layer
 
 
 def projected(rows: Any, system: str, crs: str) -> Any:

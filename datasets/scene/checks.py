@@ -5,6 +5,8 @@ import math
 import warnings
 from typing import Any
 
+import numpy as np
+
 from datasets.errors import InputError, require
 from datasets.geometry.shapes import check_rows, check_solid, check_vector, usual
 from datasets.scene.grid_field import FRICTION, VELOCITIES
@@ -18,6 +20,8 @@ MOST_PARTICLES = 2**30
 MOST_FRAMES = 10_000_000
 MOST_BODIES = 4096
 """Masses, baffles and solids: each pair of them is compared."""
+TALL, STEEPEST = 2.0, 10.0
+"""Thickness of a layer over its length, and Coulomb coefficient, that look like another unit's."""
 LOST = 1.0e-6
 """Share of a layer that rounding may put beyond a side of the box."""
 SMALL_ANGLE = 3.0
@@ -250,6 +254,21 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
         if lost > LOST:
             beyond = f"{lost:.2g} of the layer lies beyond the sides of the box and is left out"
             warnings.warn(f"{key}: {beyond}", stacklevel=3)
+        thick, long = float(np.max(mass.thickness or 0.0)), max(mass.size[::2])
+        if mass.kind == "layer" and thick > TALL * long:
+            said = (
+                f"{thick:g} m is {thick / long:.2g} times the length of the layer; in cm it would be {thick / 100:g} m"
+            )
+            warnings.warn(f"{key}.thickness: {said}", stacklevel=3)
+    surfaces = {key: each.friction for key, each in keyed(scene, "baffles", "solids").items()}
+    surfaces |= {name: getattr(scene, name) for name in ("floor_friction", "wall_friction", "baffle_friction")}
+    for key, friction in surfaces.items():
+        # Of a raster its first row: there may be millions.
+        first = friction[0] if isinstance(friction, tuple) else friction
+        steep = 0.0 if first is None or isinstance(first, str) else float(np.max(first))
+        if STEEPEST < steep < 90.0:
+            angle = f"of an angle of {steep:g} degrees it is {math.tan(math.radians(steep)):.3g}"
+            warnings.warn(f"{key}: a friction of {steep:g} is a Coulomb coefficient; {angle}", stacklevel=3)
     own = {f"{key}.material": mass.material for key, mass in keyed(scene, "masses").items() if mass.material}
     for key, material in {"material": scene.material, **own}.items():
         lines = []

@@ -14,7 +14,7 @@ from gns.network.graph import Graph, radius_graph
 from gns.settings import GRAVITY, UP
 from gns.surroundings.forces import Moment
 from gns.surroundings.grid import CHANNELS, Stencil
-from gns.surroundings.state import Feature, columns
+from gns.surroundings.state import Input, columns
 
 DAMPING = 5.0
 """Factor that brings the coefficient of damping to the size of the other features [-]."""
@@ -43,36 +43,36 @@ def constants(x: Moment) -> Tensor:
     return torch.cat((own, conditions.of_particles(shared).expand(len(own), -1)), dim=1)
 
 
-CONSTANTS = {"friction, cohesion, floor, walls, damping, gravity": Feature(lambda s: 5 + s.dimension, constants)}
+CONSTANTS = {"friction, cohesion, floor, walls, damping, gravity": Input(lambda s: 5 + s.dimension, constants)}
 """Of a node, constant during a rollout: they also scale and shift the latents of each message-passing step."""
 
 NODES = {
-    "past displacements": Feature(
+    "past displacements": Input(
         lambda s: s.history * s.dimension,
         lambda x: (x.state.displacements / x.normalisation.displacement_scale).movedim(0, 1).flatten(1),
     ),
-    "their changes": Feature(
+    "their changes": Input(
         lambda s: (s.history - 1) * s.dimension,
         lambda x: (x.changes / x.normalisation.acceleration_scale).movedim(0, 1).flatten(1),
     ),
-    "solids within the radius": Feature(lambda s: 3 * s.dimension + 2, lambda x: x.solids),
-    "volume": Feature(lambda s: 1, lambda x: (x.conditions.volume / x.settings.particle_volume).unsqueeze(1) - 1.0),
+    "solids within the radius": Input(lambda s: 3 * s.dimension + 2, lambda x: x.solids),
+    "volume": Input(lambda s: 1, lambda x: (x.conditions.volume / x.settings.particle_volume).unsqueeze(1) - 1.0),
     **CONSTANTS,
-    "column on the grid": Feature(lambda s: columns(CHANNELS, s), lambda x: x.column),
-    "tractions of surfaces and damping": Feature(
+    "column on the grid": Input(lambda s: columns(CHANNELS, s), lambda x: x.column),
+    "tractions of surfaces and damping": Input(
         lambda s: 2 * s.dimension, lambda x: torch.cat((x.traction, x.damping), dim=1)
     ),
-    "cohesion over the weight above": Feature(lambda s: 1, lambda x: x.strength),
-    "forces of pressure and internal friction": Feature(lambda s: 2 * s.dimension, lambda x: x.internal),
-    "basal friction and damped motion": Feature(
+    "cohesion over the weight above": Input(lambda s: 1, lambda x: x.strength),
+    "forces of pressure and internal friction": Input(lambda s: 2 * s.dimension, lambda x: x.internal),
+    "basal friction and damped motion": Input(
         lambda s: 2 * s.dimension, lambda x: torch.cat((x.basal, x.damped), dim=1)
     ),
 }
 """Of a node, from a `Moment`."""
 
 EDGES = {
-    "offset over the radius": Feature(lambda s: s.dimension, lambda offset: offset),
-    "distance over the radius": Feature(
+    "offset over the radius": Input(lambda s: s.dimension, lambda offset: offset),
+    "distance over the radius": Input(
         lambda s: 1, lambda offset: (offset.square().sum(dim=1, keepdim=True) + SQUARE_FLOOR).sqrt()
     ),
 }

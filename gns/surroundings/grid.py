@@ -13,7 +13,7 @@ from torch import Tensor
 
 from gns.settings import UP
 from gns.surroundings.solids import Below, Boxes, rotated
-from gns.surroundings.state import Conditions, Feature, Ground
+from gns.surroundings.state import Conditions, Ground, Input
 
 REFERENCE_HEIGHT = 0.1
 """Unit of overburden and height [m]."""
@@ -188,8 +188,8 @@ def occupancy(stencil: Stencil, conditions: Conditions) -> Tensor:
 
 
 CHANNELS = {
-    "packing, overburden, height and slope of the column": Feature(lambda s: s.dimension + 2, column_features),
-    "share of the cell that is no room": Feature(lambda s: 1, occupancy),
+    "packing, overburden, height and slope of the column": Input(lambda s: s.dimension + 2, column_features),
+    "share of the cell that is no room": Input(lambda s: 1, occupancy),
 }
 """Of a node of the grid, from a stencil and the conditions."""
 

@@ -13,19 +13,19 @@ from gns.settings import ModelSettings
 from gns.surroundings.units import Units
 
 
-class Feature(NamedTuple):
+class Input(NamedTuple):
     """An input of the network: its number of columns, and these, scaled to about one [-], shape [rows, columns]."""
 
     count: Callable[[ModelSettings], int]
     compute: Callable[..., Tensor]
 
 
-def columns(features: Mapping[str, Feature], settings: ModelSettings) -> int:
+def columns(features: Mapping[str, Input], settings: ModelSettings) -> int:
     """Number of columns of `features`."""
     return sum(each.count(settings) for each in features.values())
 
 
-def computed(features: Mapping[str, Feature], *given: Any) -> Tensor:
+def computed(features: Mapping[str, Input], *given: Any) -> Tensor:
     """The columns of `features` beside each other in their order, each computed from what is `given`."""
     return torch.cat([each.compute(*given) for each in features.values()], dim=1)
 

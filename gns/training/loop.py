@@ -117,7 +117,7 @@ def fit(
             # Folders of a name are parts of one dataset.
             scenes.setdefault(path.name, []).extend(flow.scene for flow in some)
         simulator = Simulator(model, statistics(flows)) if begin is None else continued(begin, model, training)
-        run = Run(simulator.to(where), flows, training, out, seed)
+        run = TrainingRun(simulator.to(where), flows, training, out, seed)
         if resume:
             run.restore()
         provenance = {
@@ -165,7 +165,7 @@ def fit(
             print(f"{out / BEST}: {total} updates in all")
 
 
-class Run:
+class TrainingRun:
     """A training: the model and its average, the samples and their loss, the optimisers, and the position."""
 
     def __init__(

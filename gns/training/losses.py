@@ -7,7 +7,7 @@ resolve are far above s and count linearly only: they would drown the flow other
 
 | symbol | variable           | meaning                                    |
 | x, v   | `positions`        | of the model, and their differences        |
-| X, V   | `Batch.targets`    | of the MPM                                 |
+| X, V   | `SampleBatch.targets`    | of the MPM                                 |
 | s      | `scale`            | a share of the accelerations per step [m]  |
 """
 
@@ -21,7 +21,7 @@ from gns.network.features import NODES
 from gns.settings import TrainingSettings
 from gns.simulator import Simulator, step_activation_bytes, unroll
 from gns.surroundings.state import computed
-from gns.training.samples import Batch, Ends, Rollouts, measured
+from gns.training.samples import Ends, Rollouts, SampleBatch, measured
 
 MARGIN = 1.5
 """Some batches have more neighbours a particle than the one whose memory was measured."""
@@ -37,7 +37,7 @@ OF_ENDS = 0.3
 
 
 class UnrolledLoss(nn.Module):
-    """Batch to loss: the whole unroll is one `forward`, as DistributedDataParallel requires."""
+    """Samples to loss: the whole unroll is one `forward`, as DistributedDataParallel requires."""
 
     def __init__(self, simulator: Simulator, training: TrainingSettings) -> None:
         super().__init__()
@@ -45,7 +45,7 @@ class UnrolledLoss(nn.Module):
         self._particle_bytes = 0.0
         simulator.network.half_precision = half_precision()
 
-    def forward(self, batch: Batch) -> Tensor:
+    def forward(self, batch: SampleBatch) -> Tensor:
         """The loss of unrolling `batch` to its last target."""
         state, conditions, particles = batch.state, batch.conditions, len(batch.state.positions)
         if not self._particle_bytes:

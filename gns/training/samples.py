@@ -1,4 +1,4 @@
-"""Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `Batch`."""
+"""Samples of the datasets for a training: drawn, thinned, turned, and side by side as a `SampleBatch`."""
 
 import math
 from collections.abc import Sequence
@@ -125,7 +125,7 @@ def flow_of(path: Path, settings: ModelSettings) -> Flow:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch(Tensors):
+class SampleBatch(Tensors):
     """Samples side by side in the units of the model: their starts, what stays constant, where they should lead."""
 
     state: State
@@ -134,7 +134,7 @@ class Batch(Tensors):
     """Positions after each of the coming steps [m], shape [K, N, D]."""
 
 
-def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> Batch:
+def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: np.random.Generator) -> SampleBatch:
     """A sample: the stretch of a flow with `steps` targets after index `now`; rng: which particles stay (`thin`)."""
     cell, kept, known = flow.units.length * settings.cell, settings.particles_per_cell, flow.conditions
     particles, volumes = thin(flow.positions[0], flow.volume, cell=cell, kept=kept, rng=rng)
@@ -146,12 +146,12 @@ def stretch(flow: Flow, settings: ModelSettings, *, now: int, steps: int, rng: n
     )
     state = State.observed(given, velocity0, step=flow.step, history=settings.history)
     state, conditions = in_model_units(state, conditions)
-    return Batch(state=state, conditions=conditions, targets=frames[now + 1 - first :] / flow.units.length)
+    return SampleBatch(state=state, conditions=conditions, targets=frames[now + 1 - first :] / flow.units.length)
 
 
-def batched(samples: Sequence[Batch]) -> Batch:
+def batched(samples: Sequence[SampleBatch]) -> SampleBatch:
     """Join samples; they have equally many targets."""
-    return Batch(
+    return SampleBatch(
         state=State.joined([each.state for each in samples]),
         conditions=Conditions.joined([each.conditions for each in samples]),
         targets=torch.cat([each.targets for each in samples], dim=1),
@@ -166,11 +166,11 @@ class Sampler:
         shares = np.array(training.shares or [1.0] * len(datasets))
         self._shares = shares / shares.sum()
 
-    def batch(self, steps: int, rng: np.random.Generator) -> Batch:
+    def batch(self, steps: int, rng: np.random.Generator) -> SampleBatch:
         """Samples with `steps` targets, side by side."""
         return batched([self.sample(steps, rng) for _ in range(self._training.batch)])
 
-    def sample(self, steps: int, rng: np.random.Generator) -> Batch:
+    def sample(self, steps: int, rng: np.random.Generator) -> SampleBatch:
         """A sample with `steps` targets."""
         dataset, index = self._drawn(rng)
         flow = self._datasets[dataset][index]
@@ -197,8 +197,8 @@ class Sampler:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ends(Batch):
-    """Batch of rollouts by a model, from their starts to some end; the target is where the MPM's flow is then."""
+class Ends(SampleBatch):
+    """A batch of rollouts by a model, from their starts to some end; the target is where the MPM's flow is then."""
 
     end: State
     whole: Tensor
@@ -272,7 +272,7 @@ def measured(positions: Tensor, volume: Tensor) -> Tensor:
     return torch.cat(found).view(-1, 2 + measures.SHARES)
 
 
-def turned(sample: Batch, rng: np.random.Generator) -> Batch:
+def turned(sample: SampleBatch, rng: np.random.Generator) -> SampleBatch:
     """The sample in a random one of the symmetries of its box."""
     axes = sample.targets.shape[2]
     for axis in range(0, axes, 2):
@@ -281,7 +281,7 @@ def turned(sample: Batch, rng: np.random.Generator) -> Batch:
     return reflected(sample, None) if axes == 3 and rng.random() < 0.5 else sample
 
 
-def reflected(sample: Batch, axis: int | None) -> Batch:
+def reflected(sample: SampleBatch, axis: int | None) -> SampleBatch:
     """The same flow in a mirror: along a level `axis`, or in 3D, where that is None, with x and z exchanged."""
     around, ground = sample.conditions, sample.conditions.ground
     order, flip, origin = list(range(around.size.shape[1])), torch.ones_like(around.size[0]), 0.0 * around.size[0]

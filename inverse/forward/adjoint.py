@@ -25,7 +25,7 @@ from mpm.adjoint.gradient import Gradient, pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, steady
 
 
-class Flow(NamedTuple):
+class AdjointFlow(NamedTuple):
     """What a run is observed by, at T frames."""
 
     positions: Tensor
@@ -36,7 +36,7 @@ class Flow(NamedTuple):
     """Momentum that each solid has taken since the start [N s], in 2D per metre of width, shape [T, solids, D]."""
 
 
-class Run:
+class AdjointRun:
     """A run as a function of parameters of its scene (`inverse.parameters`), with checkpoints.
 
     frames: those that it returns, the last unless given. Options and errors as `mpm.adjoint.tape.Tape`, in single
@@ -57,12 +57,12 @@ class Run:
         flow = self.flow(parameters)
         return flow.positions, flow.velocities
 
-    def flow(self, parameters: Tensor) -> Flow:
+    def flow(self, parameters: Tensor) -> AdjointFlow:
         """All that is observed at the frames, of parameters [U]."""
         (flow,) = self.flows(parameters, [self.scene.seed])
         return flow
 
-    def flows(self, parameters: Tensor, seeds: Sequence[int]) -> list[Flow]:
+    def flows(self, parameters: Tensor, seeds: Sequence[int]) -> list[AdjointFlow]:
         """The same for several jitter seeds, side by side: a mean over seeds is smoother in the parameters."""
         values = parameters.detach().numpy().astype(np.float64)
         scene = steady(with_kinds(self.scene, self.kinds, values))
@@ -72,7 +72,7 @@ class Run:
 
         tape = Tape([dataclasses.replace(scene, seed=seed) for seed in seeds], self.frames, **self.options)
         found = _Flow.apply(tape, slopes, parameters)  # type: ignore[no-untyped-call]
-        return [Flow(*found[first : first + 3]) for first in range(0, len(found), 3)]
+        return [AdjointFlow(*found[first : first + 3]) for first in range(0, len(found), 3)]
 
 
 def derivatives(gradient: Gradient, kinds: Sequence[Kind], values: Vector, scene: Scene) -> Vector:
@@ -119,12 +119,12 @@ class AdjointForward(MpmForward):
     """The MPM, differentiable; its observation is the smooth one of the last frame or, over time, of all frames."""
 
     def __init__(self, problem: Problem, observation: Observation, simulate: Simulate, **options: Any) -> None:
-        """options: of `Run`."""
+        """options: of `AdjointRun`."""
         super().__init__(problem, observation, simulate)
         scene = problem.scene
         require("time_offset" not in problem.names, "unknowns", "numbers of the scene for the adjoint", "time_offset")
         frames = range(scene.frames) if observation.over_time else (0, scene.frames - 1)
-        self.run = Run(scene, problem.names, frames=[*frames], **options)
+        self.run = AdjointRun(scene, problem.names, frames=[*frames], **options)
         self.times = np.array(self.run.frames) * scene.frame_dt
 
     def predict(self, parameters: Tensor, /) -> Tensor:

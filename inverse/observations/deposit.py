@@ -178,7 +178,7 @@ class PassedSettings(ObservationSettings):
     places: ClassVar = {"line": 0}
 
 
-class Deposit(Observation):
+class FinalPositions(Observation):
     """The final position of every particle followed, N D numbers; the misfit is the paper's mean |p - p_target|^2."""
 
     kind = "deposit"
@@ -204,7 +204,7 @@ class Deposit(Observation):
 
 @dataclass(frozen=True, kw_only=True)
 class DepositSettings(ObservationSettings):
-    """Of `Deposit`, whose numbers are those of a twin or a trajectory."""
+    """Of `FinalPositions`, whose numbers are those of a twin or a trajectory."""
 
-    operator_type = Deposit
+    operator_type = FinalPositions
     robust = False

@@ -1,5 +1,6 @@
 """What a camera or a radar records of a moving flow: when it arrives at a place, and how fast it moves there."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -8,6 +9,7 @@ import torch
 from torch import Tensor
 
 from datasets.errors import require
+from datasets.geometry.placement import corners
 from datasets.scene import Scene
 from inverse.observations.gauges import SPACING, Gauges
 from inverse.observations.measured_profile import require_inside
@@ -120,12 +122,14 @@ class Speed(SmoothObservation):
         v = sum_p w_p V_p |x_p(t + T/2) - x_p(t - T/2)| / T / max(sum_p w_p V_p, V_0),    T = `window`
 
     V are the volumes of the particles, of masses in proportion; w is 1 in the region and falls to 0 over a cell at its
-    edges; V_0 is half a layer of particles. At the start and the end of the flow T is what there is of it.
+    edges; V_0 is half a layer of particles over the region, which counts as no longer and wider than all masses at the
+    start: a flow is narrower than its box. At the start and the end of the flow T is what there is of it.
     """
 
     kind = "speed"
     label = "the speed of the flow at a place"
     unit = "m/s"
+    limits = (0.0, math.inf)
     over_time = True
 
     def __init__(
@@ -133,6 +137,8 @@ class Speed(SmoothObservation):
     ) -> None:
         super().__init__(scene, times)
         cell, self.window, area = scene.domain.cell, window or scene.frame_dt, 1.0
+        lower, upper = corners(scene.masses)
+        released = upper.max(axis=0) - lower.min(axis=0)
         require(0.0 < self.window <= scene.duration, "window", f"a time in (0, {scene.duration:g}] s", window)
         require(z is None or scene.dimension == 3, "z", "none in 2D", z)
         self.sides: list[tuple[int, float, float]] = []
@@ -144,7 +150,7 @@ class Speed(SmoothObservation):
                 require(held, key, expected, list(ends))
                 self.sides.append((axis, ends[0], ends[1]))
                 length = ends[1] - ends[0]
-            area *= length
+            area *= min(length, float(released[axis])) if axis < scene.dimension else length
         self.least = LAYER * scene.particle_spacing * area
 
     def predict(self, rollout: Rollout) -> Tensor:

@@ -25,6 +25,8 @@ Values = NDArray[np.float64]
 Numbers = Sequence[float] | None
 """As settings have them."""
 
+LONG = 1.0e4
+"""Numbers from here on are written without decimals."""
 SCATTER_CELLS = 0.25
 """Standard deviation of a length from flow to flow, before an ensemble has measured it, in cells."""
 
@@ -150,11 +152,12 @@ class Observation:
         """The numbers in words."""
         if len(values) > 3:
             return f"{len(values)} numbers"
-        return f"{', '.join(f'{value:.4f}' for value in values)} {self.unit}".strip()
+        return f"{', '.join(f'{v:.4f}' if abs(v) < LONG else f'{v:.6g}' for v in values)} {self.unit}".strip()
 
     def root_text(self, root: float) -> str:
         """A root mean square of changes of the numbers in words."""
-        factor, unit = {"m": (1e3, "mm"), "": (100.0, "%")}.get(self.unit, (1.0, self.unit))
+        small = {"m": (1e3, "mm"), "": (100.0, "%")}
+        factor, unit = (1.0, self.unit) if root >= 1.0 and self.unit else small.get(self.unit, (1.0, self.unit))
         return f"{factor * root:.3g} {unit}"
 
 

@@ -7,6 +7,7 @@ plan`) is `thickness`. As that changes by dh, the boundary moves outwards by dh 
 """
 
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +37,8 @@ POINTS = (8, 64)
 """Along the observed boundary, two cells apart or more: at least and at most."""
 ISLAND = 0.05
 """Area over the largest part's, below which a part of the model's deposit is some particles that rolled on."""
+THICK = 0.2
+"""Of the least thickness released: a default of `thickness` beyond it, in large cells, is said."""
 TVERSKY = (0.3, 0.7)
 """Weights of what the model alone covers, and of what it misses, which is worse."""
 
@@ -156,6 +159,8 @@ class OutlineSettings(LengthsSettings):
         for key in ("thickness", "length"):
             given = getattr(self, key)
             require(given is None or given > 0.0, key, "a length above 0 m", given)
+        far = self.values is not None or self.directions_deg is not None or Noise.stated(self.noise).share == 0.0
+        require(far, "noise", "a distance in m for an outline", self.noise)
 
     def operator(self, scene: Scene) -> Observation:
         require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
@@ -168,7 +173,7 @@ class OutlineSettings(LengthsSettings):
         if self.values is not None:
             return super().read(scene, folder, released)
         require(scene.dimension == 3, "kind", "a scene in 3D for an outline", f"{scene.dimension}D")
-        path, (corner, crs) = folder / str(self.csv or self.file), map_corner(scene)
+        path, (corner, crs), thickness = folder / str(self.csv or self.file), map_corner(scene), self.thickness
         with naming(path):
             if self.csv is not None:
                 corner = (float(scene.domain.corner[0]), float(scene.domain.corner[2]))
@@ -178,15 +183,27 @@ class OutlineSettings(LengthsSettings):
                 )
             else:
                 features = read_polygons(path, crs)
-                # Our own file has what the flow covered beside the deposit.
+                # Our own file has what the flow covered beside the deposit, for each threshold.
                 deposit = [each for each in features if each.attributes.get("name") == "deposit"]
+                levels = sorted({float(each.attributes.get("threshold_m", 0.0)) for each in deposit} - {0.0})
+                if levels:
+                    thickness = levels[0] if thickness is None else thickness
+                    known = ", ".join(f"{level:g}" for level in levels)
+                    require(thickness in levels, "thickness", f"one of the file's, {known}", thickness)
+                    deposit = [each for each in deposit if each.attributes["threshold_m"] == thickness]
                 polygons = [each.polygon for each in deposit or features]
             region = shapely.transform(shapely.union_all(polygons), lambda rows: rows - corner)
             box = shapely.box(0.0, 0.0, *scene.domain.size[::2])
             if not box.buffer(1e-6 * max(scene.domain.size)).contains(region):
                 got = ", ".join(f"{each:.6g}" for each in region.bounds)
                 raise InputError(f"expected an outline within the box, got x and z from its corner from {got} m")
-        return self.around(Boundary(scene, region, self.thickness))
+        operator = Boundary(scene, region, thickness)
+        if thickness is None and operator.thickness > THICK * min(map(least_thickness, scene.masses)):
+            said = (
+                f"the model's outline is where it is {operator.thickness:.2g} m thick; `thickness` says what was mapped"
+            )
+            warnings.warn(f"{path}: {said}", stacklevel=2)
+        return self.around(operator)
 
     def of_run(self, scene: Scene, run: Trajectory) -> Target:
         operator = self.operator(scene)
@@ -200,7 +217,6 @@ class OutlineSettings(LengthsSettings):
     def around(self, operator: Boundary) -> Target:
         """The target of an observed boundary: no distance from it, with the stated errors."""
         values = np.zeros(operator.count)
-        require(Noise.stated(self.noise).share == 0.0, "noise", "a distance in m for an outline", self.noise)
         deviation = Noise.stated(self.noise).of(values)
         errors = Covariance.correlated(deviation, shapely.get_coordinates(operator.points), self.length)
         return Target(observation=operator, values=values, errors=errors)

@@ -8,6 +8,7 @@ normal to the ground, and n_y |g| / (-n . g) for a vertical one, along gravity.
 """
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +21,10 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 from torch import Tensor
 
 from datasets.errors import naming, require
+from datasets.exchange.points import ENDINGS, read_points
 from datasets.exchange.rasters import Raster, read_raster, same_system
 from datasets.flow.trajectory import Trajectory
-from datasets.geometry.ground import slopes_in_plan
+from datasets.geometry.ground import elevation, slopes_in_plan
 from datasets.maps import map_corner
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats, Grid
@@ -37,6 +39,10 @@ AROUND = 0.25
 """Distance from the deposit, over the root of its area, up to which bare cells count: more would hide a misfit."""
 TOO_MUCH = 2.0
 """Volume of a deposit over the released one that another unit makes, or another scene."""
+OPEN = 0.5
+"""Share of the cells around a deposit without data that is said: a model that goes beyond would not be seen."""
+SUNKEN = 0.1
+"""Depth of a survey beneath the terrain, in cells, that is said."""
 
 
 def plan_grid(scene: Scene, cell: float) -> Grid:
@@ -114,9 +120,10 @@ class ThicknessSettings(ObservationSettings):
     """Of `Thickness`."""
 
     file: str | None = None
-    """A raster (GeoTIFF or .asc) of thicknesses [m], in the map coordinates of the scene."""
+    """A raster of thicknesses [m], or points of a survey of the surface (`datasets.exchange.points`), in the map
+    coordinates of the scene."""
     cell: float | None = None
-    """Of a twin or a trajectory: edge of the cells [m]; the scene's where absent."""
+    """Of a survey, a twin or a trajectory: edge of the cells [m]; the scene's where absent."""
     peak: bool = False
     """Whether they are the largest over time, not those of the deposit."""
     direction: Literal["normal", "vertical"] = "normal"
@@ -132,7 +139,8 @@ class ThicknessSettings(ObservationSettings):
         for key in ("cell", "length"):
             given = getattr(self, key)
             require(given is None or given > 0.0, key, "a length above 0 m", given)
-        require(self.file is None or self.cell is None, "cell", "none beside a raster, which has its own", self.cell)
+        own = self.file is None or Path(self.file).suffix.lower() in ENDINGS or self.cell is None
+        require(own, "cell", "none beside a raster, which has its own", self.cell)
 
     def operator(self, scene: Scene) -> Thickness:
         grid = plan_grid(scene, max(self.cell or 0.0, scene.domain.cell))
@@ -147,16 +155,41 @@ class ThicknessSettings(ObservationSettings):
         require(scene.dimension == 3, "kind", "a scene in 3D", f"{scene.dimension}D")
         path, (corner, crs) = folder / str(self.file), map_corner(scene)
         with naming(path):
-            raster = read_raster(path)
-            require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
-            grid, values = blocks(raster, corner, scene)
+            if path.suffix.lower() in ENDINGS:
+                grid, values = self.surveyed(scene, path)
+            else:
+                raster = read_raster(path)
+                require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
+                grid, values = blocks(raster, corner, scene)
             if released is not None and not self.peak:
                 volume = float(np.nansum(values / factors(scene, grid, self.direction)) * math.prod(grid.spacing))
                 most = TOO_MUCH * released * scene.domain.size[2]
                 require(
                     volume <= most, "", f"a volume of at most {most:.4g} m^3, twice the released one", f"{volume:.4g}"
                 )
-        return self.measured(scene, grid, values)
+            return self.measured(scene, grid, values)
+
+    def surveyed(self, scene: Scene, path: Path) -> tuple[Grid, Values]:
+        """Cells, and the thickness [m] of what the points of a survey show above the ground in each [K].
+
+        The mean over the points of a cell of their elevation above the terrain, NaN without points; where it is below
+        twice the noise, the ground is bare.
+        """
+        (corner, crs), grid = map_corner(scene), self.operator(scene).grid
+        low, sides = np.array(corner), np.array(scene.domain.size[::2])
+        points = read_points(path, crs, low, low + sides)
+        plan = points[:, :2] - low
+        above = points[:, 2] - scene.domain.corner[1] - elevation(scene.solids, scene.domain, plan)
+        column, row = np.minimum((plan / np.array(grid.spacing)).astype(int), np.array(grid.nodes) - 1).T
+        cell, deviation = column * grid.nodes[1] + row, Noise.stated(self.noise).deviation
+        counts, sums = np.bincount(cell, minlength=grid.count), np.bincount(cell, above, grid.count)
+        values = np.divide(sums, counts, out=np.full(grid.count, np.nan), where=counts > 0)
+        deep = float(np.nanmedian(values))
+        if deep < -max(2.0 * deviation, SUNKEN * scene.domain.cell):
+            said = f"half of the survey lies {-deep:.2g} m or more beneath the terrain of the scene: another datum?"
+            warnings.warn(f"{path}: {said}", stacklevel=2)
+        values[values < 2.0 * deviation] = 0.0
+        return grid, values * factors(scene, grid, self.direction)
 
     def of_run(self, scene: Scene, run: Trajectory) -> Target:
         whole = self.operator(scene)
@@ -166,6 +199,11 @@ class ThicknessSettings(ObservationSettings):
         """The target of values [m] in the cells of `grid` [K], NaN where there are none; cells around them count."""
         covered = (np.nan_to_num(values) > 0.0).reshape(grid.nodes)
         require(bool(covered.any()), "", "a thickness above 0 m in the box", "none")
+        beside = binary_dilation(covered, np.ones((3, 3))) & ~covered
+        unknown = float(np.isnan(values.reshape(grid.nodes)[beside]).mean()) if beside.any() else 0.0
+        if unknown > OPEN:
+            said = f"{unknown:.0%} of the cells around the deposit have no data and are not compared; 0 is bare ground"
+            warnings.warn(said, stacklevel=2)
         apart = distance_transform_edt(~covered, sampling=grid.spacing)
         reach = max(2.0 * max(grid.spacing), AROUND * math.sqrt(covered.sum() * math.prod(grid.spacing)))
         cells = np.flatnonzero((apart <= reach).ravel() & np.isfinite(values))

@@ -93,7 +93,7 @@ class UnknownField:
             # Close beside a bound rounding leaves no band.
             require(ends[0] < stated < ends[1], "deviation", f"one from {ends[0]:.3g} to {ends[1]:.3g}", stated)
             deviation = brentq(lambda width: self.deviation(np.zeros(1), width)[0] - stated, 1e-9, WIDEST)
-        self.prior = Prior(self.grid, deviation, lengths)
+        self.prior = FieldPrior(self.grid, deviation, lengths)
         particles = initial_particles(scene)
         own = np.full(len(particles.mass), True) if settings.mass is None else particles.mass == settings.mass
         self.inside: NDArray[np.bool_] = self.grid.weights(particles.positions).T @ own.astype(np.float64) > 0.0
@@ -186,7 +186,7 @@ def check_size(key: str, nodes: Floats) -> None:
     require_memory(BYTES * COLUMNS * count, "an unknown field", f"{count:.3g} nodes are too many", key=key)
 
 
-class Prior:
+class FieldPrior:
     """A Gaussian field of mean 0 on the K nodes of a grid, as a linear function of W independent normal numbers."""
 
     def __init__(self, grid: Grid, deviation: float, lengths: Sequence[float]) -> None:

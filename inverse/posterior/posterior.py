@@ -14,9 +14,9 @@
 | pi | `Likelihood.in_regime` | probability that flows at v are such as the target's, where regimes are parted |
 | p(v) | `Likelihood.log_prior` | prior, uniform between the bounds unless one is stated |
 
-Runs exclude, no prior does: what an emulator has excluded stays so, and runs around the rest alone make the
-next one, which is simpler there (history matching in waves: Vernon, Goldstein & Bower, Galaxy formation: a Bayesian
-uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
+Only runs exclude parameters, a prior never does. What an emulator has excluded stays excluded, and the runs around the
+rest alone make the next emulator, which is simpler there (history matching in waves: Vernon, Goldstein & Bower, Galaxy
+formation: a Bayesian uncertainty analysis, Bayesian Anal. 5 (2010) 619-670).
 
 A cohesive column stands or falls. The emulator is of one such regime alone where that predicts its runs far better
 (Gramacy & Lee, Bayesian treed Gaussian process models with an application to computer modeling, J. Am. Stat. Assoc. 103

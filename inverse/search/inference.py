@@ -2,7 +2,7 @@
 
 Runs of a forward model go where they narrow the posterior most, until more of them would hardly narrow it: the emulator
 of all runs around the posterior so far, its posterior, and runs where the emulator's variance hides most of it
-(`inverse.posterior`). A wave costs seconds, so that none is too many.
+(`inverse.posterior`). A wave costs only seconds beside its runs.
 """
 
 from dataclasses import dataclass, replace

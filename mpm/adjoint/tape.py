@@ -23,8 +23,8 @@ from mpm.adjoint.kernel import kernel as adjoint_kernel
 from mpm.adjoint.layout import Layout
 from mpm.arrays.batch import Batch, aligned, particles_of, put_vectors
 from mpm.arrays.features import Features, features_of
+from mpm.arrays.kernel_arguments import ADJOINT, STEP, arguments
 from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, TerrainNumber, Worker
-from mpm.arrays.table import ADJOINT, STEP, arguments
 from mpm.kernel import compute
 from mpm.output.outcome import failure
 from mpm.output.recording import LAST
@@ -257,9 +257,8 @@ class Tape:
         batch, features, layout = self.batch, self.features, self.layout
         real, lanes = batch.state.dtype, features.lanes
         history = aligned((int(self.steps.max()) + 1, len(batch.state), layout.history, lanes), real)
-        if history.size >= INDEX_LIMIT:
-            expected = "expected fewer particles or observed frames"
-            raise InputError(f"{expected}: {history.size} numbers in a segment, of at most 2^30")
+        fits, expected = history.size < INDEX_LIMIT, "fewer particles or observed frames"
+        require(fits, "", expected, f"{history.size} numbers in a segment, of at most 2^30")
         shared: dict[str, Any] = self.nodes() | {
             "history": history,
             "step_times": np.zeros((len(batch.scenes), len(history)), real),
@@ -317,10 +316,10 @@ class Tape:
         shares = [own["cuts"][:, 1] / steps for own in objectives]
         for index, share in enumerate(np.max(shares, axis=0)):
             if share > MOST_CUT:
-                step_fraction = batch.scenes[index].step_fraction
+                fraction = batch.scenes[index].step_fraction
                 raise WorkFailed(
                     f"the gradient of scene {index} grows without bound: {100.0 * share:.2g} % of all adjoints were "
-                    f"cut, of single particles that swing; try a step_fraction below {step_fraction:g}"
+                    f"cut, of single particles that swing; try a step_fraction below {fraction:g}"
                 )
         for own, share in zip(objectives, shares, strict=True):
             own["cut"], own["settings"] = share, np.zeros((len(batch.scenes), len(Setting)))

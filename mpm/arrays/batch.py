@@ -12,6 +12,7 @@ from datasets.flow.array_files import FrameWriter
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.scene.particles import Particles, initial_particles
 from mpm.arrays.features import NODE, features_of
+from mpm.arrays.kernel_arguments import DEVICE, RECORD, STEP, arguments
 from mpm.arrays.layout import (
     ALIGNMENT,
     FIRST_FACE,
@@ -43,7 +44,6 @@ from mpm.arrays.properties import (
     settings_row,
     substeps_per_frame,
 )
-from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
 from mpm.initial.barriers import barrier_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.output.recording import ALL, Recording, window_frames
@@ -82,7 +82,6 @@ class Batch:
         self.features = features_of(scenes, precision, record=record, shared=workers > 1, gpu=gpu)
         features, lanes = self.features, self.features.lanes
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
-
         pairs = list(zip(scenes, self.particles, strict=True))
         self.settings = in_precision([settings_row(s, p) for s, p in pairs], [*Setting], real)
         rows = [properties_row(material, float(p.volume[0])) for p in self.particles for material in p.materials]
@@ -141,16 +140,23 @@ class Batch:
         self.make_grid()
         if gpu:
             self.hold_box()
+        self.scratch = aligned((scratch, lanes), real)
+        self.impulse = aligned((max(impulse, 1), lanes), real)
+        self.make_record(recorded, line, recorded_impulse)
+        for index in range(len(scenes)):
+            self.fill(index)
+
+    def make_record(self, positions: int, frames: int, impulses: int) -> None:
+        """What a run keeps besides the state, with room for so many positions, frames and impulses of all scenes."""
+        scenes, features, real = self.scenes, self.features, self.state.dtype
         counts = [len(particles.positions) for particles in self.particles]
-        self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
+        self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if features.processor.gpu else 0)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
         kept = terrain_kept(scenes, self.offsets, self.workers, features, real)
         self.column_heights, self.kept_columns, self.kept_holds = kept
-        self.scratch = aligned((scratch, lanes), real)
-        self.impulse = aligned((max(impulse, 1), lanes), real)
-        self.positions = np.zeros(max(recorded * features.dimension, 1), np.float32)
-        self.energy = np.zeros((line, len(Energy)), np.float64)
-        self.recorded_impulse = np.zeros((max(recorded_impulse, 1), features.dimension), np.float64)
+        self.positions = np.zeros(max(positions * features.dimension, 1), np.float32)
+        self.energy = np.zeros((frames, len(Energy)), np.float64)
+        self.recorded_impulse = np.zeros((max(impulses, 1), features.dimension), np.float64)
         self.arrivals = np.zeros(len(self.workers), np.int32)
         """How often each thread has waited for the others; one entry for each thread of a call."""
         self.computed = 0
@@ -158,8 +164,6 @@ class Batch:
         """Of each scene what is kept of its particles by name, positions and fields, shape [T, N, ...] each."""
         self.staged = np.zeros((len(scenes), max(1, *(len(each.stages) for each in scenes))), np.int32)
         """The frame in which each stage of each scene began, 0 where it has not."""
-        for index in range(len(scenes)):
-            self.fill(index)
 
     def make_grid(self) -> None:
         """A grid with as many nodes as the workers have room for. Raises InputError for more than can be counted."""

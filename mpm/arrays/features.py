@@ -56,7 +56,7 @@ class Recorded:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Processor:
+class Hardware:
     """What computes."""
 
     gpu: bool = False
@@ -107,7 +107,7 @@ class Features:
     gates: bool = False
     """Barriers rise when they open."""
     recorded: Recorded = Recorded()
-    processor: Processor = Processor()
+    processor: Hardware = Hardware()
 
     _data_oriented: ClassVar[bool] = True
     """As of `Addresses`."""
@@ -243,7 +243,7 @@ def features_of(
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
         recorded=Recorded(strain=record.fields, walls=record.wall_forces, until_rest=record.until_rest),
-        processor=Processor(
+        processor=Hardware(
             gpu=gpu,
             shared=shared,
             prefetch=not gpu and any(s.dimension == 3 and particle_count(s) >= PREFETCHED for s in scenes),

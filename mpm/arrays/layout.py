@@ -27,7 +27,7 @@ GROWTH = 1.5
 """Nodes for which a worker that has too few gets room, over those it needs."""
 
 
-class Column(IntEnum):
+class TableColumn(IntEnum):
     """Counts from zero."""
 
     @staticmethod
@@ -35,7 +35,7 @@ class Column(IntEnum):
         return count
 
 
-class Setting(Column):
+class Setting(TableColumn):
     """Columns of `settings`, real, shape [scenes, len(Setting)]."""
 
     CELL = auto()  # [m]
@@ -56,7 +56,7 @@ class Setting(Column):
     REST_ENERGY = auto()  # kinetic energy that counts as none [J, per metre of width in 2D]
 
 
-class Property(Column):
+class Property(TableColumn):
     """First columns of `properties`, real, shape [scenes, columns]; of each particle where scenes are heterogeneous.
 
     Those of the material's law follow (`mpm.laws`).
@@ -74,7 +74,7 @@ FRAMES_PER_CALL = 20
 """Frames of one call of the kernel at most; after each the progress bar moves and a run can be stopped."""
 
 
-class Offset(Column):
+class Offset(TableColumn):
     """Columns of `offsets`, integers, shape [scenes, len(Offset)]: where a scene lies in the flat arrays; counters."""
 
     BLOCK = auto()  # its first block of particles
@@ -111,7 +111,7 @@ class Offset(Column):
     RETAINED_COUNT = auto()  # how many
 
 
-class Contact(Column):
+class Contact(TableColumn):
     """Vectors of a block that describe the contact of its particles with solids (`mpm.physics.contact`)."""
 
     DELTA = auto()  # delta_h of the distance [1/m]
@@ -127,7 +127,7 @@ FIRST_FACE = 2**24
 on either side of zero."""
 
 
-class TerrainNumber(Column):
+class TerrainNumber(TableColumn):
     """The first numbers of a height field in `terrain`; x and z of its posts follow, their heights, their friction."""
 
     X, PER_X = auto(), auto()  # of the first evenly spaced post [m], posts per length [1/m]
@@ -143,7 +143,7 @@ KEPT_NUMBERS = 5
 """Of each its share, its friction and its normal."""
 
 
-class Worker(Column):
+class Worker(TableColumn):
     """Columns of `workers`, integers, shape [workers, len(Worker)]: the part of a scene that one thread computes."""
 
     SCENE = auto()
@@ -161,7 +161,7 @@ class Worker(Column):
     NEXT_GROUP = auto()  # the one to be used next, from its first
 
 
-class Span(Column):
+class Span(TableColumn):
     """Columns of `spans`, integers, shape [columns of nodes of all workers, len(Span)]: see `mpm.physics.columns`."""
 
     LOW, HIGH = auto(), auto()  # the nodes of a column that are in use, [low, high); high is 0 where it is not
@@ -171,7 +171,7 @@ class Span(Column):
     OCCUPIED = auto()  # line n: the n-th column of cells that holds particles
 
 
-class Look(Column):
+class Look(TableColumn):
     """What one look at a height field leaves of each particle in the scratch (`mpm.physics.contact_search`)."""
 
     PLACE = 0  # where it looks from, x and then its foot [m]
@@ -183,7 +183,7 @@ class Look(Column):
     SIZE = 18
 
 
-class StepControl(Column):
+class StepControl(TableColumn):
     """Columns of `step_control`, real, shape [scenes, len(StepControl)]: the steps, where each is a launch."""
 
     DT = auto()  # of the next step [s]; 0 where the scene waits for others
@@ -191,7 +191,7 @@ class StepControl(Column):
     STEPS = auto()  # of its next frame; 0 where it has ended
 
 
-class Energy(Column):
+class Energy(TableColumn):
     """Columns of `energy`, real, shape [all frames, len(Energy)]: energies [J, per metre of width in 2D], a force."""
 
     KINETIC = auto()
@@ -200,7 +200,7 @@ class Energy(Column):
     UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
 
 
-class Barrier(Column):
+class Barrier(TableColumn):
     """Columns of `barriers`, integers, shape [barriers, len(Barrier)]: a range of nodes that is held, [low, high)."""
 
     RETAINED = auto()  # line of its mass in `retained`
@@ -209,7 +209,7 @@ class Barrier(Column):
     HIGH_X, HIGH_Y, HIGH_Z = auto(), auto(), auto()
 
 
-class Retained(Column):
+class Retained(TableColumn):
     """Columns of `retained`, integers, shape [retained masses, len(Retained)]."""
 
     FIRST = auto()  # its particles: [first, last) of the scene's
@@ -221,7 +221,7 @@ class Retained(Column):
     TOP = auto()  # the row beyond their highest one
 
 
-class Settling(Column):
+class Settling(TableColumn):
     """Columns of `settling`, real, shape [retained masses, len(Settling)]."""
 
     RATE = auto()  # of damping [1/s]

@@ -4,20 +4,25 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pyogrio
 import pytest
 import shapely
+import shapely.affinity
 from rasterio.transform import Affine
 
 from datasets import Scene, read_scene
 from datasets.command_line import run
+from datasets.exchange.rasters import read_raster
+from datasets.exchange.vectors import read_polygons
 from datasets.scene.particles import initial_particles, mass_volumes
-from datasets.site import command
+from datasets.site import command, site
 from tests.datasets.exchange.test_scene_files import write_raster
 from tests.datasets.exchange.test_vectors import written
 from tests.refusals import refused_by
 
 EAST, UP, NORTH = 2_600_000.0, 1_800.0, 1_200_000.0
 SLOPE = math.radians(30.0)
+BED = {"thickness": None, "vertical": False, "bed": {"friction": 0.4}, "slope": 0.3, "cell": 2.0}
 FIELD = shapely.box(EAST + 30.0, NORTH + 80.0, EAST + 70.0, NORTH + 120.0)
 
 
@@ -73,6 +78,34 @@ def test_several_polygons_and_holes_of_the_raster(tmp_path: Path) -> None:
     assert (tmp_path / "new" / "site.dem.tif").is_file()
 
 
+def test_a_thickness_by_raster(tmp_path: Path) -> None:
+    """2 m in the west of the polygon and 1 m in the east, on cells of another size; none in holes."""
+    rows = np.tile(np.where(np.arange(10) < 5, 2.0, 1.0), (20, 1))
+    rows[:10] = -9999.0  # the north
+    place = Affine(10.0, 0.0, EAST, 0.0, -10.0, NORTH + 200.0)
+    write_raster(tmp_path / "depth.tif", rows, "EPSG:2056", transform=place)
+    found = made(tmp_path, "--cell", "2", "--thickness", str(tmp_path / "depth.tif"))
+    # 20 x 20 m of each; values are linear over 10 m between them, and fall to 0 over as much.
+    assert mass_volumes(found)[0] * math.cos(SLOPE) == pytest.approx(400.0 * 3.0, rel=0.05)
+    start = initial_particles(found).positions + found.domain.corner
+    assert start[:, 2].max() < NORTH + 106.0
+    upright = made(tmp_path, "--cell", "2", "--vertical", "--thickness", str(tmp_path / "depth.tif"))
+    assert mass_volumes(upright)[0] == pytest.approx(mass_volumes(found)[0] * math.cos(SLOPE), rel=1e-3)
+
+
+def test_ground_that_two_polygons_share_counts_once(tmp_path: Path) -> None:
+    """By the thickness of the first: the second is cut, here to 20 of 40 m."""
+    folder = tmp_path / "release.gpkg"
+    shapes = [FIELD, shapely.affinity.translate(FIELD, 20.0)]
+    values = [np.array([3.0, 1.5])]
+    geometry = np.array([shapely.to_wkb(each) for each in shapes])
+    pyogrio.raw.write(folder, geometry, values, ["thickness"], geometry_type="Polygon", crs="EPSG:2056")
+    with pytest.warns(UserWarning, match=r"polygons of the release share 800 m\^2, which count once"):
+        table = site(read_raster(dem(tmp_path)), read_polygons(folder, "EPSG:2056"), **BED)
+    volumes = [np.mean(mass["thickness"]) * shapely.Polygon(mass["outline"]).area for mass in table["masses"]]
+    assert np.array(volumes) * math.cos(SLOPE) == pytest.approx([3.0 * 1600.0, 1.5 * 800.0], rel=1e-5)
+
+
 def test_a_bed_by_rasters(tmp_path: Path) -> None:
     """The least friction bounds the box; paths count from the scene."""
     place = {"transform": Affine(10.0, 0.0, EAST, 0.0, -10.0, NORTH + 200.0)}
@@ -103,6 +136,7 @@ def test_what_makes_no_site_is_one_line(tmp_path: Path, capsys: pytest.CaptureFi
     for shape, flags, said in (
         (far, [], "polygons that lie on the raster"),
         (FIELD, ["--thickness", "0"], "--thickness: expected a thickness above 0 m"),
+        (FIELD, ["--thickness", "none.tif"], "none.tif: expected a raster, there is none"),
         (FIELD, ["--friction", "-1"], "--friction: expected a coefficient"),
         (FIELD, ["--turbulence", "0"], "--turbulence: expected a coefficient"),
         (FIELD, ["--cell", "0"], "--cell: expected a length above 0 m"),

@@ -15,7 +15,7 @@ from inverse import invert, read_problem
 from inverse.__main__ import main
 from inverse.answer import Verdict
 from inverse.field_inversion import Objective, WhiteFlow, linear_mean
-from inverse.parameters.field import BAND, Prior
+from inverse.parameters.field import BAND, FieldPrior
 from inverse.target import read_target
 from mpm import simulate
 from tests.refusals import refused
@@ -84,7 +84,7 @@ def matern(offsets: Any, lengths: Any) -> Any:
 @pytest.mark.parametrize("name", GRIDS)
 def test_the_prior_has_the_stated_deviation_and_materns_correlation(name: str) -> None:
     grid, lengths = GRIDS[name]
-    prior, rng = Prior(grid, 2.5, lengths), np.random.default_rng(0)
+    prior, rng = FieldPrior(grid, 2.5, lengths), np.random.default_rng(0)
     root = prior.field(np.eye(prior.size))
     np.testing.assert_allclose((root**2).sum(axis=1), 2.5**2, rtol=1e-9)
     middle = int(np.argmin(np.linalg.norm(grid.positions - grid.positions.mean(axis=0), axis=1)))

@@ -8,7 +8,7 @@ import pytest
 from datasets import Domain, Mass, Scene, read_scene
 from datasets.geometry.placement import connected, corners
 from mpm.resolution import (
-    Measured,
+    MeasuredResolution,
     Resolution,
     characteristic_length,
     fitted_cell,
@@ -28,10 +28,10 @@ def scene(*masses: tuple[tuple[float, ...], tuple[float, ...]], size: tuple[floa
 COLUMN = scene(((0.0, 0.0), (0.2, 0.4)))
 
 
-def measured(cells: float, promised: float, cost: float, *, dimension: int = 2, points: int = 2) -> Measured:
+def measured(cells: float, promised: float, cost: float, *, dimension: int = 2, points: int = 2) -> MeasuredResolution:
     what = Resolution(cells=cells, particles_per_axis=points, step_fraction=0.9, precision="f32")
     errors = {"expected": 0.5 * promised, "promised": promised, "thickness": promised}
-    return Measured(dimension=dimension, resolution=what, particle_steps=1.0e6 * cost, **errors)
+    return MeasuredResolution(dimension=dimension, resolution=what, particle_steps=1.0e6 * cost, **errors)
 
 
 @pytest.mark.parametrize(("text", "value"), [("2%", 0.02), (" 2.5 % ", 0.025), ("0.02", 0.02), ("1e-2", 0.01)])

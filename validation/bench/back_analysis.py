@@ -17,7 +17,7 @@ from validation.bench.coverage import ONE_THREAD, Family, held, read_twin, row, 
 from validation.bench.mountain import written_scene
 from validation.bench.page import Keep, Many, Out, Row, write_page
 from validation.loop.solve import solve
-from validation.runs import kept
+from validation.run_store import kept
 
 DURATION = 110.0
 """Of a slide [s]: it rests after about 75."""

@@ -37,7 +37,7 @@ from validation.forecast.solve import forecast_scene
 from validation.loop.solve import run, solve
 from validation.loop.task import Task
 from validation.plots import GREY, figure
-from validation.runs import kept
+from validation.run_store import kept
 
 REGIONS = (0.5, 0.8, 0.95)
 WITHIN = {0.5: (0.3, 0.7), 0.95: (0.88, 1.0)}

@@ -23,7 +23,7 @@ from validation.experiments.experiment import (
     read_experiments,
 )
 from validation.plots import BLUE, INK, LIGHT_BLUE, figure
-from validation.runs import Run, RunStore, kept
+from validation.run_store import Run, RunStore, kept
 
 CLOSE = 2.0
 """Spreads within which a number agrees."""
@@ -35,11 +35,11 @@ RECORDED = 5
 """Frames from one to the next of a flow that is measured over time."""
 
 Simulate = Callable[[Sequence[Run]], Sequence[Trajectory]]
-"""Runs to their flows, as `validation.runs.RunStore.run`."""
+"""Runs to their flows, as `validation.run_store.RunStore.run`."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Score:
+class CaseScore:
     """A measured number beside the computed one."""
 
     label: str
@@ -121,7 +121,7 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     )
 
 
-def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[list[list[Score]], Inferred | None]:
+def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[list[list[CaseScore]], Inferred | None]:
     """Run a case over the ladder of angles on its coarse cells, and at the first angle on its fine ones.
 
     The scores of each measured number at the first angle of the experiment, or at the inferred one where it has none,
@@ -156,9 +156,9 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
         # Where no angle was measured, what else was is held against a run at the inferred one.
         fine |= run(1, [again])
 
-    def score(measured: Measured, reading: Reading) -> Score:
+    def score(measured: Measured, reading: Reading) -> CaseScore:
         known = [quantity(measured, flows[reading]) if reading in flows else math.nan for flows in (coarse, fine)]
-        return Score(
+        return CaseScore(
             label=f"{inferred.label}, {measured.quantity}",
             measured=measured,
             angle=str(reading),
@@ -184,7 +184,7 @@ def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float
     return (a + (target - fronts[a]) / (fronts[b] - fronts[a]) * (b - a) if inside else math.nan), slope
 
 
-def score_row(score: Score, *others: Score) -> Row:
+def score_row(score: CaseScore, *others: CaseScore) -> Row:
     return {
         "experiment": score.label,
         "angle": score.angle,
@@ -205,7 +205,7 @@ def inferred_row(each: Inferred) -> Row:
     }
 
 
-def conclusion(firsts: Sequence[Score], found: Sequence[Inferred]) -> list[str]:
+def conclusion(firsts: Sequence[CaseScore], found: Sequence[Inferred]) -> list[str]:
     """Lengths and fronts forward, angles backward; firsts: the scores at the first angles."""
     scores = [each for each in firsts if each.independent]
     inferred = [each for each in found if each.own is not None]
@@ -228,7 +228,7 @@ def conclusion(firsts: Sequence[Score], found: Sequence[Inferred]) -> list[str]:
     ]
 
 
-def draw(path: Path, scores: Sequence[Score]) -> None:
+def draw(path: Path, scores: Sequence[CaseScore]) -> None:
     rows, value = range(len(scores)), np.array([each.measured.value for each in scores])
     spread = np.array([each.measured.spread for each in scores]) / value
     with figure(path, size=(8.0, 1.6 + 0.36 * max(len(scores), 1))) as axes:

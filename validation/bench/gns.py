@@ -29,7 +29,7 @@ from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
 from validation.bench.accuracy.bench import deposit_of
 from validation.bench.page import Keep, Out, Row, between, signed, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
-from validation.runs import Run, RunStore, kept
+from validation.run_store import Run, RunStore, kept
 
 SEED = 1
 """Of the held-out scenes; the training data have 0."""
@@ -67,7 +67,7 @@ class Compared:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
+class ModelErrors:
     """All that was measured of one model on one family of scenes."""
 
     name: str
@@ -138,7 +138,7 @@ def bench(*, out: Out, keep: Keep = None, model: tuple[Path, ...] = ()) -> str:
     )
 
 
-def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequence[int]) -> Model:
+def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequence[int]) -> ModelErrors:
     """Errors of a model on so many scenes of a family."""
     simulator, scenes = gns.load(path), held_out(family, number)
     fine = [scene for _, scene in scenes]
@@ -169,7 +169,7 @@ def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequen
             )
         )
     torch.set_num_threads(threads)
-    return Model(name=path.stem, family=family, compared=compared)
+    return ModelErrors(name=path.stem, family=family, compared=compared)
 
 
 def at_rest(models: Sequence[Path]) -> Mounds:
@@ -193,7 +193,7 @@ def band(path: Path, scene: Scene, front: float) -> tuple[float, float] | None:
     return prediction.front - front, prediction.half_width
 
 
-def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
+def conclusion(found: Sequence[ModelErrors], mounds: Mounds) -> list[str]:
     fronts, prices = [], []
     for each in found:
         off, again = ([one.by[method].front for one in each.compared if one.free] for method in (each.name, AGAIN))
@@ -220,7 +220,7 @@ def conclusion(found: Sequence[Model], mounds: Mounds) -> list[str]:
     return sentences
 
 
-def kind_rows(model: Model) -> list[Row]:
+def kind_rows(model: ModelErrors) -> list[Row]:
     """Errors by kinds of scenes, of all of them, and of the MPM jittered anew."""
     names, every = dict.fromkeys(each.kind for each in model.compared), model.compared
     groups = [(kind, model.name, [each for each in every if each.kind == kind]) for kind in names]
@@ -235,12 +235,12 @@ def kind_rows(model: Model) -> list[Row]:
     return rows
 
 
-def price_rows(model: Model) -> list[Row]:
+def price_rows(model: ModelErrors) -> list[Row]:
     points = model.points.items()
     return [{model.family: name, "seconds": f"{s:.3g}", "error": f"{error:.1%}"} for name, (s, error) in points]
 
 
-def draw(path: Path, found: Sequence[Model]) -> None:
+def draw(path: Path, found: Sequence[ModelErrors]) -> None:
     with figure(path, rows=len(found), columns=2, size=(5.6, 3.4)) as axes:
         for (left, right), model in zip(axes, found, strict=True):
             free = [(each.kind, 100.0 * each.by[model.name].front) for each in model.compared if each.free]

@@ -6,16 +6,16 @@ from datasets.errors import InputError
 from datasets.processes import processors
 from validation.bench.measuring import Spread, turns
 from validation.bench.page import Out, Rounds, between, formatted, write_page
-from validation.bench.speed import NETWORK, PER_NODE, Case, Mode, network_rows, rate, rate_rows
+from validation.bench.speed import NETWORK, PER_NODE, Mode, Workload, network_rows, rate, rate_rows
 
 CASES = (
-    Case(dimension=2, cells=100, scenes=1, frames=200),
-    Case(dimension=2, cells=100, scenes=64, frames=40),
-    Case(dimension=2, cells=1770, scenes=1, frames=4),
-    Case(dimension=3, cells=32, scenes=1, frames=100),
-    Case(dimension=3, cells=32, scenes=64, frames=20),
-    Case(dimension=3, cells=106, scenes=1, frames=20),
-    Case(dimension=3, cells=212, scenes=1, frames=4),
+    Workload(dimension=2, cells=100, scenes=1, frames=200),
+    Workload(dimension=2, cells=100, scenes=64, frames=40),
+    Workload(dimension=2, cells=1770, scenes=1, frames=4),
+    Workload(dimension=3, cells=32, scenes=1, frames=100),
+    Workload(dimension=3, cells=32, scenes=64, frames=20),
+    Workload(dimension=3, cells=106, scenes=1, frames=20),
+    Workload(dimension=3, cells=212, scenes=1, frames=4),
 )
 
 

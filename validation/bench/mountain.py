@@ -23,7 +23,7 @@ from inverse.answer import peak_memory_mib
 from mpm import Recording
 from validation.bench.measuring import Found, once, recorded
 from validation.bench.page import Keep, Out, Row, between, tables, write_page
-from validation.runs import kept
+from validation.run_store import kept
 
 PARAMETERS = "simulationParameterValues_{}.csv"
 MOVES = 1.0
@@ -39,7 +39,7 @@ ALIKE = ("com1DFA", "MPM")
 
 
 @dataclass(frozen=True)
-class Case:
+class Slide:
     """A case of the comparison."""
 
     codes: tuple[str, ...]
@@ -56,12 +56,12 @@ class Case:
 
 OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")
 CASES = {
-    "CoulombOnly": Case(
+    "CoulombOnly": Slide(
         ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D"), 0, 1,
         (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0),
     ),
-    "IdealizedTopo": Case(OTHERS, 0, 1, (1500.0, 1750.0, 2000.0, 2250.0, 2500.0, 2750.0, 3000.0, 3200.0)),
-    "RealTopo": Case(
+    "IdealizedTopo": Slide(OTHERS, 0, 1, (1500.0, 1750.0, 2000.0, 2250.0, 2500.0, 2750.0, 3000.0, 3200.0)),
+    "RealTopo": Slide(
         ("com1DFA", "samosat", "RAMMSUSER", "TRENT2D"), 1, -1,
         (364000.0, 363750.0, 363500.0, 363250.0, 363000.0, 362750.0, 362600.0, 362450.0), (4.0,),
     ),
@@ -114,7 +114,7 @@ def alike(maps: PlanMaps, places: Sequence[Floats], beside: Raster) -> Found:
     return {"overlap": float(overlap), "faster": float(np.median(ours[both] / theirs[both]))}
 
 
-def peaks(case: Case, places: Sequence[Floats], speed: Floats, thickness: float) -> Found:
+def peaks(case: Slide, places: Sequence[Floats], speed: Floats, thickness: float) -> Found:
     """What codes are compared by; speed: [m/s], shape [X, Z], on square cells with their middles at `places` [m]."""
     along, reached = places[case.axis], speed > MOVES
     moved = np.asarray(reached.any(axis=1 - case.axis))
@@ -199,7 +199,7 @@ def cost(case: str, cell: float, took: Found) -> Row:
     }
 
 
-def row(case: Case, name: str, each: Found) -> Row:
+def row(case: Slide, name: str, each: Found) -> Row:
     """A code's peaks; those that are compared cell by cell with another code's say how."""
     speeds = zip(case.sections, each["speeds"], strict=True)
     return {

@@ -15,9 +15,9 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
-from tabulate import tabulate
 
 from datasets.files import write_text
+from datasets.markdown import markdown_table
 
 Out = Annotated[Path, Parameter(help="Folder of the page and its pictures.")]
 Keep = Annotated[
@@ -60,7 +60,7 @@ def emphasised(text: str, ok: bool) -> str:
 
 def tables(many: Iterable[Sequence[Row]]) -> str:
     """Tables one after the other, each with the headings of its first row; none without rows."""
-    return "\n\n".join(tabulate(rows, headers="keys", tablefmt="pipe", disable_numparse=True) for rows in many if rows)
+    return "\n\n".join(markdown_table(rows) for rows in many if rows)
 
 
 def formatted(rows: Iterable[Mapping[str, Any]], forms: Mapping[str, str]) -> list[Row]:

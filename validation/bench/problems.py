@@ -21,7 +21,7 @@ from inverse.problem import Problem, read_problem
 from inverse.settings import Surrogate
 from validation.bench.page import Keep, Out, Row, between, emphasised, tables, write_page
 from validation.plots import BLUE, GREY, INK, ORANGE, RED, figure
-from validation.runs import kept
+from validation.run_store import kept
 
 RESULT, KEY = "result.json", "made-of.txt"
 """Of a problem: what the loop wrote, and a digest of what it was made of."""
@@ -57,7 +57,7 @@ class Paper(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Family(Record):
+class Section(Record):
     """Problems of one section of the page."""
 
     title: str
@@ -76,14 +76,14 @@ class Family(Record):
 
 
 SHIPPED = read_toml(Path(__file__).with_suffix(".toml"))
-FAMILIES = [from_mapping(Family, each) for each in SHIPPED["families"]]
+FAMILIES = [from_mapping(Section, each) for each in SHIPPED["families"]]
 """In the order of the page."""
 PAPER = {name: from_mapping(Paper, each) for name, each in SHIPPED["paper"].items()}
 """Its figures, by problem."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Number:
+class AnsweredNumber:
     """What was found of an unknown number; None where it is not known."""
 
     unknown: str
@@ -130,7 +130,7 @@ class Outcome:
         return LED if self.surrogate.get("asked") else ALONE
 
     @property
-    def numbers(self) -> list[Number]:
+    def numbers(self) -> list[AnsweredNumber]:
         result, names, truth = self.result, self.problem.names, self.result.get("truth") or {}
         paper, own = dict(zip(names, self.paper.values, strict=False)), self.surrogate.get("unknowns", {})
         answers = [result, *result.get("answers", [])[1:]]
@@ -146,7 +146,7 @@ class Outcome:
             (found, low, high), *others = [(each["unknowns"][name], *each["interval"][name]) for each in answers]
             known = {"truth": truth.get(name), "paper": paper.get(name), "surrogate": own.get(name)}
             values = {"found": found, "low": low, "high": high, "others": tuple(others), "inside": name in inside}
-            numbers.append(Number(unknown=name, unit=kind.unit, **known, **values))
+            numbers.append(AnsweredNumber(unknown=name, unit=kind.unit, **known, **values))
         return numbers
 
     @property
@@ -365,7 +365,7 @@ def write_csv(path: Path, outcomes: Sequence[Outcome]) -> None:
 
 def draw(path: Path, solved: Sequence[Outcomes]) -> None:
     """The problems of the paper: each answer less the true value; a pane for each unit."""
-    panes: dict[str, list[tuple[str, dict[str, Number]]]] = {}
+    panes: dict[str, list[tuple[str, dict[str, AnsweredNumber]]]] = {}
     for ways in solved:
         one = next(iter(ways.values()))
         for index, number in enumerate(one.numbers if one.paper != Paper() else ()):

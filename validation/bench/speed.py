@@ -27,7 +27,7 @@ from mpm.arrays.layout import Precision
 from mpm.simulation import LARGE, Options
 from validation.bench.measuring import Found, Spread, isolated, once, recorded, reset_peak, seconds_of, turns
 from validation.bench.page import Keep, Out, Rounds, Row, between, formatted, write_page
-from validation.runs import Run, kept
+from validation.run_store import Run, kept
 
 CUBE = 0.375
 """Edge of the body in 3D [m]."""
@@ -52,7 +52,7 @@ TERRAIN |= {"memory": ".0f", "disk": ".0f"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class Workload:
     """A column on some grid, alone or with copies side by side."""
 
     dimension: int
@@ -73,19 +73,19 @@ class Case:
 
 
 CASES = (
-    Case(dimension=2, cells=100, scenes=1, frames=400),
-    Case(dimension=2, cells=100, scenes=8, frames=200),
-    Case(dimension=2, cells=280, scenes=1, frames=20),
-    Case(dimension=2, cells=560, scenes=1, frames=4),
-    Case(dimension=2, cells=1770, scenes=1, frames=1),
-    Case(dimension=3, cells=32, scenes=1, frames=100),
-    Case(dimension=3, cells=32, scenes=8, frames=50),
-    Case(dimension=3, cells=64, scenes=1, frames=20),
-    Case(dimension=3, cells=106, scenes=1, frames=5),
+    Workload(dimension=2, cells=100, scenes=1, frames=400),
+    Workload(dimension=2, cells=100, scenes=8, frames=200),
+    Workload(dimension=2, cells=280, scenes=1, frames=20),
+    Workload(dimension=2, cells=560, scenes=1, frames=4),
+    Workload(dimension=2, cells=1770, scenes=1, frames=1),
+    Workload(dimension=3, cells=32, scenes=1, frames=100),
+    Workload(dimension=3, cells=32, scenes=8, frames=50),
+    Workload(dimension=3, cells=64, scenes=1, frames=20),
+    Workload(dimension=3, cells=106, scenes=1, frames=5),
 )
 Mode = tuple[Precision, int]
 """Precision and threads; no threads: a GPU."""
-Rates = Mapping[tuple[Case, Mode], Spread]
+Rates = Mapping[tuple[Workload, Mode], Spread]
 """Million particle-steps a second."""
 
 
@@ -106,14 +106,14 @@ def column(dimension: int, cells: int, frames: int) -> Scene:
     return replace(scene, duration=frames * scene.frame_dt)
 
 
-def modes(case: Case) -> list[Mode]:
+def modes(case: Workload) -> list[Mode]:
     """How a case is run: a small scene on one thread, copies on all, a large one on one and on all; last in f64."""
     most = processors() if case.scenes > 1 or case.particles >= LARGE else 1
     fewest = most if case.scenes > 1 else 1
     return [*(("f32", threads) for threads in sorted({fewest, most})), ("f64", most)]
 
 
-def rate(case: Case, mode: Mode) -> float:
+def rate(case: Workload, mode: Mode) -> float:
     """Million particle-steps a second of a run, without compilation."""
     precision, threads = mode
     scene = column(case.dimension, case.cells, case.frames)

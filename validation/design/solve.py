@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tabulate import tabulate
 
 from datasets.files import write_json, write_text
 from datasets.flow.trajectory import Trajectory
+from datasets.markdown import markdown_table
 from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
 from inverse.search.waves import jitter_seed
@@ -17,7 +17,7 @@ from validation.design.problem import DesignProblem, read_design
 from validation.design.reliability import Reliability
 from validation.design.search import Design, designed
 from validation.plots import BLUE, GREY, ORANGE, figure
-from validation.runs import RunStore, caveats, kept
+from validation.run_store import RunStore, caveats, kept
 
 STATIONS = 25
 """Along each variable, in the picture."""
@@ -126,8 +126,8 @@ def report(found: Design) -> str:
         f"# {title}",
         "\n".join(f"- {line}" for line in lines),
         "![probability over the variables, responses of the check over what is uncertain](design.png)",
-        tabulate(ranges, "keys", "pipe"),
-        tabulate(waves, "keys", "pipe", floatfmt=".4g"),
+        markdown_table(ranges, disable_numparse=False),
+        markdown_table(waves, disable_numparse=False, floatfmt=".4g"),
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -32,13 +32,13 @@ from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.forces import forces_of
 from datasets.maps import PlanMaps, maps_of
 from datasets.scene import Scene
-from datasets.scene.grid_field import Floats
+from datasets.scene.grid_field import Floats, Grid
 from datasets.scene.particles import initial_particles
 from inverse.parameters import with_parameters
 from inverse.search.waves import jitter_seed
 from mpm import LAST, Recording
 from validation.loop.verdict import OTHER_CELLS
-from validation.runs import RunStore, caveats
+from validation.run_store import RunStore, caveats
 
 FRAMES = 50
 """Frames of a flow that are kept at most where its peaks are wanted."""
@@ -177,13 +177,26 @@ def numbers_of(flow: Trajectory) -> dict[str, float]:
     inside = within(flow)
     found = {
         "front": float(scene.domain.corner[0]) + front(last[inside], volumes[inside]),
-        "mean_height": mean_height(above(last[inside], ground_of(scene)), volumes[inside]),
+        "mean_height": height_of(scene, last[inside], volumes[inside]),
     }
     if solids := solid_names(scene):
         forces = forces_of(flow)
         peaks = dict(zip(forces.names, (value for value, _ in forces.peaks), strict=True))
         found |= {f"force {name}": peaks[name] for name in solids}
     return found
+
+
+def height_of(scene: Scene, positions: Floats, volumes: Floats) -> float:
+    """Mean height of a deposit [m]; positions [N, D] and volumes [N] of its particles.
+
+    In 3D (1/2) int h^2 dA / int h dA with the thickness h over the cells: what is thinner than one sinks to the ground.
+    """
+    if scene.dimension == 2:
+        return mean_height(above(positions, ground_of(scene)), volumes)
+    cell = scene.domain.cell
+    grid = Grid((0.5 * cell,) * 2, (cell,) * 2, tuple(round(side / cell) for side in scene.domain.size[::2]))
+    thickness = grid.weights(positions[:, ::2]).T @ volumes / cell**2
+    return 0.5 * float(thickness @ thickness / thickness.sum())
 
 
 def within(flow: Trajectory) -> Any:

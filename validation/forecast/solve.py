@@ -1,12 +1,14 @@
 """A forecast, from the files of a result to its own: `forecast.json`, `report.md`, a picture, in 3D maps."""
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from tabulate import tabulate
 
 from datasets.errors import InputError, require
 from datasets.files import read_json, write_json, write_text
+from datasets.markdown import markdown_table
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
@@ -16,11 +18,13 @@ from inverse.saving import read_samples
 from mpm import simulate_many
 from validation.forecast.predict import LEVELS, Forecast, predicted, quantiles
 from validation.plots import BLUE, GREY, LIGHT_BLUE, ORANGE, figure
-from validation.runs import RunStore, kept
+from validation.run_store import RunStore, kept
 
 DRAWS = 40
 """Of the posterior: the least and the largest of so many flows are the ends of an interval of 95 %."""
 MOST_DRAWS = 10_000
+ON_MAP = 1.0e4
+"""Fronts [m] from here on are eastings: four digits would not tell one from another."""
 
 
 def forecast_scene(
@@ -78,20 +82,42 @@ def known_of(result: Path, scene: Scene) -> tuple[list[str], Floats, list[str]]:
         expected = "expected the folder of validation.loop with posterior.npz, of unknown numbers and not of fields"
         raise InputError(expected, where=str(result))
     names, samples = read_samples(path)
+    record = read_json(path.parent / "result.json") or {}
     remarks, kept = [], []
     for index, name in enumerate(names):
         try:
-            kind(name).check(scene)
+            names[index] = in_scene(name, record.get("solids", []), scene)
+            kind(names[index]).check(scene)
         except InputError as error:
             remarks.append(f"{name} is no part of the forecast: {error.message}")
         else:
             kept.append(index)
+            if names[index] != name:
+                remarks.append(f"{name} of the inversion is {names[index]} of this scene")
     if not kept:
         raise InputError(f"expected a scene with one of {', '.join(names)}: {remarks[0]}", where=str(path))
-    verdict = (read_json(path.parent / "result.json") or {}).get("verdict")
+    verdict = record.get("verdict")
     if verdict not in (None, "confirmed"):
         remarks.append(f"the answer that is forecast is {verdict}")
     return [names[index] for index in kept], samples[:, kept], remarks
+
+
+def in_scene(name: str, solids: Sequence[tuple[str | None, str]], scene: Scene) -> str:
+    """The name in `scene` of an unknown: that of a solid goes to the one of the same name, else the one of its kind.
+
+    solids: name and kind of each in the inversion. Raises InputError where the scene has none like it.
+    """
+    number = re.match(r"solids\[(\d+)\]", name)
+    if number is None or int(number[1]) >= len(solids):
+        return name
+    index, (called, form) = int(number[1]), solids[int(number[1])]
+    named = [called is not None and each.name == called for each in scene.solids]
+    for alike in (named, [each.kind == form for each in scene.solids]):
+        if sum(alike) == 1:
+            return f"solids[{alike.index(True)}]{name[number.end() :]}"
+    same = index < len(scene.solids) and scene.solids[index].kind == form
+    require(same, "", f"a {form} in the scene, as solids[{index}] of the inversion", "none or several")
+    return name
 
 
 def save(found: Forecast, folder: Path, command: str) -> None:
@@ -107,12 +133,17 @@ def save(found: Forecast, folder: Path, command: str) -> None:
     write_text(folder / "report.md", report(found, command))
 
 
+def worded(name: str, value: float) -> str:
+    """A number of a forecast; the front on a map to a decimetre."""
+    return f"{value:.1f}" if name == "front" and abs(value) >= ON_MAP else f"{value:.4g}"
+
+
 def summary(found: Forecast) -> list[str]:
     """The forecast in sentences."""
     lines = []
     for name, number in found.as_json()["numbers"].items():
-        low, high = number["interval"]
-        said = f"{number['median']:.4g} {number['unit']}, 95 %: {low:.4g} to {high:.4g} {number['unit']}"
+        middle, low, high = (worded(name, each) for each in (number["median"], *number["interval"]))
+        said = f"{middle} {number['unit']}, 95 %: {low} to {high} {number['unit']}"
         lines.append(f"{name.replace('_', ' ')}: {said}")
     lines.append(f"{len(found.draws)} flows with {', '.join(found.names)} drawn from the posterior")
     return [*lines, *found.remarks]
@@ -123,9 +154,9 @@ def report(found: Forecast, command: str) -> str:
     rows = [
         {
             "number": name,
-            "median": f"{number['median']:.4g}",
-            "50 %": " to ".join(f"{end:.4g}" for end in number["half"]),
-            "95 %": " to ".join(f"{end:.4g}" for end in number["interval"]),
+            "median": worded(name, number["median"]),
+            "50 %": " to ".join(worded(name, end) for end in number["half"]),
+            "95 %": " to ".join(worded(name, end) for end in number["interval"]),
             "error of the cells": "-" if number["cells"] is None else f"{number['cells']:.2g}",
             "unit": number["unit"],
         }
@@ -135,7 +166,7 @@ def report(found: Forecast, command: str) -> str:
         "# Forecast",
         "\n".join(f"- {line}" for line in summary(found)),
         "![fronts of the flows; profile or map of probability](forecast.png)",
-        tabulate(rows, "keys", "pipe", disable_numparse=True),
+        markdown_table(rows),
         f"`{command}`",
     ]
     if found.maps is not None:

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tabulate import tabulate
 
 from datasets.errors import InputError, naming
 from datasets.files import make_folder, write_json, write_text
 from datasets.flow.trajectory import SUFFIXES, Trajectory
+from datasets.markdown import markdown_table
 from inverse.answer import Verdict
 from inverse.forward import Simulate
 from inverse.observations.settings import TabulatedSettings
@@ -134,7 +134,7 @@ def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count:
     write_json(out / "series.json", {"problem": problem.name, "deposits": rows})
     digits = {each.name + end: each.kind.digits for each in problem.numbers for end in ("", *ENDS)}
     forms = [f".{digits.get(key, 1)}f" for key in rows[0]]
-    text = tabulate(rows, "keys", "github", floatfmt=forms, disable_numparse=[0])
+    text = markdown_table(rows, style="github", floatfmt=forms, disable_numparse=[0])
     write_text(out / "report.md", f"# {problem.name}: a series\n\n{summary(rows, count)}\n\n{text}\n")
 
 

@@ -32,7 +32,7 @@ from mpm import ALL, LAST, simulate_many
 from validation.loop import surrogate
 from validation.loop.task import Loop, Task
 from validation.loop.verdict import Conclusion, concluded, judged, nearer
-from validation.runs import RunStore, kept
+from validation.run_store import RunStore, kept
 
 Known = tuple[Vector, Trajectory]
 """Parameters [U], and the flow of the MPM there."""
@@ -98,14 +98,14 @@ def run(task: Task, *, model: Path | None = None, known: Sequence[Known] = ()) -
     led, outcome, cells = None, None, tuple[MpmRun, ...]()
     forward, reason = surrogate.choose(task, model)
     if forward is not None:
-        print(f"the surrogate is asked first: {reason}", file=sys.stderr)
+        print(f"the surrogate leads the search: {reason}", file=sys.stderr)
         rough = 1.0 if isinstance(forward, MpmForward) else ROUGH
         led = inverted(forward, task.problem, task.target, task.scatter, rough=rough)
         state, confirmed = surrogate.guided(task.search(before), led)
         # Runs are dear here, and its answers were checked.
         outcome = concluded(task, state, moves=0) if confirmed else judged(state)
     elif model is not None:
-        print(f"the surrogate is not asked: {reason}", file=sys.stderr)
+        print(f"the surrogate is not used: {reason}", file=sys.stderr)
     if outcome is None:
         outcome = concluded(task, searched(begun(task.search(before))))
     elif not outcome.verdict.confirms:

@@ -35,7 +35,7 @@ from mpm.footprint import INVERSION, PROCESS, SPEED, expected, planned
 from mpm.resolution import particle_steps
 from validation.loop.task import Loop, Task
 from validation.loop.verdict import checked
-from validation.runs import RunStore
+from validation.run_store import RunStore
 
 PREDICTIONS = 5.0
 """Predictions that a run of the MPM costs, from which on it is asked: it predicts two to five times for each run that
@@ -51,10 +51,10 @@ QUICKEST = 0.1
 
 
 def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:
-    """The surrogate that is asked, or None, and the reason in words.
+    """The surrogate that leads the search, or None, and the reason in words.
 
-    model: weights, which are asked at any price; those that ship where absent. Raises InputError for a problem that
-    asks for one that there is none of. The MPM on larger cells is asked by `coarse` alone.
+    model: weights, which are used however long they take; the shipped ones where absent. The MPM on larger cells leads
+    only where the problem says `coarse`. Raises InputError where the problem demands a surrogate that does not exist.
     """
     problem, requested = task.problem, task.problem.surrogate
     if requested is Surrogate.NONE:

@@ -20,7 +20,7 @@ from inverse.problem import Problem
 from inverse.search.inference import Inference
 from inverse.search.waves import WaveSearch, jitter_seed
 from mpm import ALL, LAST, simulate_many
-from validation.runs import SHARE, Run, RunStore
+from validation.run_store import SHARE, Run, RunStore
 
 Loop = WaveSearch[MpmRun, Inference]
 

@@ -5,10 +5,10 @@ import dataclasses
 import torch
 
 from datasets import read_scene
-from inverse.forward.adjoint import Run
+from inverse.forward.adjoint import AdjointRun
 
 scene = dataclasses.replace(read_scene("column-short-21"), duration=0.3).with_cell(0.02)
-run = Run(scene, names=("friction_deg", "masses[0].velocity_x"))
+run = AdjointRun(scene, names=("friction_deg", "masses[0].velocity_x"))
 
 
 def loss(parameters: torch.Tensor) -> torch.Tensor:

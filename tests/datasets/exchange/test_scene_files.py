@@ -160,6 +160,13 @@ def test_undeclared_holes_are_no_ground(tmp_path: Path, dtype: str, hole: float)
         refused(scene, tmp_path, text + 'file = "dem.tif"\n', said="without holes in the box, got 1 cells without data")
 
 
+def test_a_raster_in_centimetres_is_one_line(tmp_path: Path) -> None:
+    """All values are no elevation: the raster is wrong, not the ground beneath something."""
+    write_raster(tmp_path / "dem.tif", np.full((10, 20), 130_000.0))
+    said = "dem.tif: solids[0].file: expected lengths in m, below 20000, got 130000 and the like"
+    refused(scene, tmp_path, SPACE + BODY_3D + TERRAIN + 'file = "dem.tif"\n', said=said)
+
+
 def test_a_high_valley_beside_zeros_and_a_high_cliff(tmp_path: Path) -> None:
     """Zeros around ground at 1500 m are no ground; what lies up to 500 m below all else is."""
     values, above = np.full((14, 26), 1500.0), Affine(0.1, 0.0, 500000.0, 0.0, -0.1, 5000001.4)

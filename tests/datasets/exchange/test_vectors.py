@@ -32,6 +32,19 @@ def test_each_format_has_the_polygons_and_their_attributes(tmp_path: Path, name:
     assert [each.attributes["thickness"] for each in found] == [1.5, 1.5]
 
 
+def test_the_polygons_of_one_layer(tmp_path: Path) -> None:
+    """Whatever else the file holds; of several with polygons the one that is named as in QGIS."""
+    path, point = tmp_path / "project.gpkg", shapely.Point(2_600_000.0, 1_200_000.0)
+    for layer, shape in (("gauges", point), ("release", FIELD), ("deposit", PAIR)):
+        options = {"geometry_type": shape.geom_type, "crs": SWISS, "layer": layer}
+        pyogrio.raw.write(path, np.array([shapely.to_wkb(shape)]), [], [], **options)
+        if layer == "release":
+            assert len(read_polygons(path, SWISS)) == 1
+    refused(read_polygons, path, SWISS, said="expected polygons in one layer, or FILE|layername=NAME, got them in")
+    assert len(read_polygons(Path(f"{path}|layername=deposit"), SWISS)) == 2
+    refused(read_polygons, Path(f"{path}|layername=no"), SWISS, said="one of the layers gauges, release, deposit")
+
+
 @pytest.mark.parametrize("name", ["field.geojson", "field.kml"])
 def test_degrees_come_into_the_system_of_the_map(tmp_path: Path, name: str) -> None:
     degrees = shapely.transform(FIELD, lambda rows: np.stack(transform(SWISS, "EPSG:4326", *rows.T), axis=1))

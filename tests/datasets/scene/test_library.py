@@ -102,3 +102,15 @@ SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=
 def test_numbers_of_another_unit_are_warned_of(changes: dict[str, float], message: str) -> None:
     with pytest.warns(UserWarning, match=message):
         warn_if_unlikely(dataclasses.replace(SCENE, material=dataclasses.replace(SAND, **changes)))
+
+
+def test_a_friction_in_degrees_and_a_layer_in_centimetres_are_warned_of() -> None:
+    layer, ground = Mass(kind="layer", thickness=5.0, outline=((0.2,), (0.8,))), ((0.0, 0.1), (1.0, 0.1))
+    steep = Solid(kind="terrain", points=ground, friction=(25.0, 20.0))
+    scene = scene_of(layer, size=(1.0, 6.0), cell=0.05, solids=(steep,), floor_friction=10.0)
+    with pytest.warns(UserWarning, match=r"thickness|friction") as said:
+        warn_if_unlikely(scene)
+    assert [str(each.message) for each in said] == [
+        "masses[0].thickness: 5 m is 8.3 times the length of the layer; in cm it would be 0.05 m",
+        "solids[0]: a friction of 25 is a Coulomb coefficient; of an angle of 25 degrees it is 0.466",
+    ]

@@ -24,7 +24,7 @@ from gns.surroundings.state import Ground, State, in_model_units
 from gns.surroundings.units import Units
 from gns.training.loop import LAST, joined, rank
 from gns.training.losses import UnrolledLoss
-from gns.training.samples import Batch, Flows, Sampler, batched, flows_of, reflected, statistics, stretch, turned
+from gns.training.samples import Flows, SampleBatch, Sampler, batched, flows_of, reflected, statistics, stretch, turned
 from tests.gns.conftest import TINY, rows, spreading
 from tests.refusals import refused
 from tests.scenes import scene_of
@@ -129,7 +129,7 @@ def test_flows_are_opened_when_they_are_asked_for(tmp_path: Path, settings: Mode
     refused(flows_of, tmp_path, "train", settings, said="b.npz: expected a whole NPZ")
 
 
-def after(simulator: Simulator, some: list[Batch]) -> torch.Tensor:
+def after(simulator: Simulator, some: list[SampleBatch]) -> torch.Tensor:
     """Where a step takes the particles of samples side by side [m]."""
     batch = batched(some)
     with torch.no_grad():
@@ -197,7 +197,7 @@ def test_statistics_leave_gravity_out(flows: Flows, along: float) -> None:
 
 
 @pytest.fixture
-def deep() -> Batch:
+def deep() -> SampleBatch:
     """A sample in a box of 0.8 x 0.6 x 0.8 m, points and elevations at random, before two baffles."""
     rng = np.random.default_rng(0)
     scene = scene_of(
@@ -217,7 +217,7 @@ def deep() -> Batch:
 
     own = dict(zip(("friction", "cohesion", "volume"), some(3, 7), strict=True))
     ground = Ground(elevation=some(1, 9, 9), friction=some(1, 9, 9), spacing=0.1)
-    return Batch(
+    return SampleBatch(
         state=State(positions=some(7, 3), displacements=some(3, 7, 3)),
         conditions=dataclasses.replace(conditions_of(scene, 0.1, **own, units=Units()), ground=ground),
         targets=some(2, 7, 3),
@@ -237,7 +237,7 @@ def tensors(value: Any) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.parametrize("axis", [0, 2, None])
-def test_a_mirror_turns_its_axes_and_twice_changes_nothing(deep: Batch, axis: int | None) -> None:
+def test_a_mirror_turns_its_axes_and_twice_changes_nothing(deep: SampleBatch, axis: int | None) -> None:
     """All lengths are those of one body: in the mirror distances to baffles, walls and ground are what they were."""
     once = reflected(deep, axis)
     order, sign = ([2, 1, 0], 1.0) if axis is None else ([0, 1, 2], -1.0)
@@ -267,7 +267,7 @@ def test_a_mirror_turns_its_axes_and_twice_changes_nothing(deep: Batch, axis: in
         torch.testing.assert_close(again[name], value, atol=1e-6, rtol=0.0)
 
 
-def test_samples_in_3d_come_in_all_eight_symmetries(deep: Batch) -> None:
+def test_samples_in_3d_come_in_all_eight_symmetries(deep: SampleBatch) -> None:
     rng = np.random.default_rng(0)
     found = {tuple(turned(deep, rng).targets[0, 0].double().round(decimals=5).tolist()) for _ in range(100)}
     assert len(found) == 8
@@ -277,7 +277,7 @@ ROOT = Path(__file__).parents[3]
 STEPS = 3
 
 
-def gradients(simulator: Simulator, samples: list[Batch]) -> dict[str, torch.Tensor]:
+def gradients(simulator: Simulator, samples: list[SampleBatch]) -> dict[str, torch.Tensor]:
     """Those of one update, in double precision; one step keeps its activations, the others are checkpointed."""
     batch = batched(samples).to(dtype=torch.float64)
     model: torch.nn.Module = UnrolledLoss(simulator, TrainingSettings(memory_gib=2e-3))
@@ -288,7 +288,7 @@ def gradients(simulator: Simulator, samples: list[Batch]) -> dict[str, torch.Ten
     return {name: value.grad for name, value in simulator.named_parameters() if value.grad is not None}
 
 
-def work(number: int, port: str, simulator: Simulator, parts: list[list[Batch]], out: Path) -> None:
+def work(number: int, port: str, simulator: Simulator, parts: list[list[SampleBatch]], out: Path) -> None:
     """One of two processes."""
     common = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "WORLD_SIZE": "2"}
     os.environ.update(common | {"RANK": str(number)})

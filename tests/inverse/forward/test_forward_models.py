@@ -10,7 +10,7 @@ import torch
 from datasets import Baffle, Mass
 from gns.simulator import unroll
 from inverse import Parameter, Problem, TargetSettings, read_problem
-from inverse.forward.adjoint import AdjointForward, Run
+from inverse.forward.adjoint import AdjointForward, AdjointRun
 from inverse.forward.gns import GnsForward
 from inverse.observations import KINDS, FrontSettings, GaugesSettings, ImpulseSettings, Rollout
 from mpm import simulate, simulate_many
@@ -129,13 +129,13 @@ SCENE = plane(wall_friction=0.0, volume_correction=False)
 
 def test_a_layer_is_ten_lines() -> None:
     """As its docstring has it: a loss of the deposit, backward, and the gradient of two parameters."""
-    run = Run(SCENE, names=LAYERED, precision="f64", threads=1)
+    run = AdjointRun(SCENE, names=LAYERED, precision="f64", threads=1)
     parameters = torch.tensor(VALUES, requires_grad=True)
     positions, velocities = run(parameters)
     (positions[-1, :, 0].mean() + 0.1 * velocities[-1, :, 1].square().mean()).backward()
 
     def loss(values: np.ndarray) -> float:
-        moved, sped = Run(SCENE, names=LAYERED, precision="f64", threads=1)(torch.tensor(values))
+        moved, sped = AdjointRun(SCENE, names=LAYERED, precision="f64", threads=1)(torch.tensor(values))
         return float(moved[-1, :, 0].mean() + 0.1 * sped[-1, :, 1].square().mean())
 
     for index, step in enumerate(CHANGES):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import Baffle, Mass, Scene, Trajectory
+from datasets import Baffle, Domain, Mass, Scene, Trajectory
 from datasets.flow import measures
 from inverse import Problem, read_problem
 from inverse.observations import (
@@ -317,6 +317,14 @@ def test_the_speed_at_a_place_is_the_mean_of_what_is_there(dimension: int) -> No
     around = SpeedSettings(x=(0.8, 1.0), z=across, times=(0.4,), window=0.1).operator(run.scene)
     np.testing.assert_allclose(around.observe(run), [1.0], rtol=1e-5)
     refused(lambda: SpeedSettings(x=(0.4, 0.2)).operator(run.scene), said="two lengths")
+
+
+def test_the_speed_of_a_narrow_flow_in_a_wide_box_is_its_own() -> None:
+    """Seen over 1.6 m of a box 3 m wide, of which half a layer of particles is four times the volume of the block."""
+    run = block(dimension=3)
+    wide = dataclasses.replace(run.scene, domain=Domain(size=(2.0, 0.5, 3.0), cell=0.02))
+    seen = SpeedSettings(x=(0.2, 1.8)).operator(wide)
+    np.testing.assert_allclose(seen.observe(dataclasses.replace(run, scene=wide)), [2.0], rtol=1e-5)
 
 
 def test_what_moves_is_differentiable_in_the_speed() -> None:

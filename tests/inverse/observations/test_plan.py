@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pyogrio
 import pytest
 import shapely
 import torch
@@ -111,6 +112,33 @@ def test_what_is_no_raster_of_this_flow_is_refused(tmp_path: Path) -> None:
     refused(ThicknessSettings(file="cm.tif").read, made, tmp_path, 0.04, said="cm.tif: expected a volume of at most")
     refused(ThicknessSettings(file="far.tif").read, made, tmp_path, 0.04, said="far.tif: expected cells between 0 and")
     refused(lambda: ThicknessSettings(cell=-1.0), said="a length above 0")
+    middles = 0.2 * (np.arange(20) + 0.5)
+    inside = np.outer(abs(middles - 1.6) < 0.8, abs(middles - 1.6) < 0.8)
+    write_raster(tmp_path / "cut.tif", np.where(inside, 0.1, np.nan), 0.2, CORNER, "EPSG:2056", "thickness", "m")
+    with pytest.warns(UserWarning, match="100% of the cells around the deposit have no data"):
+        ThicknessSettings(file="cut.tif").read(made, tmp_path, 0.04)
+
+
+@pytest.mark.parametrize("direction", ["normal", "vertical"])
+def test_points_of_a_survey_are_the_thickness_above_the_terrain(direction: str, tmp_path: Path) -> None:
+    """Of 0.1 m along y over a plane, with 5 mm of noise; bare ground is bare, a cell without points does not count."""
+    made, rng = scene(PLANE, origin=True), np.random.default_rng(0)
+    plan = rng.uniform(0.0, 4.0, (20_000, 2))
+    plan = plan[(plan < 2.4).any(axis=1) | (plan > 2.6).any(axis=1)]
+    inside = ((plan > 0.8) & (plan < 2.4)).all(axis=1)
+    height = 2.5 - 0.5 * plan[:, 0] + 0.1 * inside + rng.normal(0.0, 0.005, len(plan))
+    rows = np.column_stack([plan + CORNER, height + 1300.0])
+    np.savetxt(tmp_path / "survey.csv", rows, "%.6f", ",", header="x,y,z", comments="")
+    settings = ThicknessSettings(file="survey.csv", noise=0.01, direction=direction, cell=0.4)
+    target = settings.read(made, tmp_path, 0.04)
+    places = target.observation.grid.positions[target.observation.cells]
+    core = ((places > 0.8 + 0.01) & (places < 2.4 - 0.01)).all(axis=1)
+    factor = NORMAL if direction == "normal" else 1.0
+    np.testing.assert_allclose(target.values[core], 0.1 * factor, atol=0.003)
+    assert not target.values[~core].any()
+    np.savetxt(tmp_path / "survey.csv", rows - [0.0, 0.0, 1.0], "%.6f", ",", header="x,y,z", comments="")
+    with pytest.warns(UserWarning, match=r"half of the survey lies 1 m or more beneath the terrain"):
+        refused(settings.read, made, tmp_path, 0.04, said="survey.csv: expected a thickness above 0 m in the box")
 
 
 def disc(scene: Scene, radius: float, middle: tuple[float, float] = (2.0, 2.0)) -> Trajectory:
@@ -135,8 +163,6 @@ def test_an_outline_is_signed_distances_along_the_boundary(suffix: str, tmp_path
     if suffix == "csv":
         path.write_text("x,z\n" + "".join(f"{x:.6f},{z:.6f}\n" for x, z in vertices))
     else:
-        import pyogrio
-
         polygon = shapely.to_wkb(np.array([shapely.Polygon(vertices)]))
         pyogrio.raw.write(path, polygon, [], [], geometry_type="Polygon", crs="EPSG:2056")
     key = "csv" if suffix == "csv" else "file"
@@ -155,6 +181,27 @@ def test_an_outline_is_signed_distances_along_the_boundary(suffix: str, tmp_path
     matrix = target.errors.matrix / 0.05**2
     step = 2.0 * 1.15 * np.sin(np.pi / len(matrix))
     assert matrix[0, 1] == pytest.approx(np.exp(-step), rel=1e-3)
+
+
+def test_our_own_outline_is_compared_at_its_own_threshold(tmp_path: Path) -> None:
+    """Of several the lowest, or the one that is named; of a file without any a large default is said."""
+    made, corner = scene(origin=True), np.array(CORNER)
+    circles = {
+        level: shapely.transform(shapely.Polygon(ring(r)), corner.__add__) for level, r in ((0.05, 1.2), (0.08, 1))
+    }
+    written = np.array([shapely.to_wkb(each) for each in circles.values()])
+    columns = [np.array(["deposit"] * 2, object), np.array([*circles])]
+    for name, fields in (("own.gpkg", ["name", "threshold_m"]), ("other.gpkg", ["name", "depth"])):
+        pyogrio.raw.write(tmp_path / name, written, columns, fields, geometry_type="Polygon", crs="EPSG:2056")
+    for thickness, level, area in ((None, 0.05, 1.2), (0.08, 0.08, 1.0)):
+        settings = OutlineSettings(file="own.gpkg", noise=0.05, thickness=thickness)
+        operator = settings.read(made, tmp_path, None).observation
+        assert operator.thickness == level
+        assert operator.region.area == pytest.approx(np.pi * area**2, rel=1e-2)
+    wrong = OutlineSettings(file="own.gpkg", noise=0.05, thickness=0.07)
+    refused(wrong.read, made, tmp_path, None, said="thickness: expected one of the file's, 0.05, 0.08, got 0.07")
+    with pytest.warns(UserWarning, match="the model's outline is where it is 0.1 m thick"):
+        OutlineSettings(file="other.gpkg", noise=0.05).read(made, tmp_path, None)
 
 
 def test_the_slope_of_a_distance_is_that_of_the_boundary() -> None:
@@ -177,7 +224,7 @@ def test_a_twins_outline_is_its_own_and_a_wrong_one_is_refused(tmp_path: Path) -
     (tmp_path / "bow.csv").write_text("x,z\n1,1\n2,2\n2,1\n1,2\n")
     for name, said in (("far", "within the box"), ("bow", "in order along the outline")):
         refused(OutlineSettings(csv=f"{name}.csv", noise=0.1).read, made, tmp_path, None, said=said)
-    refused(OutlineSettings(noise="5%").of_run, made, disc(made, 1.0), said="a distance in m")
+    refused(lambda: OutlineSettings(noise="5%"), said="a distance in m")
 
 
 def test_places_of_a_problem_are_on_the_map_of_its_scene(tmp_path: Path) -> None:
@@ -207,6 +254,9 @@ def test_places_of_a_problem_are_on_the_map_of_its_scene(tmp_path: Path) -> None
         np.testing.assert_allclose(there.values, here.values, atol=1e-9)
         assert getattr(there.observation, "line", 0.0) == pytest.approx(getattr(here.observation, "line", 0.0))
         np.testing.assert_allclose(getattr(there.observation, "x", 0.0), getattr(here.observation, "x", 0.0))
-    problem = (tmp_path / "problem.toml").read_text().replace("value = 500.6", "value = 0.6")
-    (tmp_path / "problem.toml").write_text(problem)
-    refused(read_problem, str(tmp_path / "problem.toml"), said="from the origin of the scene, 500, 1300")
+    problem = (tmp_path / "problem.toml").read_text()
+    (tmp_path / "problem.toml").write_text(problem.replace("value = 500.6", "value = 0.6"))
+    said = "lengths count from the corner of the box here, 500, 1300 on the map"
+    refused(read_problem, str(tmp_path / "problem.toml"), said=said)
+    (tmp_path / "problem.toml").write_text(problem.replace("noise = 0.1", "noise = 0.1\nwindow = -1.0"))
+    assert "corner" not in str(refused(read_problem, str(tmp_path / "problem.toml"), said="observations[4].window"))

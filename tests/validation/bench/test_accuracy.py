@@ -24,7 +24,7 @@ from validation.bench.accuracy.bench import (
     toml,
 )
 from validation.bench.accuracy.flows import read_flows
-from validation.runs import RunStore
+from validation.run_store import RunStore
 
 COLUMN = replace(read_scene("column-short-21"), duration=0.1)
 

@@ -14,7 +14,7 @@ from validation.bench import speed
 from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
 from validation.bench.speed import baffle_row, behind_baffles, mean_x, started_row
-from validation.runs import kept
+from validation.run_store import kept
 
 
 def test_finished_work_is_held_and_goes_with_a_temporary_folder(

@@ -11,7 +11,7 @@ from datasets.flow.measures import Deposit, Errors
 from datasets.scene.particles import initial_particles, released_volume
 from tests.scenes import flow_of, scene_of
 from validation.bench.accuracy.bench import deposit_of
-from validation.bench.gns import AGAIN, MOUNDS, Compared, Model, conclusion, creep, mound
+from validation.bench.gns import AGAIN, MOUNDS, Compared, ModelErrors, conclusion, creep, mound
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
 
@@ -54,7 +54,7 @@ def test_a_mound_that_creeps_is_measured_from_its_start_on() -> None:
     assert "by 0.2 to 90 mm/s; with the MPM by at most 0.1 mm/s" in conclusion([model()], speeds)[-1]
 
 
-def model() -> Model:
+def model() -> ModelErrors:
     """Two scenes of one model, the second at the wall, beside an MPM on three grids."""
 
     def off(front: float) -> Errors:
@@ -71,7 +71,7 @@ def model() -> Model:
         band=(0.01, 0.02),
     )
     second = replace(first, free=False, by=first.by | {"tiny": off(0.05)}, band=None)
-    return Model(name="tiny", family="flow2d", compared=[first, second])
+    return ModelErrors(name="tiny", family="flow2d", compared=[first, second])
 
 
 def test_the_price_is_that_of_the_cheapest_mpm_with_no_larger_error() -> None:

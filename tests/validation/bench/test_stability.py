@@ -16,7 +16,7 @@ from tests import scenes
 from tests.refusals import refused
 from tests.scenes import flow_of
 from validation.bench.__main__ import main
-from validation.bench.accuracy.flows import Flow
+from validation.bench.accuracy.flows import MeasuredFlow
 from validation.bench.stability import bench, invariants
 from validation.bench.stability.bench import FOLDER, ROWS, HardCase, front_changes, fronts, read_rows, run, verdict
 from validation.bench.stability.invariants import ALWAYS, Finding
@@ -147,7 +147,7 @@ def test_a_verdict_says_what_is_wrong() -> None:
 
 
 def test_fronts_over_stiffness_and_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "RELEASED", {2: (Flow(aspect=1.0, friction_deg=30.0, box=3.0, duration=0.5), 4)})
+    monkeypatch.setattr(bench, "RELEASED", {2: (MeasuredFlow(aspect=1.0, friction_deg=30.0, box=3.0, duration=0.5), 4)})
     monkeypatch.setattr(bench, "STIFFNESSES", (1.0,))
     found = fronts()
     assert found.keys() == {(2, 1.0, 0.9), (2, 1.0, 0.3)}

@@ -23,7 +23,7 @@ from validation.experiments.experiment import (
     read_experiment,
     read_experiments,
 )
-from validation.runs import Run
+from validation.run_store import Run
 
 SHIPPED = read_experiments()
 PLAUSIBLE = Reading(name="plausible", deg=25.0, rate=True)

@@ -11,14 +11,15 @@ import pytest
 import rasterio
 from scipy.stats import norm
 
-from datasets import Mass, Scene, Trajectory
+from datasets import Mass, Scene, Solid, Trajectory
 from mpm import LAST
 from tests.refusals import refused, refused_by
 from tests.scenes import flow_of, room, scene_of
 from validation import forecast_scene
 from validation.forecast.__main__ import main
-from validation.forecast.predict import predicted
-from validation.runs import RunStore
+from validation.forecast.predict import height_of, predicted
+from validation.forecast.solve import in_scene
+from validation.run_store import RunStore
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.2)), duration=0.1, frame_dt=0.05, floor_friction=0.4)
 MEAN, DEVIATION = 30.0, 1.5
@@ -118,6 +119,30 @@ def test_maps_of_probability(tmp_path: Path) -> None:
     forecast_scene(posterior(tmp_path / "loop"), scene, tmp_path / "out", draws=4, simulate=flows)
     with rasterio.open(tmp_path / "out" / "probability-depth.tif") as raster:
         assert 0.0 <= raster.read(1).min() <= raster.read(1).max() <= 1.0
+
+
+def test_the_mean_height_of_a_thin_deposit_is_that_of_its_thickness() -> None:
+    """0.02 m thick over 0.4 x 0.4 m on cells of 0.04 m, whose particles have sunk to the ground; less at its edges."""
+    scene = room(Mass(lower=(0.0, 0.0, 0.3), size=(0.2, 0.1, 0.2)))
+    x, z = np.meshgrid(*(0.2 + 0.01 * (np.arange(40) + 0.5),) * 2, indexing="ij")
+    positions = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
+    assert height_of(scene, positions, np.full(x.size, 0.02 * 0.01**2)) == pytest.approx(
+        0.01, rel=0.1
+    )  # less at its edges
+
+
+def test_the_solid_of_an_unknown_is_found_by_its_name_or_its_kind() -> None:
+    """Not by its place in the list: barriers stand before the terrain in one scene and behind it in the other."""
+    wall = Solid(name="wall", lower=(0.8, 0.0), size=(0.1, 0.1))
+    ground = Solid(kind="terrain", points=((0.0, 0.0), (1.0, 0.0)))
+    scene = replace(SCENE, solids=(ground, wall, replace(wall, name="low", lower=(0.6, 0.0))))
+    before = [("wall", "box"), ("bed", "terrain"), (None, "box"), (None, "mesh")]
+    found = [in_scene(f"solids[{index}].friction", before, scene) for index in range(2)]
+    assert found == ["solids[1].friction", "solids[0].friction"]
+    assert in_scene("solids[2].friction", before, scene) == "solids[2].friction"  # one of two boxes, in its place
+    refused(in_scene, "solids[3].friction", before, scene, said="expected a mesh in the scene, as solids[3]")
+    for name in ("friction_deg", "solids[9].friction"):
+        assert in_scene(name, before, scene) == name
 
 
 def test_mistakes_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -225,4 +225,4 @@ def test_a_model_that_is_given_and_not_asked_is_said(
 ) -> None:
     monkeypatch.setattr(surrogate, "learned", lambda *_: (None, "it is of flows in 3D"))
     run(task(wedge(tmp_path), tmp_path, Surrogate.AUTO), model=tmp_path / "other")
-    assert "the surrogate is not asked: it is of flows in 3D" in capsys.readouterr().err.splitlines()
+    assert "the surrogate is not used: it is of flows in 3D" in capsys.readouterr().err.splitlines()

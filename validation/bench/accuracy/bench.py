@@ -20,11 +20,11 @@ from datasets.flow.trajectory import Trajectory
 from datasets.scene import Scene
 from datasets.scene.particles import initial_particles
 from mpm import simulate_many
-from mpm.resolution import COVERAGE, MEASURED, Measured, Resolution, read_measured, resolved, with_resolution
+from mpm.resolution import COVERAGE, MEASURED, MeasuredResolution, Resolution, read_measured, resolved, with_resolution
 from mpm.runtime import Arch
 from validation.bench.accuracy.flows import OWN_STEP, read_flows
 from validation.bench.page import Keep, Out, emphasised, percent, tables, write_page
-from validation.runs import SHARE, Run, RunStore, kept
+from validation.run_store import SHARE, Run, RunStore, kept
 
 TOLERANCES = (0.2, 0.15, 0.1, 0.07, 0.05, 0.04, 0.03, 0.02)
 """The resolution that each selects is shown."""
@@ -144,10 +144,10 @@ def bound(found: Errors, resolution: Resolution) -> float:
     return prediction_limit([max(max(found[each][name].errors) for each in finer) for name in names])
 
 
-def measured(dimension: int, found: Errors) -> list[Measured]:
+def measured(dimension: int, found: Errors) -> list[MeasuredResolution]:
     """What `--tolerance` reads."""
     return [
-        Measured(
+        MeasuredResolution(
             dimension=dimension,
             resolution=resolution,
             expected=round(rms(errors), 5),
@@ -159,7 +159,7 @@ def measured(dimension: int, found: Errors) -> list[Measured]:
     ]
 
 
-def toml(known: Sequence[Measured]) -> str:
+def toml(known: Sequence[MeasuredResolution]) -> str:
     """`resolution.toml`."""
     return (
         "# What resolutions promise and cost, for --tolerance. By `python -m validation.bench accuracy --ship`.\n"
@@ -168,7 +168,7 @@ def toml(known: Sequence[Measured]) -> str:
     ) + tomli_w.dumps({"measured": [asdict(each) for each in known]})
 
 
-def selected(dimension: int, tolerance: float, known: Sequence[Measured]) -> Measured | None:
+def selected(dimension: int, tolerance: float, known: Sequence[MeasuredResolution]) -> MeasuredResolution | None:
     """What a tolerance selects in a dimension; None where nothing that was measured is within it."""
     scene = next(iter(read_flows(dimension, unseen=True).values()))
     try:
@@ -190,7 +190,7 @@ def bench(*, out: Out, keep: Keep = None, ship: bool = False, arch: Arch = "cpu"
     with kept(keep) as folder:
         store = RunStore(folder, partial(simulate_many, arch=arch))
         if ship:
-            every: list[Measured] = []
+            every: list[MeasuredResolution] = []
             for d, sizes in SHIPPED.items():
                 tried = [own(cells) for cells in sizes]
                 for cells in CHECKED[d]:

@@ -25,7 +25,7 @@ ROOM = 1.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flow(Record):
+class MeasuredFlow(Record):
     """A mass that is released or thrown, in numbers without units."""
 
     name: str = ""
@@ -112,5 +112,5 @@ class Flow(Record):
 
 def read_flows(dimension: int, *, unseen: bool) -> dict[str, Scene]:
     """The scenes of a dimension that `--tolerance` is measured on, or those that it is tried on, by name."""
-    flows = [from_mapping(Flow, each) for each in read_toml(Path(__file__).with_suffix(".toml"))["flows"]]
+    flows = [from_mapping(MeasuredFlow, each) for each in read_toml(Path(__file__).with_suffix(".toml"))["flows"]]
     return {each.name: each.scene() for each in flows if (each.dimension, each.unseen) == (dimension, unseen)}

@@ -18,7 +18,7 @@ from datasets.schema import Record, from_mapping
 from mpm import LAST, WITH_FIELDS, simulate_each, simulate_many
 from mpm.arrays.layout import Precision
 from mpm.resolution import Resolution, with_resolution
-from validation.bench.accuracy.flows import Flow
+from validation.bench.accuracy.flows import MeasuredFlow
 from validation.bench.page import Out, Row, emphasised, percent, write_page
 from validation.bench.stability import quantities, slopes
 from validation.bench.stability.invariants import ALWAYS, DEPOSIT, Finding, finite
@@ -33,8 +33,8 @@ COLUMNS = {
 """Checks that have a column of their own, with its heading and form."""
 ROWS = read_toml(FOLDER / "rows.toml")
 RELEASED = {
-    2: (Flow(aspect=2.0, friction_deg=30.0, box=8.0), 10),
-    3: (Flow(aspect=1.0, friction_deg=30.0, depth=1.0, box=6.0, duration=5.0), 6),
+    2: (MeasuredFlow(aspect=2.0, friction_deg=30.0, box=8.0), 10),
+    3: (MeasuredFlow(aspect=1.0, friction_deg=30.0, depth=1.0, box=6.0, duration=5.0), 6),
 }
 """Columns whose fronts are compared, and cells across them, by dimension."""
 STIFFNESSES, STEPS = (1.0, 10.0, 100.0), (0.9, 0.3)

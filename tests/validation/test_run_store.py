@@ -12,8 +12,8 @@ from datasets.errors import WorkFailed
 from mpm import ALL, AT_REST, LAST, Recording, ScenesFailed
 from tests.scenes import scene_of
 from tests.validation.loop.flows import FakeMpm
-from validation import runs
-from validation.runs import SHARE, Run, RunStore
+from validation import run_store
+from validation.run_store import SHARE, Run, RunStore
 
 SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.2)), cell=0.01)
 
@@ -75,6 +75,6 @@ def test_other_options_another_version_and_a_broken_file_are_run_again(
     store([SCENE], record=LAST)
     assert len(mpm.scenes) == 3
     assert len(list(tmp_path.iterdir())) == 2
-    monkeypatch.setattr(runs, "__version__", "another")
+    monkeypatch.setattr(run_store, "__version__", "another")
     store([SCENE])
     assert len(mpm.scenes) == 4

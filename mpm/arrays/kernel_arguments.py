@@ -10,7 +10,7 @@ import taichi as ti
 from mpm.arrays.features import NODE, Features
 
 
-class Kind(Enum):
+class ArrayKind(Enum):
     """Element and rank of an array; a block is a vector of lanes, a node a short one of `Features.node` numbers."""
 
     BLOCKS = "block", 1
@@ -26,9 +26,9 @@ class Kind(Enum):
     DOUBLE_TABLE = "f64", 2
 
 
-def named(**groups: str) -> dict[str, Kind]:
+def named(**groups: str) -> dict[str, ArrayKind]:
     """Kinds by the names of arrays, from the names of each kind."""
-    return {name: Kind[kind] for kind, names in groups.items() for name in names.split()}
+    return {name: ArrayKind[kind] for kind, names in groups.items() for name in names.split()}
 
 
 STEP = named(
@@ -74,21 +74,21 @@ class Arrays:
         vars(self).update(named)
 
 
-def arguments(arrays: Mapping[str, Kind], memory: Mapping[str, Any], lanes: int) -> dict[str, Any]:
+def arguments(arrays: Mapping[str, ArrayKind], memory: Mapping[str, Any], lanes: int) -> dict[str, Any]:
     """The arrays of a table in its order and in the shape that a kernel takes, from NumPy arrays by name."""
     found = {}
     for name, kind in arrays.items():
         array = memory[VIEWS.get(name, name)]
-        if kind is Kind.BLOCKS and lanes > 1:
+        if kind is ArrayKind.BLOCKS and lanes > 1:
             array = array.reshape(-1, lanes)
-        elif kind is not Kind.NODES and kind.value[1] == 1:
+        elif kind is not ArrayKind.NODES and kind.value[1] == 1:
             array = array.reshape(-1)
         found[name] = array
     return found
 
 
 def kernel_of(
-    arrays: Mapping[str, Kind], body: Callable[..., None], features: Features, **constants: Any
+    arrays: Mapping[str, ArrayKind], body: Callable[..., None], features: Features, **constants: Any
 ) -> Callable[..., None]:
     """A kernel with the parameters `arrays`, `first`, `last` and `phase`, which it hands to the Taichi function `body`.
 

@@ -1,0 +1,129 @@
+"""The box of a scene in map coordinates: whole cells around the ground that a flow reaches, or around shapes of a GIS.
+
+`[domain] around = "release.gpkg"`, `margin = 200.0` stand for `origin` and `size`: the bounds of all shapes of the file
+and a margin on each side, as far as the terrain goes, from the lowest ground there to some air above the highest.
+"""
+
+import math
+import warnings
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datasets.errors import require
+from datasets.geometry.shapes import usual
+from datasets.scene.grid_field import Floats
+
+Entry = dict[str, Any]
+Ends = Sequence[tuple[float, float]]
+"""First and last post of the terrain along x and z [m]."""
+
+BENEATH, AIR = 4, 10
+"""Cells of ground beneath the lowest one of a box; of air over the highest."""
+
+
+def whole_cells(lower: Floats, upper: Floats, cell: float, ends: Ends, key: str) -> Entry:
+    """`size`, `cell` and `origin` of a box between two corners [m], shape [3], that has no ground but the terrain's.
+
+    Raises InputError, which names `key`, where no cell fits.
+    """
+    lower, upper = lower.copy(), upper.copy()
+    for axis, (first, last) in zip((0, 2), ends, strict=True):
+        lower[axis], upper[axis] = max(first, lower[axis]), min(last, upper[axis])
+    lower[1], upper[1] = lower[1] - BENEATH * cell, upper[1] + AIR * cell
+    # Whole metres, of small boxes whole decimals of one.
+    unit = min(1.0, 10.0 ** math.floor(math.log10(cell)))
+    origin = unit * np.ceil(lower / unit)
+    origin[1] = unit * math.floor(lower[1] / unit)
+    # Even numbers: on cells twice as large the same box shows their error (`surrogate = "coarse"`, forecasts).
+    counts = 2.0 * np.floor((upper - origin) / (2.0 * cell) + 1.0e-9)
+    counts[1] += 2.0
+    require(bool((counts >= 1.0).all()), key, "cells that fit what lies in the box", f"{cell:g} m")
+    return {"size": np.round(counts * cell, 9).tolist(), "cell": cell, "origin": np.round(origin, 9).tolist()}
+
+
+def plan_around(domain: Entry, solids: Any, folder: Path) -> Entry:
+    """`[domain]` with an origin and a size in plan around the shapes of a file; its heights are still any.
+
+    solids: of the scene, whose terrain may name a raster in `folder`, in whose reference system the box then is. Raises
+    InputError.
+    """
+    # Half a second, which other scenes do not wait.
+    from datasets.exchange.rasters import known_system, raster_system
+    from datasets.exchange.vectors import read_bounds
+
+    domain = dict(domain)
+    around, margin, cell, crs = domain.pop("around"), domain.pop("margin", None), domain.get("cell"), domain.get("crs")
+    for key in ("size", "origin"):
+        require(key not in domain, key, "no such key beside around", "one")
+    require(isinstance(around, str), "around", "the name of a file with polygons, lines or points", repr(around))
+    given = isinstance(margin, int | float) and usual(margin) and margin >= 0.0
+    require(given, "margin", "a length of at least 0 m beside around", margin)
+    require(isinstance(cell, int | float) and usual(cell) and cell > 0.0, "cell", "a positive length in m", cell)
+    if crs is None and isinstance(solids, list):
+        files = [each.get("file") for each in solids if isinstance(each, dict) and each.get("kind") == "terrain"]
+        crs = next((raster_system(folder / file) for file in files if isinstance(file, str)), None)
+    elif crs is not None:
+        crs = known_system(str(crs))
+    west, south, east, north = read_bounds(folder / around, crs)
+    size = [east - west + 2.0 * margin, cell, north - south + 2.0 * margin]
+    require(min(size) > 0.0, "margin", "a length above 0 m around a single place", margin)
+    box = {"origin": [west - margin, 0.0, south - margin], "size": size}
+    return domain | box | ({} if crs is None else {"crs": crs})
+
+
+def with_elevations(domain: Entry, data: Entry) -> Entry:
+    """A `[domain]` by `plan_around` in whole cells, as far as the terrain goes and as high as what stands in it.
+
+    data: the scene, its terrain by heights. Raises InputError for a scene without terrain there.
+    """
+    lower, upper = (np.array(domain["origin"]) + step * np.array(domain["size"]) for step in (0.0, 1.0))
+    low, high, ends = math.inf, -math.inf, [(-math.inf, math.inf)] * 2
+    for grid in filter(None, map(posts_of, entries(data, "solids"))):
+        axes, heights = grid
+        spans = zip(axes, lower[::2], upper[::2], strict=True)
+        parts = [(at > first - at[1] + at[0]) & (at < last + at[1] - at[0]) for at, first, last in spans]
+        within = heights[np.ix_(*parts)]
+        require(within.size > 0, "around", "shapes that lie on the terrain", "others")
+        low, high = min(low, float(within.min())), max(high, float(within.max()))
+        ends = [(max(end[0], float(at[0])), min(end[1], float(at[-1]))) for end, at in zip(ends, axes, strict=True)]
+    require(low < math.inf, "around", "a terrain in 3D, which says how high the box is", "none")
+    if any(lower[2 * n] < first or upper[2 * n] > last for n, (first, last) in enumerate(ends)):
+        warnings.warn("domain.margin: the box ends where the terrain does", stacklevel=2)
+    thick = max((largest(each.get("thickness", 0.0)) for each in entries(data, "masses")), default=0.0)
+    tops = [top for group in ("masses", "baffles", "solids") for top in map(top_of, entries(data, group))]
+    lower[1], upper[1] = low, max(high + thick, *tops)
+    return domain | whole_cells(lower, upper, float(domain["cell"]), ends, "cell")
+
+
+def entries(data: Entry, group: str) -> list[Entry]:
+    """The tables of a group such as `masses`; what is none is left to the scene's own checks."""
+    found = data.get(group)
+    return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
+
+
+def posts_of(terrain: Entry) -> tuple[list[Floats], Floats] | None:
+    """x and z of the posts of a terrain in 3D [m] and their elevations [X, Z]; None where they make no grid."""
+    with suppress(KeyError, TypeError, ValueError):
+        heights = np.array(terrain["heights"], np.float64)
+        sides = zip(terrain["origin"], terrain["spacing"], heights.shape, strict=True)
+        axes = [float(first) + float(step) * np.arange(count) for first, step, count in sides]
+        return (axes, heights) if len(axes) == 2 and min(heights.shape) > 1 else None
+    return None
+
+
+def largest(thickness: Any) -> float:
+    """The largest of the thicknesses of a layer [m]; 0 of what are none."""
+    with suppress(TypeError, ValueError):
+        return float(np.max(np.array(thickness, np.float64)))
+    return 0.0
+
+
+def top_of(entry: Entry) -> float:
+    """Elevation of the top of a box [m]; none of what is no box."""
+    with suppress(KeyError, TypeError, ValueError, IndexError):
+        return float(entry["lower"][1]) + float(entry["size"][1])
+    return -math.inf
