@@ -55,8 +55,10 @@ class Meshes:
         if name == "domain":
             return edges((0.0,) * scene.dimension, scene.domain.size)
         if name == MOVING:
-            mesh = pyvista.PolyData(spatial(trajectory.positions[frame]))
-            arrays, data = self.fields.at_frame(frame), mesh.point_data
+            here = trajectory.entered(float(trajectory.time[frame]))
+            mesh = pyvista.PolyData(spatial(trajectory.positions[frame][here]))
+            arrays = {key: values[here] for key, values in self.fields.at_frame(frame).items()}
+            data = mesh.point_data
         else:
             surface = surface_of(scene)
             assert surface is not None
