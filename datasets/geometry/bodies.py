@@ -205,9 +205,15 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
         top = elevation(ground, domain, places[:, level]) + plan.thickness(places[:, level])
         return np.asarray(np.maximum(top - places[:, 1], 0.0))
 
-    box = {"lower": np.insert(plan.lower, 1, float(floor.min())), "upper": np.insert(plan.upper, 1, float(top.max()))}
     return Filling(
-        lattice=lattice, spacing=spacing, volume=plan.volume, **box, contains=contains, raised=raised, cover=cover
+        lattice=lattice,
+        spacing=spacing,
+        volume=plan.volume,
+        lower=np.insert(plan.lower, 1, float(floor.min())),
+        upper=np.insert(plan.upper, 1, float(top.max())),
+        contains=contains,
+        raised=raised,
+        cover=cover,
     )
 
 

@@ -208,7 +208,7 @@ def direction_of(
         check_vector(mass.direction, key, dimension)
         given = np.array(mass.direction)
         length = float(np.linalg.norm(given))
-        across = length > 0.0 and abs(given @ along) <= ASKEW * length
+        across = length > 0.0 and bool(abs(given @ along) <= ASKEW * length)
         require(across, key, "a vector at right angles to the section", given.tolist())
         given -= (given @ along) * along
         return np.asarray(given / np.linalg.norm(given))

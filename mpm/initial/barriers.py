@@ -65,14 +65,15 @@ def held_tables(
     tables: tuple[list[Any], ...] = [], [], [], []
     for scene, its, offset in zip(scenes, particles, offsets, strict=True):
         offset[Offset.BARRIER], offset[Offset.RETAINED], _, offset[Offset.INFLOW] = map(len, tables)
-        rows = (*barrier_tables(scene, its, len(tables[1])), inflow_rows(scene, max(each.frames for each in scenes)))
+        speeds = inflow_rows(scene, max(each.frames for each in scenes))
+        rows: tuple[list[Any], ...] = (*barrier_tables(scene, its, len(tables[1])), speeds)
         offset[Offset.BARRIERS], offset[Offset.RETAINED_COUNT], _, offset[Offset.INFLOWS] = map(len, rows)
         if its.entry_time is not None:
             offset[Offset.ENTERED] = math.ceil(its.entry_time.max() / scene.frame_dt)
         for table, own in zip(tables, rows, strict=True):
             table += own
-    kinds = zip(tables, (Barrier, Retained, Settling, Inflow), (np.int32, np.int32, np.float64, real), strict=True)
-    return [np.array(table or [[0] * len(columns)], kind) for table, columns, kind in kinds]
+    columns = (Barrier, np.int32), (Retained, np.int32), (Settling, np.float64), (Inflow, real)
+    return [np.array(own or [[0] * len(names)], kind) for own, (names, kind) in zip(tables, columns, strict=True)]
 
 
 def barrier_tables(
