@@ -5,8 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
-from datasets.scene import INFLOW
 from datasets.scene.particles import particle_count
 from inverse.forward import Simulate
 from inverse.observations import Observation, Values
@@ -24,16 +22,8 @@ class MpmForward:
     def __init__(
         self, problem: Problem, observation: Observation, simulate: Simulate, *, band: Values | None = None
     ) -> None:
-        """band: standard deviation of each number by the error of its cells, shape [M]; none where absent. Raises
-        InputError for observations of particles over time, of a scene with inflow.
-        """
+        """band: standard deviation of each number by the error of its cells, shape [M]; none where absent."""
         self.band = band
-        entering = any(mass.kind == INFLOW for mass in problem.scene.masses)
-        for part in observation.parts if entering else ():
-            its = part.observation
-            if its.over_time and (its.of_positions or its.dense):
-                message = f"expected an observation of the end, or of forces, of a scene with inflow, got {part.name}"
-                raise InputError(message, where=problem.name, key="observations")
         self.problem, self.observation, self.simulate = problem, observation, simulate
         self.indices = np.arange(particle_count(problem.scene) if observation.every_particle else 0)
         if len(self.indices) > PARTICLES:

@@ -72,8 +72,9 @@ def held_tables(
             offset[Offset.ENTERED] = math.ceil(its.entry_time.max() / scene.frame_dt)
         for table, own in zip(tables, rows, strict=True):
             table += own
-    columns = (Barrier, np.int32), (Retained, np.int32), (Settling, np.float64), (Inflow, real)
-    return [np.array(own or [[0] * len(names)], kind) for own, (names, kind) in zip(tables, columns, strict=True)]
+    kinds: tuple[Any, ...] = np.int32, np.int32, np.float64, real
+    counts = map(len, (Barrier, Retained, Settling, Inflow))
+    return [np.array(own or [[0] * n], kind) for own, n, kind in zip(tables, counts, kinds, strict=True)]
 
 
 def barrier_tables(

@@ -1,9 +1,9 @@
 """Material that flows in: particles that wait at their section until their time has come, and what is behind it.
 
 All particles of an inflow are there from the start (`datasets.geometry.inflow`), each at the place where it enters,
-without mass, stress and velocity. In the step nearest to its time it becomes part of the flow, with its velocity. A
-vector of its block counts how many frames it has to wait: by steps in the frame in which it enters, by whole frames
-before that, which rounds nothing.
+without mass, stress and velocity. With the step that contains its time it becomes part of the flow, with its velocity,
+as far from the section as that takes it by the end of the step. A vector of its block counts how many frames it has to
+wait: by steps in the frame in which it enters, by whole frames before that, which rounds nothing.
 
 Behind the section, and on it, the nodes of the grid have the velocity v(t) of the inflow, the mean of each frame. What
 has entered leaves the section at that speed, so that the next slice finds its place empty: it is neither compressed nor
@@ -26,6 +26,8 @@ BEHIND, BESIDE, BELOW = 3.0, 1.5, 2.0
 """Cells of held nodes around a section: the support of a quadratic B-spline is one and a half along each axis."""
 SLACK = 0.01
 """Cells in front of the section that rounding may put a node on it."""
+EARLY = 1.0e-5
+"""Frames by which a particle may enter before its time, so that rounding leaves none outside at the end."""
 NEVER = -1.0
 """Speed of an inflow that has not begun, or has ended."""
 
@@ -52,12 +54,14 @@ def let_in(block, scene, dt, arrays: ti.template()):
     entry, present, velocity = x + features.state.entry, x + features.state.present, x + features.state.velocity
     step, before = dt / arrays.settings[scene, Setting.FRAME_DT], arrays.state[entry]
     left = ti.select((before > 0.0) & (before <= 1.0), before - step, before)
-    enters = (before > 0.0) & (left < 0.5 * step)
+    enters, late = (before > 0.0) & (left < EARLY), left * arrays.settings[scene, Setting.FRAME_DT]
     arrays.state[entry] = ti.select(enters, 0.0, left)
     arrays.state[present] = ti.select(enters, 1.0, arrays.state[present])
     for k in ti.static(range(features.state.contacts - features.state.velocity)):
         if ti.static(k < features.dimension):
-            arrays.state[velocity + k] = ti.select(enters, arrays.state[entry + 1 + k], arrays.state[velocity + k])
+            speed = arrays.state[entry + 1 + k]
+            arrays.state[x + k] = ti.select(enters, arrays.state[x + k] - late * speed, arrays.state[x + k])
+            arrays.state[velocity + k] = ti.select(enters, speed, arrays.state[velocity + k])
         else:
             arrays.state[velocity + k] = ti.select(enters, 0.0, arrays.state[velocity + k])
     if ti.static(features.contact):
