@@ -66,6 +66,25 @@ def test_a_plug_moves_on_as_it_entered_without_any_stress(section: str) -> None:
     assert np.abs(flow.stress).max() < 1e-5 * SAND.modulus
 
 
+def test_a_steady_inflow_on_a_smooth_incline_thins_as_it_speeds_up() -> None:
+    """v^2 = v_0^2 + 2 g sin(slope) x and v h = q; its own pressure adds 4 % of that acceleration at most."""
+    speed, depth, end = 4.0, 0.075, 0.5
+    mass = Mass(kind="inflow", section=((0.1,),), hydrograph=tuple((t, speed * depth, speed) for t in (0.0, end)))
+    scene = dataclasses.replace(
+        entering(gravity=9.81, slope_deg=30.0, open_sides=("x+",), duration=end),
+        domain=Domain(size=(1.5, 0.4), cell=0.025),
+        masses=(mass,),
+    )
+    flow = simulate(scene, threads=1, record=WITH_FIELDS)
+    assert flow.velocities is not None
+    for x in np.arange(0.3, 1.2, 0.2):
+        here = np.abs(flow.positions[-5:, :, 0] - x) < 0.1
+        found = flow.velocities[-5:][here][:, 0].mean()
+        assert found == pytest.approx(math.sqrt(speed**2 + 9.81 * (x - 0.1)), rel=0.015)
+        assert here.sum() / 5 * flow.volumes[0] / 0.2 * found == pytest.approx(speed * depth, rel=0.03)
+
+
+@pytest.mark.slow
 def test_a_steady_inflow_on_voellmys_incline_reaches_the_uniform_depth() -> None:
     """v^2 = xi h (sin - mu cos) at v h = q, from 0.8 of this speed; the stress is that of the weight."""
     steep, xi, mu, depth, bed, end = math.radians(30.0), 20.0, 0.2, 0.1, 0.1, 2.0
