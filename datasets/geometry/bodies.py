@@ -126,12 +126,13 @@ def entering(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float
     got = f"places from {places.min(axis=0).tolist()} to {places.max(axis=0).tolist()}"
     require(inside, key, f"a section inside the domain {size.tolist()} up to its greatest depth", got)
     around = np.concatenate([places, places + found.depth * found.flow]).clip(0.0, size)
+    lower = np.minimum(around.min(axis=0), size - share)
     return Filling(
         lattice=places,
         spacing=np.full(len(size), share),
         volume=found.volume,
-        lower=around.min(axis=0),
-        upper=around.max(axis=0),
+        lower=lower,
+        upper=np.maximum(around.max(axis=0), lower + share),
         contains=lambda places: np.full(len(places), True),
         cover=lambda places: np.zeros(len(places)),
         inflow=found,

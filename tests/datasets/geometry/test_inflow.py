@@ -118,6 +118,12 @@ def test_what_enters_after_the_end_is_not_there() -> None:
     assert particles.entry_time.max() < 0.75
 
 
+def test_a_single_particle_at_the_end_of_the_box_may_leave_it() -> None:
+    mass = flat(section=((4.0,),), hydrograph=((0.0, 0.05, 1.0), (0.01, 0.05, 1.0))).masses[0]
+    assert min(mass.size) > 0.0
+    assert np.add(mass.lower, mass.size)[0] == pytest.approx(4.0)
+
+
 def test_a_factor_scales_all_discharges() -> None:
     assert initial_particles(flat(discharge_factor=1.5)).volume.sum() == pytest.approx(0.375, rel=1e-12)
 
