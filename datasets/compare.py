@@ -167,13 +167,11 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
             own.append(figures_of(each, known))
         thickness = measures.thickness_apart(*heights)
         moved = transport = math.nan
-        if all(each.any() for each in entered):
+        if all(here.any() for here in entered):
             parts = zip((first, second), (one.volumes, other.volumes), entered, strict=True)
             transport = measures.transport_distance(*(own[here] for *owns, here in parts for own in owns))
-            if same is not None:
-                both_in = entered[0][same[0]] & entered[1][same[1]]
-                apart = np.linalg.norm(first[same[0]] - second[same[1]], axis=1)[both_in]
-                moved = measures.rms(apart)
+        if same is not None and (here := entered[0][same[0]] & entered[1][same[1]]).any():
+            moved = measures.rms(np.linalg.norm(first[same[0]] - second[same[1]], axis=1)[here])
         rows[2].append([thickness, transport, moved, measures.overlap(*heights)])
     figures = [dict(zip(FIGURES, np.array(own).T, strict=True)) for own in rows[:2]]
     return Comparison(

@@ -168,10 +168,7 @@ def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> No
 
 
 def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
-    """Some of the particles of a trajectory of the MPM, each with the volume of those that it stands for.
-
-    Raises InputError where they enter over time.
-    """
+    """Some of the particles of a trajectory of the MPM, each with the volume of those that it stands for."""
     scene = trajectory.scene
     require(trajectory.entry_time is None, "storage", "all particles of a scene with inflow", "some")
     positions, rng = trajectory.positions, np.random.default_rng(scene.seed)

@@ -133,13 +133,13 @@ class FlowFields:
             {"position": np.asarray(flow.positions[frame])} | self.at_frame(frame) if weight > 0.0 else {}
             for frame, weight in ((before, 1.0 - share), (before + 1, share))
         )
-        found = first or second
-        if first and second:
-            found = {
-                key: first[key] if key in CONSTANT else (1.0 - share) * first[key] + share * second[key]
-                for key in first.keys() & second.keys()
-            }
-        return found | {"entered": flow.entered(float(np.clip(time, flow.time[0], flow.time[-1])))}
+        entered = {"entered": flow.entered(float(np.clip(time, flow.time[0], flow.time[-1])))}
+        if not first or not second:
+            return entered | (first or second)
+        return entered | {
+            key: first[key] if key in CONSTANT else (1.0 - share) * first[key] + share * second[key]
+            for key in first.keys() & second.keys()
+        }
 
 
 def pairs(one: FlowFields, other: FlowFields) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 import shapely
@@ -125,18 +126,14 @@ def entering(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float
     inside = bool((places >= -TOLERANCE).all() and (places <= size + TOLERANCE).all())
     got = f"places from {places.min(axis=0).tolist()} to {places.max(axis=0).tolist()}"
     require(inside, key, f"a section inside the domain {size.tolist()} up to its greatest depth", got)
-    around = np.concatenate([places, places + found.depth * found.flow]).clip(0.0, size)
-    lower = np.minimum(around.min(axis=0), size - share)
-    return Filling(
-        lattice=places,
-        spacing=np.full(len(size), share),
-        volume=found.volume,
-        lower=lower,
-        upper=np.maximum(around.max(axis=0), lower + share),
-        contains=lambda places: np.full(len(places), True),
-        cover=lambda places: np.zeros(len(places)),
-        inflow=found,
-    )
+    around = np.concatenate([places, places + found.depth * found.flow[: len(size)]]).clip(0.0, size)
+    lower, spacing = np.minimum(around.min(axis=0), size - share), np.full(len(size), share)
+    box: dict[str, Any] = {"lower": lower, "upper": np.maximum(around.max(axis=0), lower + share)}
+    nothing: dict[str, Any] = {
+        "contains": lambda places: places[:, 0] >= 0.0,
+        "cover": lambda places: 0.0 * places[:, 0],
+    }
+    return Filling(lattice=places, spacing=spacing, volume=found.volume, **box, **nothing, inflow=found)
 
 
 def polygon(mass: Mass, share: float, key: str) -> Filling:
@@ -206,15 +203,10 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
         top = elevation(ground, domain, places[:, level]) + plan.thickness(places[:, level])
         return np.asarray(np.maximum(top - places[:, 1], 0.0))
 
+    lower, upper = np.insert(plan.lower, 1, float(floor.min())), np.insert(plan.upper, 1, float(top.max()))
+    box: dict[str, Any] = {"lower": lower, "upper": upper}
     return Filling(
-        lattice=lattice,
-        spacing=spacing,
-        volume=plan.volume,
-        lower=np.insert(plan.lower, 1, float(floor.min())),
-        upper=np.insert(plan.upper, 1, float(top.max())),
-        contains=contains,
-        raised=raised,
-        cover=cover,
+        lattice=lattice, spacing=spacing, volume=plan.volume, **box, contains=contains, raised=raised, cover=cover
     )
 
 

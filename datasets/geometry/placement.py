@@ -64,12 +64,9 @@ def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
 
 
 def overlap(scene: SceneLayout, mass: Mass, other: Mass | Solid, key: str) -> bool:
-    """Whether a mass shares volume with another one or a solid: exactly, a layer and an inflow by their particles.
-
-    What is in front of an inflow may reach to its section.
-    """
+    """Whether a mass shares volume with another one or a solid: exactly, a layer and an inflow by their particles."""
     if INFLOW in (mass.kind, other.kind) and isinstance(other, Mass):
-        return False
+        return False  # it may reach to the section
     if isinstance(other, Mass):
         if not overlaps((mass, other)).any():
             return False

@@ -245,7 +245,7 @@ class Inflow(Column):
     SPEED = auto()  # in the next frame [m/s]; less than zero where it has not begun, or has ended
     FOOT_X, FOOT_Y, FOOT_Z = auto(), auto(), auto()  # the middle of the lowest line of its section [cells]
     FLOW_X, FLOW_Y, FLOW_Z = auto(), auto(), auto()  # unit vectors: of its velocity,
-    ALONG_X, ALONG_Y, ALONG_Z = auto(), auto(), auto()  # along its foot, zero in 2D,
+    ALONG_X, ALONG_Y, ALONG_Z = auto(), auto(), auto()  # along its foot, in 2D z,
     UP_X, UP_Y, UP_Z = auto(), auto(), auto()  # and across both
     HALF_WIDTH = auto()  # of its foot [cells]
 

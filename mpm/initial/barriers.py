@@ -128,9 +128,8 @@ def inflow_rows(scene: Scene, frames: int) -> list[list[float]]:
         middle = 0.5 * (np.maximum(edges[:-1], first) + np.minimum(edges[1:], last))
         flows = (edges[:-1] < last) & (edges[1:] > first)
         speeds = np.where(flows, np.interp(middle, flow.hydrograph[:, 0], speed), NEVER)
-        vectors = [(flow.foot + flow.bed.min() * flow.up) / cell, flow.flow, flow.along, flow.up]
-        places = [np.pad(each, (0, 3 - scene.dimension)) for each in vectors]
-        lines.append([speeds[0], *np.concatenate(places), 0.5 * flow.width / cell, *speeds])
+        foot = (flow.foot + flow.bed.min() * flow.up) / cell
+        lines.append([speeds[0], *foot, *flow.flow, *flow.along, *flow.up, 0.5 * flow.width / cell, *speeds])
     return lines
 
 

@@ -1,19 +1,15 @@
 """Material that flows in: particles that wait at their section until their time has come, and what is behind it.
 
 All particles of an inflow are there from the start (`datasets.geometry.inflow`), each at the place where it enters,
-without mass, stress and velocity. With the step that contains its time it becomes part of the flow, with its velocity,
-as far from the section as that takes it by the end of the step. A vector of its block counts how many frames it has to
-wait: by steps in the frame in which it enters, by whole frames before that, which rounds nothing.
+without mass, stress and velocity. With the step that contains its time it becomes part of the flow, as far from the
+section as its velocity takes it by the end of the step. A vector of its block counts how many frames it has to wait: by
+steps in the frame in which it enters, by whole frames before that, which rounds nothing.
 
-Behind the section, and on it, the nodes of the grid have the velocity v(t) of the inflow, the mean of each frame. What
-has entered leaves the section at that speed, so that the next slice finds its place empty: it is neither compressed nor
-torn apart, and nothing flows back. These nodes are those up to BEHIND cells behind the plane of the section, BESIDE
-cells beyond the ends of its foot and BELOW cells beneath it, however high above it. That begins with the first time of
-the hydrograph and ends with its last.
-
-What enters is free of stress. Its weight compresses it within the time h / c of an elastic wave, in which it moves by
-a small part of its depth h, and by rho g h^2 / (2 M). With a stress of rest a front would be pushed out of the section
-faster than the hydrograph says, before gravity has moved anything.
+From the first time of the hydrograph to its last the nodes on the section and behind it have the velocity v(t) of the
+inflow, the mean of each frame. What has entered leaves the section at that speed, so that what follows finds its place
+empty: it is neither compressed nor torn apart, and nothing flows back. What enters is free of stress: its weight
+compresses it, by rho g h^2 / (2 M), within the time h / c of an elastic wave, in which it moves by a small part of its
+depth h. A stress of rest would push a front out of the section before gravity has moved anything.
 """
 
 import taichi as ti
@@ -22,10 +18,9 @@ from mpm.arrays.access import minimum, over_lanes
 from mpm.arrays.layout import PADDING, Contact, Inflow, Offset, Setting
 from mpm.physics.contact import contact_at
 
-BEHIND, BESIDE, BELOW = 3.0, 1.5, 2.0
-"""Cells of held nodes around a section: the support of a quadratic B-spline is one and a half along each axis."""
-SLACK = 0.01
-"""Cells in front of the section that rounding may put a node on it."""
+BEHIND, BESIDE, BELOW, SLACK = 3.0, 1.5, 2.0, 0.01
+"""Cells of nodes that are held around a section, whose foot is BELOW, at any height; SLACK, by rounding, before it. The
+support of a quadratic B-spline is one and a half along each axis."""
 EARLY = 1.0e-5
 """Frames by which a particle may enter before its time, so that rounding leaves none outside at the end."""
 NEVER = -1.0
