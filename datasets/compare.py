@@ -87,11 +87,14 @@ class Comparison:
 
 
 def figures_of(flow: FlowFields, values: Values) -> list[float]:
-    """The `FIGURES` of a flow whose particles have these fields."""
-    positions, velocity = values["position"].astype(np.float64), values.get("velocity")
-    volume = flow.trajectory.volumes
-    mass = volume * np.array([each.density for each in flow.materials])[flow.material]
-    kinetic = math.nan if velocity is None else float(0.5 * mass @ np.sum(velocity.astype(np.float64) ** 2, axis=1))
+    """The `FIGURES` of a flow whose particles have these fields; NaN where none has entered."""
+    here, velocity = values["entered"], values.get("velocity")
+    if not here.any():
+        return [math.nan] * len(FIGURES)
+    positions, volume = values["position"][here].astype(np.float64), flow.trajectory.volumes[here]
+    mass = volume * np.array([each.density for each in flow.materials])[flow.material[here]]
+    squares = None if velocity is None else np.sum(velocity[here].astype(np.float64) ** 2, axis=1)
+    kinetic = math.nan if squares is None else float(0.5 * mass @ squares)
     potential = float(-mass @ (positions @ np.array(flow.trajectory.scene.gravity_vector)))
     raised = measures.above(positions, measures.ground_of(flow.trajectory.scene))
     lengths = (measures.front(positions, volume), measures.runout(positions), measures.toe(positions)[0])
@@ -158,12 +161,17 @@ def compare(one: Trajectory, other: Trajectory, *, labels: tuple[str, str] = ("A
     for at in [*((moment, moment) for moment in time.tolist()), ends]:
         values = [each.at_time(moment) for each, moment in zip(both, at, strict=True)]
         first, second = (each["position"] for each in values)
-        heights = (columns.thickness(one, first), columns.thickness(other, second))
+        entered = [each["entered"] for each in values]
+        heights = (columns.thickness(one, first[entered[0]]), columns.thickness(other, second[entered[1]]))
         for own, each, known in zip(rows, both, values, strict=False):
             own.append(figures_of(each, known))
         thickness = measures.thickness_apart(*heights)
-        transport = measures.transport_distance(first, one.volumes, second, other.volumes)
-        moved = math.nan if same is None else measures.rms(np.linalg.norm(first[same[0]] - second[same[1]], axis=1))
+        moved = transport = math.nan
+        if all(here.any() for here in entered):
+            parts = zip((first, second), (one.volumes, other.volumes), entered, strict=True)
+            transport = measures.transport_distance(*(own[here] for *owns, here in parts for own in owns))
+        if same is not None and (here := entered[0][same[0]] & entered[1][same[1]]).any():
+            moved = measures.rms(np.linalg.norm(first[same[0]] - second[same[1]], axis=1)[here])
         rows[2].append([thickness, transport, moved, measures.overlap(*heights)])
     figures = [dict(zip(FIGURES, np.array(own).T, strict=True)) for own in rows[:2]]
     return Comparison(

@@ -128,7 +128,8 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
     depth, fastest, start, arrival = np.zeros(grid.nodes), None, None, np.full(grid.nodes, np.nan)
     for time, positions, velocity in moments(fields, cell, progress):
         share = positions / np.array(scene.domain.size)
-        inside = ((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1)
+        here = trajectory.entered(time)
+        inside = ((share >= -OUTSIDE) & (share <= 1.0 + OUTSIDE)).all(axis=1) & here
         spread = grid.weights(positions[inside][:, ::2].astype(np.float64)).T
         volume = (spread @ volumes[inside]).reshape(grid.nodes)
         thickness = volume / cell**2
@@ -153,7 +154,7 @@ def maps_of(trajectory: Trajectory, cell: float, *, threshold: float | None = No
         ground=ground(scene, grid) + float(scene.domain.corner[1]),
         threshold=threshold,
         volume=float(volumes[inside].sum()),
-        left=float(volumes[~inside].sum()),
+        left=float(volumes[here & ~inside].sum()),
         corner=corner,
         crs=crs,
     )

@@ -12,7 +12,7 @@ import numpy as np
 from datasets.errors import InputError, keyed, naming, require
 from datasets.files import read_toml
 from datasets.flow.trajectory import Trajectory
-from datasets.scene import Scene
+from datasets.scene import INFLOW, Scene
 from datasets.scene.grid_field import FRICTION, Field
 from datasets.scene.library import find, read_scene
 from datasets.scene.particles import released_volume
@@ -196,9 +196,13 @@ class Problem(ProblemKeys):
     @cached_property
     def operators(self) -> list[Observation]:
         """The operator of each observation. Raises InputError, which names key or table."""
-        if self.target.measured:
-            return [each.observation for each in self.measured]
-        return [each.operator(self.scene) for each in self.observations]
+        known = [each.observation for each in self.measured] if self.target.measured else None
+        found = [each.operator(self.scene) for each in self.observations] if known is None else known
+        for index, each in enumerate(found if any(mass.kind == INFLOW for mass in self.scene.masses) else ()):
+            # Positions over time are also those of particles that have not entered.
+            ends = not (each.over_time and (each.of_positions or each.dense))
+            require(ends, f"observations[{index}]", "the deposit or forces, where material flows in", each.kind)
+        return found
 
     @cached_property
     def true_fields(self) -> list[Field]:

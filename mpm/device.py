@@ -17,7 +17,7 @@ from mpm.arrays.layout import Offset, Setting, StepControl, Worker
 from mpm.initial.stages import begin_stages, call_end, next_stage
 from mpm.kernel import Phase
 
-RETURNED = ("state", "positions", "energy", "recorded_impulse", "offsets", "retained", "settling")
+RETURNED = ("state", "positions", "energy", "recorded_impulse", "offsets", "retained", "settling", "inflows")
 
 
 def run_on_device(batch: Batch, kernel: Callable[..., None], bar: "tqdm[None]", stop: Callable[[], bool]) -> None:

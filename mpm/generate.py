@@ -170,6 +170,7 @@ def simulate_one(scene: Scene, path: Path, storage: Storage | None = None) -> No
 def thinned(trajectory: Trajectory, storage: Storage) -> Trajectory:
     """Some of the particles of a trajectory of the MPM, each with the volume of those that it stands for."""
     scene = trajectory.scene
+    require(trajectory.entry_time is None, "storage", "all particles of a scene with inflow", "some")
     positions, rng = trajectory.positions, np.random.default_rng(scene.seed)
     stay, volumes = thin(positions[0], trajectory.volumes, cell=storage.cell, kept=storage.kept, rng=rng)
     mass = np.repeat(np.arange(len(scene.masses)), mass_counts(scene))

@@ -125,6 +125,7 @@ def simulate(
             velocity0=particles[0].velocities.astype(np.float32),
             friction=particles[0].friction,
             scene=scene,
+            entry_time=particles[0].entry_time,
         )
         raise Interrupted(Checkpoint.from_batch(batch, wall_s=wall_s), so_far)
     outcome = trajectory(batch, 0, arch=arch, wall_s=wall_s, compile_s=compile_s)

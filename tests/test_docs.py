@@ -255,6 +255,7 @@ def test_every_key_of_a_trajectory_stands_on_the_page(tmp_path: Path) -> None:
     each, scalars = np.ones(shape[1]), np.zeros(shape[:2])
     stress, impulse = np.zeros((*shape[:2], 4)), np.zeros((shape[0], len(flow.scene.baffles), 2))
     whole = {"volume": each, "mass": np.zeros(shape[1], np.int32), "velocities": np.zeros(shape), "stress": stress}
+    whole |= {"entry_time": np.zeros(shape[1])}
     whole |= {"pressure": scalars, "plastic_strain": scalars, "solid_impulse": impulse, "summary": {"steps": 7}}
     dataclasses.replace(flow, **whole).save(tmp_path / "trajectory.npz")
     with np.load(tmp_path / "trajectory.npz", allow_pickle=False) as file:

@@ -136,8 +136,10 @@ def add_solids(plotter: Any, meshes: Meshes, corners: Floats) -> None:
 
 def add_particles(plotter: Any, meshes: Meshes, colour: Colour, frame: int, scale: float) -> None:
     """The particles and the colour bar; scale: pixels per metre."""
-    field, cloud = SCALES[colour], pyvista.PolyData(spatial(meshes.trajectory.positions[frame]))
-    cloud.point_data["colour"] = values = field.scaled(meshes.fields.at_frame(frame)[colour])
+    field, flow = SCALES[colour], meshes.trajectory
+    here = flow.entered(float(flow.time[frame]))
+    cloud = pyvista.PolyData(spatial(flow.positions[frame][here]))
+    cloud.point_data["colour"] = values = field.scaled(meshes.fields.at_frame(frame)[colour][here])
     colours: Any = field.colours
     if colour is Colour.MATERIAL:
         materials = meshes.fields.materials

@@ -7,6 +7,7 @@ The page holds Plotly.js and the data, both deflated. Positions are 16-bit share
 import base64
 import html
 import json
+import math
 import re
 import zlib
 from collections.abc import Sequence
@@ -76,8 +77,9 @@ class Shown:
         """One moment more; values of all particles."""
         whole = values["position"]
         self.positions.append(whole[self.particles])
-        self.heights.append(along(self.columns.thickness(self.flow, whole)))
-        self.front.append(measures.front(whole, self.flow.volumes))
+        here = values["entered"]
+        self.heights.append(along(self.columns.thickness(self.flow, whole[here])))
+        self.front.append(measures.front(whole[here], self.flow.volumes[here]) if here.any() else math.nan)
         for key in [key for key in SHOWN if key in values]:
             self.values.setdefault(key, []).append(SHOWN[key].scaled(values[key][self.particles]))
 
@@ -192,6 +194,7 @@ def described(shown: Sequence[Shown], numbers: Numbers, labels: Sequence[str]) -
             # Between the particles that are drawn.
             "spacing": float(each.flow.volumes.sum() / len(each.particles)) ** (1.0 / place.shape[1]),
             "front": each.front,
+            "entry": None if (entry := each.flow.entry_time) is None else entry[each.particles].tolist(),
             "positions": numbers.put(place, low, high, "u2"),
             "heights": numbers.put(np.stack(each.heights)[:, None], np.zeros(1), highest, "u2"),
             "fields": {key: numbers.put(own, np.zeros(1), np.array([tops[key]]), "u1") for key, own in values.items()},

@@ -16,7 +16,7 @@ from datasets.exchange.spreadsheet import read_columns
 from datasets.geometry.ground import BEYOND, TOUCHING, Floats
 from datasets.geometry.shapes import usual
 from datasets.geometry.shells import outward
-from datasets.scene.parts import Domain
+from datasets.scene.parts import INFLOW, Domain
 from datasets.schema import from_mapping
 
 Entry = dict[str, Any]
@@ -25,7 +25,7 @@ BED = ("friction", "turbulence")
 """Keys of a terrain in 3D that may name rasters."""
 NEARLY = 1.0e-6
 """Part of a raster's cell that counts as none."""
-FILES = {"terrain": "file", "layer": "thickness", "mesh": "file"}
+FILES = {"terrain": "file", "layer": "thickness", "mesh": "file", INFLOW: "file"}
 """The key that names the file of a kind."""
 
 
@@ -82,6 +82,11 @@ class Reader:
                     vertices = scale * vertices + np.array(at or [0.0, 0.0, 0.0], np.float64)
                     vertices, triangles = outward(vertices, triangles, "")
                     found = {"vertices": vertices.tolist(), "triangles": triangles.tolist()}
+                elif kind == INFLOW:
+                    require(at is None, "at", "no such key beside a hydrograph", "one")
+                    columns = read_columns(path, ("time", "discharge", "speed"))
+                    rows = [columns[name] for name in ("time", "discharge", "speed")]
+                    found = {"hydrograph": np.stack(rows, axis=1).tolist()}
                 elif len(self.size) == 3:
                     found = self.field(path, at, "heights" if kind == "terrain" else name)
                 elif kind == "terrain":

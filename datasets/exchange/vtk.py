@@ -55,8 +55,10 @@ class Meshes:
         if name == "domain":
             return edges((0.0,) * scene.dimension, scene.domain.size)
         if name == MOVING:
-            mesh = pyvista.PolyData(spatial(trajectory.positions[frame]))
-            arrays, data = self.fields.at_frame(frame), mesh.point_data
+            here = trajectory.entered(float(trajectory.time[frame]))
+            mesh = pyvista.PolyData(spatial(trajectory.positions[frame][here]))
+            arrays = {key: values[here] for key, values in self.fields.at_frame(frame).items()}
+            data = mesh.point_data
         else:
             surface = surface_of(scene)
             assert surface is not None
@@ -70,11 +72,11 @@ class Meshes:
                 gained, elapsed = impulse[frame] - impulse[since], trajectory.time[frame] - trajectory.time[since]
                 arrays["impulse"] = impulse[frame][surface.solid]
                 arrays["force"] = (gained / elapsed if elapsed > 0.0 else gained)[surface.solid]
-        for key, values in arrays.items():
+        for key, values in arrays.items() if mesh.n_points else ():
             data[key] = values if values.ndim == 1 else spatial(values, 6 if key == "stress" else 3)
             per_width = scene.dimension == 2 and key in ("impulse", "force")
             mesh.field_data[f"{key}_units"] = [UNITS[key] + ("/m" if per_width else "")]
-        if (active := ACTIVE[name]) in arrays:
+        if (active := ACTIVE[name]) in data:
             data.active_vectors_name = active
         return mesh
 

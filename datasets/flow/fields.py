@@ -97,7 +97,7 @@ class FlowFields:
         """Velocities at `frame` [m/s], shape [N, D]: as recorded, or else finite differences of the frames.
 
         These are central; at the last frame backward; the first frame has the initial velocities where it is the start,
-        else there are none.
+        else there are none. So has a particle that enters after the frame before.
         """
         trajectory = self.trajectory
         if trajectory.velocities is not None:
@@ -106,7 +106,8 @@ class FlowFields:
             return trajectory.velocity0 if trajectory.time[0] == 0.0 else None
         after, before = min(frame + 1, len(trajectory.time) - 1), frame - 1
         elapsed = trajectory.time[after] - trajectory.time[before]
-        return np.asarray((trajectory.positions[after] - trajectory.positions[before]) / elapsed, np.float32)
+        found = np.asarray((trajectory.positions[after] - trajectory.positions[before]) / elapsed, np.float32)
+        return np.where(trajectory.entered(float(trajectory.time[before]))[:, None], found, trajectory.velocity0)
 
     def at_frame(self, frame: int) -> Values:
         """All that is known of the particles at `frame` besides their positions."""
@@ -122,7 +123,7 @@ class FlowFields:
         return {key: array for key, array in values.items() if array is not None}
 
     def at_time(self, time: float) -> Values:
-        """The `position` and all that is known of the particles at a time [s].
+        """The `position` and all that is known of the particles at a time [s], and which have `entered`.
 
         Linear between frames; beyond them the first one's or the last one's.
         """
@@ -132,9 +133,10 @@ class FlowFields:
             {"position": np.asarray(flow.positions[frame])} | self.at_frame(frame) if weight > 0.0 else {}
             for frame, weight in ((before, 1.0 - share), (before + 1, share))
         )
+        entered = {"entered": flow.entered(float(np.clip(time, flow.time[0], flow.time[-1])))}
         if not first or not second:
-            return first or second
-        return {
+            return entered | (first or second)
+        return entered | {
             key: first[key] if key in CONSTANT else (1.0 - share) * first[key] + share * second[key]
             for key in first.keys() & second.keys()
         }

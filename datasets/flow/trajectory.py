@@ -27,6 +27,7 @@ STORED: dict[str, tuple[type, str]] = {
     "friction": (np.float32, "N"),
     "mass": (np.int32, "N"),
     "volume": (np.float32, "N"),
+    "entry_time": (np.float64, "N"),
     "velocities": (np.float32, "TND"),
     "stress": (np.float32, "TNS"),
     "pressure": (np.float32, "TN"),
@@ -65,6 +66,9 @@ class Trajectory:
     """Initial volume of each particle [m^D], shape [N]; absent where it is that of the scene's own particles."""
     mass: NDArray[np.int32] | None = None
     """Index of the scene's mass of each particle, shape [N]; absent where the particles are the scene's."""
+    entry_time: NDArray[np.float64] | None = None
+    """When each particle enters [s], shape [N]: until then it waits at that place and is no part of the flow, and its
+    initial velocity is that of then. Absent where all are there from the start."""
     velocities: Floats | None = None
     """Velocities [m/s], shape [T, N, D]."""
     stress: Floats | None = None
@@ -85,6 +89,11 @@ class Trajectory:
         if self.volume is not None:
             return self.volume.astype(np.float64)
         return particle_volumes(self.scene, self.positions.shape[1])
+
+    def entered(self, time: float) -> NDArray[np.bool_]:
+        """Which particles are part of the flow at a time [s], shape [N]."""
+        count = self.positions.shape[1]
+        return np.full(count, True) if self.entry_time is None else np.asarray(self.entry_time <= time)
 
     @property
     def frame_dt(self) -> float:
@@ -148,7 +157,9 @@ def open_trajectory(path: str | Path, *fields: str) -> Trajectory:
     Checks what there is to check without reading the positions. Raises InputError, which names the file and the key.
     """
     path = Path(path)
-    arrays = read_arrays(path, *(key for key in REQUIRED if key != "positions"), optional=("volume", "mass", *fields))
+    arrays = read_arrays(
+        path, *(key for key in REQUIRED if key != "positions"), optional=("volume", "mass", "entry_time", *fields)
+    )
     with naming(path):
         return _checked({**arrays, "positions": open_frames(path, "positions")}, lazily=True)
 
@@ -177,6 +188,8 @@ def _checked(arrays: Mapping[str, NDArray[Any]], *, lazily: bool = False) -> Tra
     require(bool((np.isfinite(friction) & (friction >= 0.0)).all()), "friction", "tan(phi) of at least 0", "others")
     if volume is not None:
         require(bool((np.isfinite(volume) & (volume > 0.0)).all()), "volume", "positive volumes", "others")
+    if (entry := arrays.get("entry_time")) is not None:
+        require(bool(np.isfinite(entry).all()), "entry_time", "finite times", "others")
     if mass is not None:
         known = bool(mass.min() >= 0 and mass.max() < len(scene.masses))
         expected = f"the index of one of {len(scene.masses)} masses for each of {particles} particles"

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 import shapely
@@ -19,11 +20,12 @@ from numpy.typing import NDArray
 from datasets.errors import require
 from datasets.geometry.closed import Body
 from datasets.geometry.ground import TOUCHING, Floats, elevation, plan_axes
+from datasets.geometry.inflow import Inflow, inflow, until
 from datasets.geometry.rings import check_simple
 from datasets.geometry.shapes import check_grid, check_shape
 from datasets.geometry.shells import manifold, outward, sliced
 from datasets.memory import require as require_memory
-from datasets.scene.parts import TOLERANCE, Domain, Mass, SceneLayout, Solid, keyed
+from datasets.scene.parts import INFLOW, TOLERANCE, Domain, Mass, SceneLayout, Solid, keyed
 from datasets.schema import FARTHEST
 
 LATTICE = 40
@@ -50,6 +52,8 @@ class Filling:
     """Places of the lattice where they are in the box, both [N, D] in m."""
     cover: Callable[[Floats], Floats] | None = None
     """Depth below the top of the body [m], shape [N], of places in the box; below the highest where absent."""
+    inflow: Inflow | None = None
+    """What enters, and when, of an inflow; its lattice are the places where."""
 
     def depth(self, positions: Floats) -> Floats:
         """Of `positions` [N, D] below the top of the body, shape [N]; in m."""
@@ -58,6 +62,8 @@ class Filling:
     @property
     def height(self) -> float:
         """Of the material over one place in plan, at most [m]: on a slope less than that of the box around it."""
+        if self.inflow is not None:
+            return self.inflow.depth
         plan = np.rint((self.lattice - self.lattice.min(axis=0)) / self.spacing).astype(np.int64)
         plan[:, 1] = 0
         column = np.ravel_multi_index(tuple(plan.T), tuple(plan.max(axis=0) + 1))
@@ -65,6 +71,8 @@ class Filling:
 
     def positions(self, offset: Floats) -> Floats:
         """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing."""
+        if self.inflow is not None:
+            return self.inflow.places(offset[0])
         moved = self.lattice + offset * self.spacing
         return self.raised(np.where(self.contains(moved)[:, None], moved, self.lattice))
 
@@ -86,7 +94,9 @@ def filling(scene: SceneLayout, mass: Mass, key: str = "masses") -> Filling:
     shape = dataclasses.replace(mass, lower=(), size=(), material=None, velocity=None, angular_velocity=None)
     # Without friction, so that scenes which differ by that alone share what is found.
     bare = (dataclasses.replace(each, friction=0.0, turbulence=None) for each in scene.solids if each.kind == "terrain")
-    ground = tuple(bare) if mass.kind == "layer" else ()
+    ground = tuple(bare) if mass.kind in ("layer", INFLOW) else ()
+    if mass.kind == INFLOW and mass.hydrograph is not None:
+        shape = dataclasses.replace(shape, hydrograph=until(mass.hydrograph, scene.duration, f"{key}.hydrograph"))
     return fill(shape, scene.domain, ground, scene.particle_spacing, key)
 
 
@@ -96,6 +106,8 @@ def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, ke
     check_shape(mass, key, domain.dimension)
     if mass.kind == "layer":
         found = layer(mass, domain, ground, share, key)
+    elif mass.kind == INFLOW:
+        found = entering(mass, domain, ground, share, key)
     else:
         # Before it is filled: a mesh in millimetres would be a billion times as large.
         low, high = np.min(np.array(mass.vertices), axis=0), np.max(np.array(mass.vertices), axis=0)
@@ -105,6 +117,23 @@ def fill(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, ke
         found = (polygon if mass.kind == "polygon" else mesh)(mass, share, key)
     require(len(found.lattice) > 0, key, f"a body that a lattice of {share:g} m puts particles into", "one without")
     return found
+
+
+def entering(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, key: str) -> Filling:
+    """What flows in, where it enters; the box around it is as long as it is deep."""
+    found = inflow(mass, domain, ground, share, key)
+    places, size = found.places(), np.array(domain.size)
+    inside = bool((places >= -TOLERANCE).all() and (places <= size + TOLERANCE).all())
+    got = f"places from {places.min(axis=0).tolist()} to {places.max(axis=0).tolist()}"
+    require(inside, key, f"a section inside the domain {size.tolist()} up to its greatest depth", got)
+    around = np.concatenate([places, places + found.depth * found.flow[: len(size)]]).clip(0.0, size)
+    lower, spacing = np.minimum(around.min(axis=0), size - share), np.full(len(size), share)
+    box: dict[str, Any] = {"lower": lower, "upper": np.maximum(around.max(axis=0), lower + share)}
+    nothing: dict[str, Any] = {
+        "contains": lambda places: places[:, 0] >= 0.0,
+        "cover": lambda places: 0.0 * places[:, 0],
+    }
+    return Filling(lattice=places, spacing=spacing, volume=found.volume, **box, **nothing, inflow=found)
 
 
 def polygon(mass: Mass, share: float, key: str) -> Filling:
@@ -174,7 +203,8 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
         top = elevation(ground, domain, places[:, level]) + plan.thickness(places[:, level])
         return np.asarray(np.maximum(top - places[:, 1], 0.0))
 
-    box = {"lower": np.insert(plan.lower, 1, float(floor.min())), "upper": np.insert(plan.upper, 1, float(top.max()))}
+    lower, upper = np.insert(plan.lower, 1, float(floor.min())), np.insert(plan.upper, 1, float(top.max()))
+    box: dict[str, Any] = {"lower": lower, "upper": upper}
     return Filling(
         lattice=lattice, spacing=spacing, volume=plan.volume, **box, contains=contains, raised=raised, cover=cover
     )

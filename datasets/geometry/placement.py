@@ -15,7 +15,7 @@ from datasets.geometry.ground import CLOSING, TOUCHING, Floats, plan_axes
 from datasets.geometry.nearest import inside
 from datasets.geometry.shells import manifold
 from datasets.geometry.surface import Surface, closed_body, raster_body, solids_of, surface_in
-from datasets.scene.parts import TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
+from datasets.scene.parts import INFLOW, TOLERANCE, Baffle, Domain, Mass, SceneLayout, Solid, keyed
 
 SAMPLES = 32
 """Most places along an axis at which the height of a body above ground is looked for."""
@@ -64,13 +64,15 @@ def overlaps(boxes: Sequence[Mass | Baffle]) -> NDArray[np.bool_]:
 
 
 def overlap(scene: SceneLayout, mass: Mass, other: Mass | Solid, key: str) -> bool:
-    """Whether a mass shares volume with another one or a solid: exactly, a layer by its particles."""
+    """Whether a mass shares volume with another one or a solid: exactly, a layer and an inflow by their particles."""
+    if INFLOW in (mass.kind, other.kind) and isinstance(other, Mass):
+        return False  # it may reach to the section
     if isinstance(other, Mass):
         if not overlaps((mass, other)).any():
             return False
         if other.kind == "layer":
             mass, other = other, mass
-    if mass.kind != "layer":
+    if mass.kind not in ("layer", INFLOW):
         return shapes_overlap(shape_of(mass), shape_of(other), key, scene.domain)
     if other.kind == "terrain":
         return False  # it lies on the highest terrain
@@ -118,7 +120,7 @@ def remembers_gaps(scene: SceneLayout) -> bool:
     """
     if scene.volume_correction is not None:
         return scene.volume_correction
-    thrown = any(np.any(mass.velocity) or np.any(mass.angular_velocity) for mass in scene.masses)
+    thrown = any(mass.kind == INFLOW or np.any(mass.velocity) or np.any(mass.angular_velocity) for mass in scene.masses)
     thrown = thrown or any(np.any(each.values) for each in scene.fields if "velocity" in each.quantity)
     return scene.gravity > 0.0 and (
         thrown

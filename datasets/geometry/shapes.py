@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Sequence
 
 from datasets.errors import require
-from datasets.scene.parts import Mass, Rows, Solid
+from datasets.scene.parts import INFLOW, Mass, Rows, Solid
 from datasets.schema import FARTHEST
 
 KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -17,9 +17,11 @@ KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
     (Mass, "box", 2): ((), ()),
     (Mass, "polygon", 2): (("vertices",), ()),
     (Mass, "layer", 2): (("thickness",), ("outline",)),
+    (Mass, INFLOW, 2): (("section", "hydrograph"), ("direction", "discharge_factor")),
     (Mass, "box", 3): ((), ()),
     (Mass, "mesh", 3): (("vertices", "triangles"), ()),
     (Mass, "layer", 3): (("thickness",), ("origin", "spacing", "outline")),
+    (Mass, INFLOW, 3): (("section", "hydrograph"), ("direction", "discharge_factor")),
 }
 """Keys that a kind of solid or mass needs, and those that it may have; beside the box around a mass."""
 
@@ -37,9 +39,10 @@ def check_shape(shape: Solid | Mass, key: str, dimension: int) -> None:
     needed, optional = own[shape.kind]
     for name in sorted({name for keys in known.values() for part in keys for name in part}):
         given = getattr(shape, name) is not None
-        expected = f"`{'`, `'.join(needed)}`{' or a file' * (shape.kind in ('terrain', 'mesh'))} of a {shape.kind}"
+        files = " or a file" * (shape.kind in ("terrain", "mesh", INFLOW))
+        expected = f"`{'`, `'.join(needed)}`{files} of a{'n' * (shape.kind == INFLOW)} {shape.kind}"
         require(given or name not in needed, f"{key}.{name}", expected, "none")
-        require(not given or name in (*needed, *optional), f"{key}.{name}", f"no such key of a {shape.kind}", "one")
+        require(not given or name in (*needed, *optional), f"{key}.{name}", f"no such key of kind {shape.kind}", "one")
     if shape.vertices is not None:
         check_rows(shape.vertices, f"{key}.vertices", dimension, least=dimension + 1)
     count = len(shape.vertices or ())

@@ -1,6 +1,7 @@
 """What a scene is: its parts, bounds and checks, its particles; scenes that ship."""
 
 from datasets.scene.parts import DOMAIN_SIDES as DOMAIN_SIDES
+from datasets.scene.parts import INFLOW as INFLOW
 from datasets.scene.parts import NO_SLIP as NO_SLIP
 from datasets.scene.parts import ROUGH as ROUGH
 from datasets.scene.parts import TOLERANCE as TOLERANCE

@@ -11,7 +11,7 @@ from datasets.errors import InputError, require
 from datasets.geometry.shapes import check_rows, check_solid, check_vector, usual
 from datasets.scene.grid_field import FRICTION, VELOCITIES
 from datasets.scene.material import ANGLES, MOHR_COULOMB
-from datasets.scene.parts import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, SceneLayout, keyed
+from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, SceneLayout, keyed
 from datasets.schema import FARTHEST
 
 MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28
@@ -114,6 +114,9 @@ def check_start(scene: SceneLayout, mass: Mass, key: str) -> None:
     """Raise InputError for a mass that cannot begin as its velocities, its `k0` and its `release` ask."""
     dimension, velocity, turn = scene.dimension, mass.velocity, mass.angular_velocity
     k0, release = mass.k0, mass.release
+    for name in ("velocity", "angular_velocity", "k0") if mass.kind == INFLOW else ():
+        expected = "none of an inflow, which enters at the speed of its hydrograph and free of stress"
+        require(getattr(mass, name) is None, f"{key}.{name}", expected, "one")
     if velocity is not None:
         ok = len(velocity) == dimension and all(map(usual, velocity))
         require(ok, f"{key}.velocity", f"{dimension} finite components in m/s", list(velocity))
@@ -228,6 +231,9 @@ def check_fields(scene: SceneLayout) -> None:
         require(all(map(usual, field.values)), f"{key}.values", "finite numbers", "others")
         masses = range(len(scene.masses))
         require(field.mass is None or field.mass in masses, f"{key}.mass", f"one of 0 to {masses[-1]}", field.mass)
+        entering = [n for n in masses if scene.masses[n].kind == INFLOW and field.mass in (None, n)]
+        still = field.quantity == FRICTION or not entering
+        require(still, f"{key}.mass", "a mass of another kind: an inflow has the velocity of its hydrograph", entering)
         others = [each for each in scene.fields[:index] if each.quantity == field.quantity]
         alone = all(each.mass is not None and field.mass is not None and each.mass != field.mass for each in others)
         require(alone, key, f"one field of {field.quantity} for each mass", "another one")

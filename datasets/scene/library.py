@@ -27,7 +27,7 @@ SCENES = Path(__file__).parents[1] / "scenes"
 WHOLE, PLAN, UP = slice(None), slice(None, None, 2), slice(1, 2)
 """Of the components of an origin: all; those in plan, x and z; y."""
 PLACES: dict[str, dict[str, slice]] = {
-    "masses": {"lower": WHOLE, "vertices": WHOLE, "origin": PLAN, "outline": PLAN},
+    "masses": {"lower": WHOLE, "vertices": WHOLE, "origin": PLAN, "outline": PLAN, "section": PLAN},
     "baffles": {"lower": WHOLE},
     "solids": {"lower": WHOLE, "vertices": WHOLE, "points": WHOLE, "origin": PLAN, "heights": UP},
     "fields": {"origin": WHOLE},
@@ -92,7 +92,9 @@ def moved_entry(entry: Any, keys: dict[str, slice], by: NDArray[np.float64]) -> 
     entry = dict(entry)
     for key, axes in keys.items():
         with suppress(ValueError):  # of rows of different lengths
-            places, step = np.asarray(entry.get(key)), by[axes]
+            places = np.asarray(entry.get(key))
+            # The foot of a section may have an elevation.
+            step = by if axes == PLAN and places.shape[-1:] == by.shape else by[axes]
             is_place = places.dtype.kind in "if" and places.ndim > 0
             if is_place and (axes == UP or places.shape[-1] == len(step)):
                 entry[key] = np.round(places + step, DIGITS).tolist()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from datasets.errors import InputError
 from datasets.geometry.bodies import filling, height, lattice_of
 from datasets.memory import require
-from datasets.scene import TOLERANCE, Mass, Scene, keyed
+from datasets.scene import INFLOW, TOLERANCE, Mass, Scene, keyed
 from datasets.scene.grid_field import FRICTION, Floats
 from datasets.scene.material import Material
 
@@ -25,7 +25,7 @@ RESOLVED = (3.0, 4.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Particles:
-    """The particles of a scene at time 0, one mass after the other."""
+    """The particles of a scene at time 0, or as they enter, one mass after the other."""
 
     positions: Floats
     """Positions [m], shape [N, D]."""
@@ -43,9 +43,17 @@ class Particles:
     """Initial volume of each particle [m^D], shape [N]."""
     depth: Floats
     """Of each particle below the top of its mass [m], shape [N]."""
+    entry_time: Floats | None = None
+    """When each particle enters [s], shape [N]: at its position, with its velocity; 0 of those that are there from the
+    start. None where all are."""
     friction_deg: Floats | None = None
     """Angle of friction of each particle [deg], shape [N], in place of its material's and measured as that; None where
     all have that."""
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """Which particles are there from the start, shape [N]."""
+        return np.full(len(self.volume), True) if self.entry_time is None else self.entry_time == 0.0
 
     @property
     def density(self) -> Floats:
@@ -80,7 +88,7 @@ def initial_particles(scene: Scene) -> Particles:
     count = particle_count(scene)
     instead = f"there are {count}; larger cells or fewer particles_per_axis"
     require(PARTICLE * scene.dimension**2 * count, "particles", instead, key="masses")
-    positions, depths, velocities = [], [], []
+    positions, depths, velocities, times = [], [], [], []
     for index, mass in enumerate(scene.masses):
         stream = np.random.default_rng([scene.seed, index])
         if mass.kind == "box":
@@ -93,7 +101,10 @@ def initial_particles(scene: Scene) -> Particles:
             filled = filling(scene, mass)
             moved = filled.positions(stream.uniform(-0.5, 0.5, filled.lattice.shape) * scene.jitter)
         arm = moved - (np.array(mass.lower) + 0.5 * np.array(mass.size))
-        velocities.append(np.array(mass.velocity or (0.0,) * scene.dimension) + arm @ mass.spin.T)
+        flow = filled.inflow if mass.kind == INFLOW else None
+        thrown = np.array(mass.velocity or (0.0,) * scene.dimension) + arm @ mass.spin.T
+        velocities.append(thrown if flow is None else flow.velocities)
+        times.append(np.zeros(len(moved)) if flow is None else flow.time)
         positions.append(moved)
         depths.append(depth(scene, mass, moved))
     materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
@@ -118,6 +129,7 @@ def initial_particles(scene: Scene) -> Particles:
         materials=materials,
         volume=initial_volumes(scene),
         depth=np.concatenate(depths),
+        entry_time=np.concatenate(times) if any(mass.kind == INFLOW for mass in scene.masses) else None,
         friction_deg=friction_deg,
     )
 

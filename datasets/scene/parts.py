@@ -24,6 +24,8 @@ RELAXATION = 0.5
 """Default relaxation time over sqrt(cell / gravity): fronts change least with stiffness, step (docs/stability.md)."""
 ROUGH = "rough"
 """Friction of a surface as rough as the grains: nothing slides on it, the material shears above it."""
+INFLOW = "inflow"
+"""Kind of a mass that enters over time."""
 NO_SLIP = 1.0e9
 """Coulomb coefficient that stands for it: times no pressure it is none."""
 Time = Annotated[float, Bounds(f"a positive time in s, up to {FARTHEST:g}", gt=0.0)]
@@ -98,7 +100,8 @@ class Mass(Record):
     """
 
     kind: str = "box"
-    """`box`, `polygon` (2D), `mesh` (3D) or `layer` (on the ground: terrain, else the floor)."""
+    """`box`, `polygon` (2D), `mesh` (3D), `layer` (on the ground: terrain, else the floor) or `inflow`, which enters
+    over time (`datasets.geometry.inflow`)."""
     lower: Vector = ()
     """Lower corner of the box [m]; of other kinds that of the box around them, which a scene works out."""
     size: Size = ()
@@ -115,6 +118,15 @@ class Mass(Record):
     """Distance between thicknesses along x and z [m]."""
     outline: Rows | None = None
     """Where a layer lies in plan: corners x, z of a polygon, in 2D two x [m]; everywhere where absent."""
+    section: Rows | None = None
+    """Through which an inflow enters [m]: in 2D its foot, x, in 3D both ends of its foot, x and z, on the ground; or
+    with the elevation y of the foot."""
+    direction: Vector | None = None
+    """Of its velocity, at right angles to the section; where absent down along the ground."""
+    hydrograph: Rows | None = None
+    """Its times [s], discharges [m^3/s, in 2D m^2/s] and speeds [m/s], linear in between, shape [R, 3]."""
+    discharge_factor: Annotated[float | None, Bounds("a positive factor", gt=0.0)] = None
+    """Of all discharges [-]; 1 where absent."""
     velocity: Vector | None = None
     """Initial velocity [m/s]; at rest where absent."""
     angular_velocity: float | Vector | None = None

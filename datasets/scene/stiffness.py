@@ -72,7 +72,8 @@ def greatest_speed(scene: SceneLayout) -> float:
     own = [max(map(abs, field.values)) for field in scene.fields if field.quantity.startswith("velocity")]
     fastest = math.hypot(*own) ** 2
     for mass in scene.masses:
-        start = math.hypot(*(mass.velocity or ())) + 0.5 * math.hypot(*mass.size) * float(np.linalg.norm(mass.spin, 2))
+        thrown = max([math.hypot(*(mass.velocity or ())), *(speed for _, _, speed in mass.hydrograph or ())])
+        start = thrown + 0.5 * math.hypot(*mass.size) * float(np.linalg.norm(mass.spin, 2))
         middle = np.array(mass.lower) + 0.5 * np.array(mass.size)
         apart = [axis - place for axis, place in zip(axes, middle[::2].tolist(), strict=True)]
         level = np.sqrt(sum(each**2 for each in apart))

@@ -13,7 +13,7 @@ from datasets.definitions.training import thin
 from datasets.errors import InputError, require
 from datasets.flow.trajectory import Floats, Trajectory, brackets
 from datasets.geometry.ground import ground_raster
-from datasets.scene import Scene, coefficient, keyed
+from datasets.scene import INFLOW, Scene, coefficient, keyed
 from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import initial_particles, mass_counts, released_volume
 from gns.settings import ModelSettings
@@ -116,6 +116,7 @@ def check(scene: Scene, settings: ModelSettings) -> None:
     refused = [
         (bool(scene.open_sides), "open_sides", "a closed box"),
         (bool(scene.stages), "stages", "a material that stays as it is"),
+        (any(mass.kind == INFLOW for mass in scene.masses), "masses", "masses that are there from the start"),
         (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
         (len({each.density for each in materials}) > 1, "masses", "masses of one density"),
         *((each.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for each in materials),

@@ -96,7 +96,8 @@ class Kind:
         if self.form == "masses[].height" and (kind := self.holder(scene).kind) != "box":
             raise InputError(f"expected a mass of kind box, got a {kind}")
         if self.axis is None and not isinstance(getattr(self.holder(scene), self.key, 0.0), float | int):
-            owner = {"thickness": "a mass of kind layer", "k0": "a mass"}.get(self.key, "a surface")
+            owners = {"thickness": "a mass of kind layer", "k0": "a mass", "discharge_factor": "an inflow"}
+            owner = owners.get(self.key, "a surface")
             raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
 
     def idle(self, scene: Scene) -> str:
@@ -359,6 +360,7 @@ KINDS: dict[str, Kind] = {
         Kind(form="masses[].k0", unit="-", digits=3),
         Kind(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
         Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
+        Kind(form="masses[].discharge_factor", unit="-", digits=3, changes_volume=True),
         Kind(form="solids[].friction", unit="-", digits=3, input=with_ground_friction),
         Kind(form="solids[].turbulence", unit="m/s^2", digits=1),
     )

@@ -51,6 +51,8 @@ def check(features: Features) -> None:
     """Raise InputError where the adjoint does not know something that scenes with `features` have."""
     if features.gates:
         raise InputError("expected a scene that the adjoint knows, it has no reverse of a gate yet", key="scene")
+    if features.inflow:
+        raise InputError("expected masses that are there from the start, the adjoint has no inflow", key="masses")
 
 
 def checked_frames(scenes: Sequence[Scene], frames: Sequence[int]) -> list[int]:

@@ -19,15 +19,12 @@ from mpm.arrays.layout import (
     GROWTH,
     INDEX_LIMIT,
     PADDING,
-    Barrier,
     Contact,
     Energy,
     Offset,
     Precision,
     Property,
-    Retained,
     Setting,
-    Settling,
     Span,
     StepControl,
     Worker,
@@ -44,7 +41,7 @@ from mpm.arrays.properties import (
     settings_row,
     substeps_per_frame,
 )
-from mpm.initial.barriers import barrier_tables
+from mpm.initial.barriers import held_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.output.recording import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, numbered, obstacles_of
@@ -90,7 +87,8 @@ class Batch:
         self.drags, self.drag_places, self.drag_posts = drag_tables(scenes, real)
         self.offsets = np.zeros((len(scenes), len(Offset)), np.int32)
         self.add_contacts(real)
-        self.add_barriers()
+        tables = held_tables(scenes, self.particles, self.offsets, real)
+        self.barriers, self.retained, self.settling, self.inflows = tables
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
         self.in_kernel = record.every == 1 and not record.fields and file is None
         block = column = impulse = line = recorded = recorded_impulse = 0
@@ -212,19 +210,6 @@ class Batch:
         self.node_holds = table(obstacles.node_holds, np.int32)
         self.covered = table(obstacles.covered, np.int32)
 
-    def add_barriers(self) -> None:
-        """The lines of `barriers`, `retained` and `settling` of all scenes."""
-        tables: tuple[list[Any], list[Any], list[Any]] = [], [], []
-        for scene, particles, offset in zip(self.scenes, self.particles, self.offsets, strict=True):
-            offset[Offset.BARRIER], offset[Offset.RETAINED] = len(tables[0]), len(tables[1])
-            own: tuple[list[Any], ...] = barrier_tables(scene, particles, len(tables[1]))
-            offset[Offset.BARRIERS], offset[Offset.RETAINED_COUNT] = len(own[0]), len(own[1])
-            for table, rows in zip(tables, own, strict=True):
-                table += rows
-        self.barriers = np.array(tables[0] or [[0] * len(Barrier)], np.int32)
-        self.retained = np.array(tables[1] or [[0] * len(Retained)], np.int32)
-        self.settling = np.array(tables[2] or [[0.0] * len(Settling)], np.float64)
-
     def fill(self, index: int) -> None:
         """The initial state of one scene, and frame 0 of its record where that is kept."""
         scene, particles, features = self.scenes[index], self.particles[index], self.features
@@ -238,7 +223,7 @@ class Batch:
         put(0, particles.positions)
         if features.compensated:
             put(features.state.remainder, particles.positions - particles.positions.astype(np.float32))
-        put(features.state.velocity, particles.velocities)
+        put(features.state.velocity, particles.velocities * particles.present[:, None])
         for first in range(0, len(source) if features.contact else 0, PORTION):
             contacts = initial_contacts(scene, particles.positions[source[first : first + PORTION]])
             listed, (first_face, end) = contacts[:, Contact.FACE], self.first_obstacles[index : index + 2, 1]
@@ -261,13 +246,17 @@ class Batch:
             properties = properties_of(particles)
             put(features.state.properties, properties[:, : features.columns])
         if features.recorded.until_rest:
-            put(features.state.before, particles.velocities)
-        state[:, features.state.present] = (np.arange(len(source)) < count).reshape(-1, features.lanes)
+            put(features.state.before, particles.velocities * particles.present[:, None])
+        real = np.arange(len(source)) < count
+        state[:, features.state.present] = (real & particles.present[source]).reshape(-1, features.lanes)
+        if features.inflow and particles.entry_time is not None:
+            frames = real * particles.entry_time[source] / scene.frame_dt
+            put_vectors(state, features.state.entry, np.column_stack([frames, particles.velocities[source]]))
         first = self.offsets[index, Offset.BLOCK] * features.lanes
         self.order[first : first + len(source)] = source
         if self.recording.every > 0:
             self.store(index, 0)
-        mass = particles.density * particles.volume
+        mass = particles.density * particles.volume * particles.present
         energies = self.energies(index)
         affine = 0.25 * scene.domain.cell**2 * np.einsum("nij,nij->n", *2 * [particles.velocity_gradients])
         energies[0, Energy.KINETIC] = 0.5 * np.sum(mass * (np.sum(particles.velocities**2, axis=1) + affine))

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from datasets.errors import require
 from datasets.geometry.contact_surface import has_faces, has_field
 from datasets.geometry.placement import remembers_gaps
-from datasets.scene import Scene
+from datasets.scene import INFLOW, Scene
 from datasets.scene.grid_field import FRICTION
 from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import mass_particle_volumes, particle_count
@@ -101,7 +101,9 @@ class Features:
     channel: bool = False
     """Side walls of a scene in 2D brake it (`mpm.physics.channel`)."""
     outflow: bool = False
-    """A side of the box lets particles out."""
+    """A side of the box lets particles out, or particles have not entered yet."""
+    inflow: bool = False
+    """Particles enter over time (`mpm.physics.inflow`)."""
     barriers: bool = False
     """Masses stand behind barriers until their release."""
     gates: bool = False
@@ -169,10 +171,11 @@ class Features:
             plastic_strain=int(self.strained),
             gap=int(self.volume_correction),  # mean stress that what opened would have made [Pa]
             contacts=self.contact_vectors,
-            present=1,  # 0 in lanes that only mirror a scene's last particle
+            present=1,  # 0 in lanes that only mirror a scene's last particle, and of what has left or not entered
             properties=self.columns if self.heterogeneous else 0,
             remainder=size if self.compensated else 0,  # what rounding has kept from the position [m]
             before=size if self.recorded.until_rest else 0,  # the velocity at the end of the frame before
+            entry=(1 + size) * int(self.inflow),  # frames to wait, 0 of what has entered; the velocity then
         )
 
     @cached_property
@@ -226,6 +229,7 @@ def features_of(
     asked = any(scene.volume_correction for scene in scenes)
     require(law.OPENS or not asked, "volume_correction", "false or none beside a law without gaps", "true")
     stages = [stage for scene in scenes for stage in scene.stages]
+    inflow = any(mass.kind == INFLOW for scene in scenes for mass in scene.masses)
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
@@ -239,7 +243,8 @@ def features_of(
         terrain=any(has_field(scene) for scene in scenes),
         turbulent=any(any(drags_of(scene)) for scene in scenes),
         channel=any(scene.channel is not None for scene in scenes),
-        outflow=any(scene.open_sides for scene in scenes),
+        outflow=any(scene.open_sides for scene in scenes) or inflow,
+        inflow=inflow,
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
         recorded=Recorded(strain=record.fields, walls=record.wall_forces, until_rest=record.until_rest),

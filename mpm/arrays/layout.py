@@ -109,6 +109,9 @@ class Offset(TableColumn):
     BARRIERS = auto()  # how many
     RETAINED = auto()  # its first line in `retained` and `settling`
     RETAINED_COUNT = auto()  # how many
+    INFLOW = auto()  # its first line in `inflows`
+    INFLOWS = auto()  # how many
+    ENTERED = auto()  # the frame by which all of its particles have entered; 0 where they are there from the start
 
 
 class Contact(TableColumn):
@@ -234,6 +237,17 @@ class Settling(TableColumn):
     GATE_SPEED = auto()  # [m/s]; 0: the barriers are gone at once
     GATE_TIME = auto()  # its time constant [s]
     GATE_FOOT = auto()  # where it stands [m]
+
+
+class Inflow(TableColumn):
+    """First columns of `inflows`, real, shape [inflows, columns]; its speed in each frame [m/s] follows."""
+
+    SPEED = auto()  # in the next frame [m/s]; less than zero where it has not begun, or has ended
+    FOOT_X, FOOT_Y, FOOT_Z = auto(), auto(), auto()  # the middle of the lowest line of its section [cells]
+    FLOW_X, FLOW_Y, FLOW_Z = auto(), auto(), auto()  # unit vectors: of its velocity,
+    ALONG_X, ALONG_Y, ALONG_Z = auto(), auto(), auto()  # along its foot, in 2D z,
+    UP_X, UP_Y, UP_Z = auto(), auto(), auto()  # and across both
+    HALF_WIDTH = auto()  # of its foot [cells]
 
 
 def node_shape(domain: Domain) -> tuple[int, ...]:

@@ -3,15 +3,22 @@
 A barrier is a smooth vertical wall at a lateral face of a mass: the nodes from the face to `BEYOND` cells outside of it
 have no velocity across it. These are all nodes beyond the face in the support of the mass's own particles, so none of
 it passes. A face that lies on a wall of the box needs no barrier. Where the mass has a gate all of its barriers rise.
+What is behind the section of an inflow moves with it (`mpm.physics.inflow`).
 """
+
+import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.scene import TOLERANCE, Mass, Scene
+from datasets.geometry.bodies import filling
+from datasets.scene import INFLOW, TOLERANCE, Mass, Scene
 from datasets.scene.particles import Particles
-from mpm.arrays.layout import PADDING, Barrier, Settling
+from mpm.arrays.layout import PADDING, Barrier, Inflow, Offset, Retained, Settling
 from mpm.physics.barriers import ENERGY, FORCE
+from mpm.physics.inflow import NEVER
 
 BEYOND = 2
 """Cells beyond a face in which nodes are held: the support of a quadratic B-spline is one and a half."""
@@ -49,6 +56,25 @@ def floor_node(scene: Scene, length: float) -> int:
 def ceiling_node(scene: Scene, length: float) -> int:
     """The first node at or after a coordinate [m]."""
     return PADDING + int(np.ceil((length - TOLERANCE) / scene.domain.cell))
+
+
+def held_tables(
+    scenes: Sequence[Scene], particles: Sequence[Particles], offsets: NDArray[np.int32], real: np.dtype[Any]
+) -> list[NDArray[Any]]:
+    """`barriers`, `retained`, `settling` and `inflows` of some scenes; where each has its own is put into `offsets`."""
+    tables: tuple[list[Any], ...] = [], [], [], []
+    for scene, its, offset in zip(scenes, particles, offsets, strict=True):
+        offset[Offset.BARRIER], offset[Offset.RETAINED], _, offset[Offset.INFLOW] = map(len, tables)
+        speeds = inflow_rows(scene, max(each.frames for each in scenes))
+        rows: tuple[list[Any], ...] = (*barrier_tables(scene, its, len(tables[1])), speeds)
+        offset[Offset.BARRIERS], offset[Offset.RETAINED_COUNT], _, offset[Offset.INFLOWS] = map(len, rows)
+        if its.entry_time is not None:
+            offset[Offset.ENTERED] = math.ceil(its.entry_time.max() / scene.frame_dt)
+        for table, own in zip(tables, rows, strict=True):
+            table += own
+    kinds: tuple[Any, ...] = np.int32, np.int32, np.float64, real
+    counts = map(len, (Barrier, Retained, Settling, Inflow))
+    return [np.array(own or [[0] * n], kind) for own, n, kind in zip(tables, counts, kinds, strict=True)]
 
 
 def barrier_tables(
@@ -89,6 +115,22 @@ def barrier_tables(
         }
         settling.append([known.get(column, 0.0) for column in Settling])
     return held, retained, settling
+
+
+def inflow_rows(scene: Scene, frames: int) -> list[list[float]]:
+    """Lines of `inflows`, each with the speeds of so many frames: their means, of the time in which there is inflow."""
+    lines, edges, cell = [], scene.frame_dt * np.arange(frames + 1), scene.domain.cell
+    for mass in scene.masses:
+        flow = filling(scene, mass).inflow if mass.kind == INFLOW else None
+        if flow is None:
+            continue
+        (first, *_, last), speed = flow.hydrograph[:, 0], flow.hydrograph[:, 2]
+        middle = 0.5 * (np.maximum(edges[:-1], first) + np.minimum(edges[1:], last))
+        flows = (edges[:-1] < last) & (edges[1:] > first)
+        speeds = np.where(flows, np.interp(middle, flow.hydrograph[:, 0], speed), NEVER)
+        foot = (flow.foot + flow.bed.min() * flow.up) / cell
+        lines.append([speeds[0], *foot, *flow.flow, *flow.along, *flow.up, 0.5 * flow.width / cell, *speeds])
+    return lines
 
 
 def retained_masses(scene: Scene) -> dict[int, Mass]:

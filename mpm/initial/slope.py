@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from datasets.geometry.bodies import height
 from datasets.geometry.ground import highest, plan_axes
-from datasets.scene import TOLERANCE, Baffle, Mass, Scene, Solid, coefficient
+from datasets.scene import INFLOW, TOLERANCE, Baffle, Mass, Scene, Solid, coefficient
 from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import Particles
 
@@ -57,7 +57,7 @@ def begins_as_slope(scene: Scene, mass: Mass) -> bool:
 
 def lies_flat(scene: Scene, mass: Mass) -> bool:
     """Whether `mass`, of friction and without `k0`, is a sheet and no column."""
-    frictional = scene.material_of(mass).law == MOHR_COULOMB and mass.kind != "mesh"
+    frictional = scene.material_of(mass).law == MOHR_COULOMB and mass.kind not in ("mesh", INFLOW)
     if not frictional or mass.k0 is not None or mass.angular_velocity is not None or scene.gravity <= 0.0:
         return False
     tall = FLAT * height(scene, mass)

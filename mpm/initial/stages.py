@@ -96,7 +96,8 @@ def begin_stages(batch: Batch) -> None:
 
 def settled(batch: Batch, index: int) -> bool:
     """Whether nothing has moved in scene `index` over a window of frames, all of them after its last stage."""
-    since, window = int(batch.staged[index].max()), window_frames(batch.scenes[index], batch.particles[index].materials)
+    since = max(int(batch.staged[index].max()), int(batch.offsets[index, Offset.ENTERED]))
+    window = window_frames(batch.scenes[index], batch.particles[index].materials)
     kinetic = batch.energies(index)[since + 1 : batch.computed + 1, Energy.KINETIC]
     most = max(REST * kinetic.max(), float(batch.settings[index, Setting.REST_ENERGY]))
     return len(kinetic) >= window and bool(kinetic[-window:].max() <= most)

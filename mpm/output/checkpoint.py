@@ -105,6 +105,7 @@ def arrays_of(batch: "Batch", frame: int) -> dict[str, NDArray[Any]]:
         "retained": batch.retained,
         "settling": batch.settling,
         **({"staged": batch.staged} if batch.scenes[0].stages else {}),
+        **({"inflows": batch.inflows} if batch.features.inflow else {}),
         # Those in a file stay there.
         **({name: each[:kept] for name, each in batch.record[0].items()} if batch.file is None else {}),
     }

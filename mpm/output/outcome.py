@@ -148,6 +148,7 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
         velocity0=particles.velocities.astype(np.float32),
         friction=particles.friction,
         scene=scene,
+        entry_time=particles.entry_time,
         **fields,
         solid_impulse=impulses[kept, :solids] if solids else None,
         summary=summary,

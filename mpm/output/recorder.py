@@ -7,6 +7,7 @@ from mpm.arrays.layout import Energy, Offset, Property, Setting, Worker
 from mpm.arrays.properties import STABILITY
 from mpm.output.recording import BALANCED, REST
 from mpm.physics.barriers import free_since, measure_retained, open_barriers
+from mpm.physics.inflow import next_speeds, wait_frame
 from mpm.physics.transfer import particles_in, property_of
 
 RUNAWAY = 10.0
@@ -78,6 +79,8 @@ def record_scene(scene, frame, arrays: ti.template()):
         record_impulses(scene, frame, arrays)
     if ti.static(arrays.features.barriers):
         open_barriers(scene, frame, arrays)
+    if ti.static(arrays.features.inflow):
+        next_speeds(scene, frame, arrays)
     if ti.static(arrays.features.recorded.until_rest):
         detect_rest(scene, frame, arrays)
 
@@ -97,6 +100,8 @@ def record_block(scene, frame, block, arrays: ti.template()):
     mass = volume * property_of(scene, block, Property.DENSITY, arrays) * present
     if ti.static(features.barriers):
         measure_retained(scene, block, arrays)
+    if ti.static(features.inflow):
+        wait_frame(block, arrays)
     velocity = vectors(arrays.state, first + features.state.velocity, features.dimension)
     affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
     vv, cc, ss, trace = dot(velocity, velocity), dot(affine, affine), 0.0 * mass, 0.0 * mass
@@ -154,6 +159,8 @@ def detect_rest(scene, frame, arrays: ti.template()):
     since = 0
     if ti.static(arrays.features.barriers):
         since = free_since(scene, arrays)
+    if ti.static(arrays.features.inflow):
+        since = ti.max(since, arrays.offsets[scene, Offset.ENTERED])
     if frame - window >= since:
         peak = ti.cast(arrays.settings[scene, Setting.REST_ENERGY], ti.f64) / REST
         most, unbalanced = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)

@@ -19,6 +19,7 @@ from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import add_impulse, apply_walls, with_friction
 from mpm.physics.columns import node_at
 from mpm.physics.contact import apply_solids
+from mpm.physics.inflow import held_behind
 
 SLOW = 1.0e-3
 """Speed over sqrt(g dx) below which local damping fades [-]."""
@@ -143,6 +144,8 @@ def moved_node(node, index: ti.template(), worker, scene, dt, kappa, arrays: ti.
             side = arrays.offsets[scene, Offset.OBSTACLES] + 2 * features.dimension
             add_impulse(side, mass * (new - behind), 0, worker, arrays)
         new = behind
+    if ti.static(features.inflow):
+        new = held_behind(new, indices, scene, arrays)
     for axis in ti.static(range(features.dimension)):
         node[axis] = new[axis]
         node[features.node.change + axis] = new[axis] - kappa * old[axis]

@@ -16,6 +16,7 @@ from mpm.physics.contact import (
     with_jump,
 )
 from mpm.physics.contact_search import find_contacts
+from mpm.physics.inflow import let_in, waits
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
 from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_gap
@@ -30,7 +31,11 @@ def update_particles(worker, scene, dt, kappa, arrays: ti.template()):
     table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
     for block in range(first, arrays.workers[worker, Worker.LAST]):
         before = vectors(arrays.state, no_overflow(block * features.state.size), features.dimension)
-        update_block(worker, table, scene, block, scratch, dt, kappa, arrays)
+        if ti.static(features.inflow):
+            if not waits(block, arrays):
+                update_block(worker, table, scene, block, scratch, dt, kappa, arrays)
+        else:
+            update_block(worker, table, scene, block, scratch, dt, kappa, arrays)
         for k in ti.static(range(features.dimension)):
             moved = arrays.state[no_overflow(block * features.state.size) + k] - before[k]
             furthest = maximum(magnitude(moved), furthest)
@@ -54,6 +59,8 @@ def update_block(worker, table, scene, block, scratch, dt, kappa, arrays: ti.tem
     update_stress(scene, block, scratch, near, dt, arrays)
     if ti.static(features.outflow):
         remove_outflow(block, scene, arrays)
+    if ti.static(features.inflow):
+        let_in(block, scene, dt, arrays)
     if ti.static(features.contact):
         mass = volume * property_of(scene, block, Property.DENSITY, arrays)
         find_contacts(block, scratch, mass, worker, scene, arrays)

@@ -36,6 +36,7 @@ from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Wo
 from mpm.physics.channel import side_friction
 from mpm.physics.columns import node_at
 from mpm.physics.contact import distance_in_widths, push, touches
+from mpm.physics.inflow import waits
 from mpm.physics.volume_correction import held_affine, is_loose, looseness
 
 
@@ -99,7 +100,11 @@ def particles_to_grid(worker, scene, arrays: ti.template()):
     scratch = arrays.workers[worker, Worker.SCRATCH]
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         prepare_contributions(scene, block, scratch, arrays)
-        for lane in range(particles_in(scene, block, arrays)):
+        count = particles_in(scene, block, arrays)
+        if ti.static(features.inflow):
+            if waits(block, arrays):
+                count = 0
+        for lane in range(count):
             column, j = lowest_column(arrays, scratch, lane, table, deep)
             weight = no_overflow(scratch * lanes + lane)
             wx, wy = three_vectors(arrays, weight), three_vectors(arrays, weight + 3 * lanes)
