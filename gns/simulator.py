@@ -75,6 +75,12 @@ class Simulator(nn.Module):
         displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
         return State(positions=stopped, displacements=displacements)
 
+    def corrected(self, start: State, end: State, positions: Tensor, conditions: Conditions) -> Tensor:
+        """The way of a rollout from `start` to `end` [m], [K + 1, N, D], to where its correction, if any, moves it."""
+        if self.correction is None or len(positions) == 1:
+            return positions
+        return stretched(positions, self.end_correction(start, end, conditions), conditions)
+
     def end_correction(self, start: State, end: State, conditions: Conditions) -> Tensor:
         """By how much its correction moves the end of a rollout [m], shape [N, D], all in units of the model."""
         assert self.correction is not None
@@ -126,14 +132,19 @@ def unroll(
     state, conditions = in_model_units(start, conditions)
     first, positions = state, [state.positions]
     for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
+        before = state
         if torch.is_grad_enabled() and step < steps - kept_steps:
             state = checkpoint(lean, state, conditions, use_reentrant=False, preserve_rng_state=False)
         else:
             state = simulator(state, conditions)
         positions.append(state.positions)
+        if not (torch.is_grad_enabled() or before.displacements.any() or state.displacements.any()):
+            # A step that leads from a state to the same state is that of all the time to come.
+            positions += (steps - step - 1) * [state.positions]
+            break
     moved = torch.stack(positions)
-    if corrected and simulator.correction is not None and steps > 0:
-        moved = stretched(moved, simulator.end_correction(first, state, conditions), conditions)
+    if corrected:
+        moved = simulator.corrected(first, state, moved, conditions)
     return moved if length == 1.0 else moved * length
 
 

@@ -69,6 +69,11 @@ class State(Tensors):
         displacements = torch.cat((before, frames[1:] - frames[:-1]))[-history:]
         return State(positions=frames[-1], displacements=displacements)
 
+    def after(self, positions: Tensor, step: int) -> "State":
+        """The state after so many steps of a rollout from here; positions: at its start and after each step [m]."""
+        moved = torch.cat((self.displacements, positions[1 : step + 1] - positions[:step]))
+        return State(positions=positions[step], displacements=moved[step:])
+
     @staticmethod
     def joined(states: Sequence["State"]) -> "State":
         """Samples side by side."""

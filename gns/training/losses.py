@@ -3,7 +3,8 @@
     loss = mean_k h(|x_k - X_k| / (k s)) + h(|v_k - V_k| / s),   h(e) = e^2 / 2 below 1, e - 1/2 above
 
 over the steps k of a rollout. An error in the displacement grows k-fold in the position. Impacts that a step cannot
-resolve are far above s and count linearly only: they would drown the flow otherwise.
+resolve are far above s and count linearly only: they would drown the flow otherwise. Where `density_weight` says so the
+error of the density is added (`density_loss`): particles that each err little may lie too loosely, or too high.
 
 | symbol | variable           | meaning                                    |
 | x, v   | `positions`        | of the model, and their differences        |
@@ -20,7 +21,8 @@ from gns.network.correction import length_of
 from gns.network.features import NODES
 from gns.settings import TrainingSettings
 from gns.simulator import Simulator, step_activation_bytes, unroll
-from gns.surroundings.state import computed
+from gns.surroundings.grid import stencil_of
+from gns.surroundings.state import Conditions, computed
 from gns.training.samples import Batch, Ends, Rollouts, measured
 
 MARGIN = 1.5
@@ -42,6 +44,7 @@ class UnrolledLoss(nn.Module):
     def __init__(self, simulator: Simulator, training: TrainingSettings) -> None:
         super().__init__()
         self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
+        self.density_weight = training.density_weight
         self._particle_bytes = 0.0
         simulator.network.half_precision = half_precision()
 
@@ -52,7 +55,11 @@ class UnrolledLoss(nn.Module):
             self._particle_bytes = MARGIN * step_activation_bytes(self.simulator, state, conditions) / particles
         kept = int(self.memory / (self._particle_bytes * particles))
         positions = unroll(self.simulator, state, conditions, len(batch.targets), kept_steps=kept)
-        return rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
+        loss = rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
+        if self.density_weight > 0.0:
+            cell = self.simulator.settings.grid_cell
+            loss = loss + self.density_weight * density_loss(positions[-1], batch.targets[-1], conditions, cell)
+        return loss
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
@@ -68,6 +75,22 @@ def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> T
     return functional.smooth_l1_loss(error / steps, zero) + functional.smooth_l1_loss(error - before, zero)
 
 
+def density_loss(positions: Tensor, targets: Tensor, conditions: Conditions, cell: float) -> Tensor:
+    """Error of the density of a flow at the nodes of a grid, relative, of all samples alike,
+
+        mean_b sum_n (r_n - R_n)^2 / sum_n R_n^2,    r_n = sum_i w_n(x_i) V_i / h^D
+
+    with multilinear weights w. positions x, targets: [m], [N, D]; the densities r and R are theirs; cell: h [m].
+    """
+    samples, share = len(conditions.size), conditions.volume.unsqueeze(1) / cell ** positions.shape[1]
+    batch = None if conditions.batch is None else conditions.batch.repeat(2)
+    stencil = stencil_of(torch.cat((positions, targets)), conditions.size, cell, batch)
+    none = torch.zeros_like(share)
+    # Each summed in the same order, so that the same particles have the same density to the bit.
+    own, known = (stencil.scatter(torch.cat(each)).view(samples, -1) for each in ((share, none), (none, share)))
+    return ((own - known).square().sum(dim=1) / known.square().sum(dim=1)).mean()
+
+
 class EndLoss(nn.Module):
     """Ends of rollouts to the loss of their correction,
 
@@ -77,11 +100,11 @@ class EndLoss(nn.Module):
     of all its particles: of the few that a rollout follows, single ones are the front.
     """
 
-    def __init__(self, simulator: Simulator, rollouts: Rollouts) -> None:
+    def __init__(self, simulator: Simulator, rollouts: Rollouts, training: TrainingSettings) -> None:
         """The features of a new correction are normalised by `NORMALISED` batches of the rollouts."""
         super().__init__()
         assert simulator.correction is not None
-        self.simulator, self.correction = simulator, simulator.correction
+        self.simulator, self.correction, self.density_weight = simulator, simulator.correction, training.density_weight
         self.correction.network.half_precision = half_precision()
         if (self.correction.std != 1.0).any():
             # Normalised before.
@@ -108,6 +131,9 @@ class EndLoss(nn.Module):
         loss = functional.smooth_l1_loss(error, torch.zeros_like(error))
         for part in (off[..., :2] / END, off[..., 2:] / SHARE):
             loss = loss + OF_ENDS * functional.smooth_l1_loss(part, torch.zeros_like(part))
+        if self.density_weight > 0.0:
+            cell = self.simulator.settings.grid_cell
+            loss = loss + self.density_weight * density_loss(positions, batch.targets[-1], conditions, cell)
         return loss
 
 

@@ -241,12 +241,12 @@ class Rollouts(Sampler):
         with torch.no_grad():
             positions = unroll(self._simulator, there.state, there.conditions, last - now, corrected=False).cpu()
         moments = sorted({last - now, *(int(each) for each in rng.integers(1, last - now + 1, size=MOMENTS))})
-        moved = torch.cat((sample.state.displacements, positions[1:] - positions[:-1]))
         ends = []
         for step in moments:
             batch = replace(sample, targets=sample.targets[step - 1 : step])
-            recent = moved[step : step + settings.history].clone()
-            end = State(positions=positions[step].clone(), displacements=recent)
+            end = sample.state.after(positions, step)
+            # Not as views of the whole rollout, which would stay in memory.
+            end = State(positions=end.positions.clone(), displacements=end.displacements.clone())
             required = measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0)
             ends.append(Ends(**vars(batch), end=end, whole=required))
         return ends

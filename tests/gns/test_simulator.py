@@ -93,6 +93,23 @@ def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> No
     assert moving(torch.tensor([[0.1, 0.0], [0.0, 0.0], [2.0, 0.0]]), 1.0, two).flatten().tolist() == [0.0, 0.0, 1.0]
 
 
+def test_a_rollout_of_a_flow_that_rests_takes_no_more_steps(
+    lively: Simulator, cloud: Cloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, conditions = cloud(lower=(0.4, 0.4))
+    still = dataclasses.replace(conditions, gravity=torch.zeros(1, 2))
+    lively.eval().settings = dataclasses.replace(lively.settings, rest_speed=10.0)
+    calls, step = [], lively.forward
+    monkeypatch.setattr(lively, "forward", lambda *given: calls.append(1) or step(*given))
+    with torch.no_grad():
+        short = unroll(lively, state, still, 40)
+    assert len(calls) == 1
+    assert torch.equal(short, state.positions.expand(41, -1, -1))
+    # With gradients every step is taken, to the same positions.
+    assert torch.equal(unroll(lively, state, still, 5, kept_steps=5), short[:6])
+    assert len(calls) == 6
+
+
 @pytest.mark.parametrize("name", ["column-tall-42", "layers-10"])
 def test_shipped_flows_come_to_rest(name: str) -> None:
     scene = read_scene(name)
