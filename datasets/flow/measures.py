@@ -201,7 +201,7 @@ def overlap(one: Floats, other: Floats) -> float:
     return 1.0 - int((covered ^ its).sum()) / max(1, int((covered | its).sum()))
 
 
-def error(title: str, unit: str = "%", *, exact: float = 0.0, signed: bool = False, **default: float) -> Any:
+def error(title: str, unit: str = "%", *, exact: float = 0.0, signed: bool = False, **default: Any) -> Any:
     """A field of `Errors`: its title in tables, a unit of `FACTORS`, its exact value, whether it has a sign.
 
     Tables, logs and cards of models take their columns from these: to add an error is to add its field.
@@ -251,7 +251,7 @@ def summary(errors: Sequence[Errors]) -> dict[str, str]:
 
 def columns(errors: Sequence[Errors]) -> dict[str, tuple[Floats, Mapping[str, Any]]]:
     """The known values of each of the errors, shape [n], and what `error` says of it, by its name."""
-    found = {}
+    found: dict[str, tuple[Floats, Mapping[str, Any]]] = {}
     for column in (each for each in fields(errors[0]) if each.metadata):
         values = np.array([getattr(each, column.name) for each in errors])
         found[column.name] = values[~np.isnan(values)], column.metadata
