@@ -79,5 +79,6 @@ def test_the_price_is_that_of_the_cheapest_mpm_with_no_larger_error() -> None:
 
 def test_the_page_has_every_error_of_each_kind() -> None:
     column, every, again = kind_rows(model())
-    assert (column["scenes, free"], column["front"], column["mean height"]) == ("2, 1", "5.0 % (-5.0)", "20.0 % (-20.0)")
+    assert (column["scenes, free"], column["front"]) == ("2, 1", "5.0 % (-5.0)")
+    assert column["mean height"] == "20.0 % (-20.0)"
     assert (every["overlap in plan"], every["creep"], again["front"]) == ("90.0 % (90.0)", "-", "0.5 % (+0.5)")
