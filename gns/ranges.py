@@ -82,6 +82,7 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
     corrected = scene.volume_correction
     usual = corrected is None or corrected == remembers_gaps(replace(scene, volume_correction=None))
     elevation, roughness, steepness = terrain(scene, GROUND_SPACING * body.length)
+    turbulences = [float(np.min(each.turbulence)) / scene.gravity for each in scene.solids if each.turbulence]
 
     def lengths(values: Iterable[float], **bounds: Any) -> Quantity:
         return Quantity([value / body.length for value in values], "l", **bounds)
@@ -113,6 +114,7 @@ def quantities(scene: Scene) -> dict[str, Quantity]:
         "baffle_friction": Quantity([coefficient(scene.friction_of(each)) for each in baffles]),
         "channel": lengths([scene.channel.width] if scene.channel else ()),
         "ground_friction": Quantity(roughness),
+        "ground_turbulence": Quantity(turbulences, "g", above=False, scale=logarithm),
         "ground_deg": Quantity(steepness, "deg", below=False),
         "ground_relief": lengths(elevation, below=False),
         "damping": Quantity([scene.damping]),

@@ -37,7 +37,7 @@ from torch import Tensor
 
 from gns.settings import GRAVITY, UP, ModelSettings
 from gns.surroundings.grid import CHANNELS, REFERENCE_HEIGHT, Stencil, stencil_of
-from gns.surroundings.solids import solid_features
+from gns.surroundings.solids import Below, solid_features
 from gns.surroundings.state import Conditions, State, computed
 
 FORCES = ("basal friction", "traction", "damping", "shear", "pressure")
@@ -83,8 +83,19 @@ class Moment:
 
     @cached_property
     def solids(self) -> Tensor:
-        """`solid_features`, shape [N, 3 D + 2]."""
-        return solid_features(self.state.positions, self.conditions, self.settings.radius)
+        """`solid_features`, shape [N, 3 D + 2]; Voellmy's turbulence as friction, mu + |v|^2 / (xi h) on a bed.
+
+        Its traction rho g |v|^2 / xi over the pressure rho g h of the column of height h (Salm 1993).
+        """
+        positions, conditions = self.state.positions, self.conditions
+        found, ground = solid_features(positions, conditions, self.settings.radius), conditions.ground
+        if ground is None or ground.drag is None:
+            return found
+        square = self.velocity.square().sum(dim=1) / self.settings.step**2
+        height = REFERENCE_HEIGHT * self.column[:, 2] + self.settings.cell
+        drag = Below(positions, ground, conditions.batch).value(ground.drag) * square / height
+        near = 1.0 - found[:, -self.settings.dimension - 2]
+        return torch.cat((found[:, :-1], (found[:, -1] + near * drag.clamp(max=LARGEST)).unsqueeze(1)), dim=1)
 
     @cached_property
     def stencil(self) -> Stencil:

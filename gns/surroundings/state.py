@@ -93,6 +93,8 @@ class Ground(Tensors):
     """Coulomb coefficient [-], of the same shape."""
     spacing: float
     """Distance between two elevations [m]."""
+    drag: Tensor | None = None
+    """1 / xi of Voellmy's turbulent friction [s^2/m], of the same shape; absent where there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +162,8 @@ class Conditions(Tensors):
             shape = [max(counts) for counts in zip(*(each.elevation.shape[1:] for each in grounds), strict=True)]
             rasters = {
                 name: torch.cat([level(each.ground, name, shape, absent) for each in samples])
-                for name, absent in (("elevation", ABSENT), ("friction", 0.0))
+                for name, absent in (("elevation", ABSENT), ("friction", 0.0), ("drag", 0.0))
+                if any(getattr(each, name) is not None for each in grounds)
             }
             found["ground"] = Ground(**rasters, spacing=grounds[0].spacing)
         particles = torch.tensor([len(each.friction) for each in samples])
@@ -175,7 +178,8 @@ def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditi
         return state, conditions
     length = units.length
     if ground is not None:
-        ground = replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length)
+        drag = None if ground.drag is None else ground.drag * (length / units.time**2)
+        ground = replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length, drag=drag)
     scaled = replace(
         conditions,
         cohesion=conditions.cohesion / units.stress,
@@ -191,8 +195,8 @@ def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditi
 
 def level(ground: Ground | None, name: str, shape: Sequence[int], absent: float) -> Tensor:
     """A raster of one sample's ground that goes on level up to a larger shape; where there is none a constant one."""
-    if ground is None:
+    raster: Tensor | None = getattr(ground, name, None)
+    if raster is None:
         return torch.full((1, *shape), absent)
-    raster: Tensor = getattr(ground, name)
     behind = [end for count, own in zip(shape, raster.shape[1:], strict=True) for end in (count - own, 0)]
     return functional.pad(raster, behind[::-1], mode="replicate")

@@ -302,8 +302,9 @@ def reflected(sample: Batch, axis: int | None) -> Batch:
         plan = [ground.spacing * torch.arange(count) for count in shape[1:]]
         posts = torch.stack(torch.meshgrid(plan[0], torch.zeros(1), *plan[1:], indexing="ij"), dim=-1)
         image = Below(points(posts.flatten(0, -2)), ground, None)
-        elevation, friction = (image.value(each).view(shape) for each in (ground.elevation, ground.friction))
-        ground = replace(ground, elevation=elevation, friction=friction)
+        rasters: dict[str, Any] = {name: each for name, each in vars(ground).items() if isinstance(each, Tensor)}
+        rasters |= {name: image.value(each).view(shape) for name, each in rasters.items()}
+        ground = replace(ground, **rasters)
     conditions = replace(
         around,
         size=around.size[:, order],
