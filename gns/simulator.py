@@ -19,6 +19,9 @@ from gns.surroundings.state import Conditions, State, in_model_units
 AT_REST = 0.2
 """Root mean square speed of a deposit at rest over the speed of rest, at most [-]."""
 
+STANDING = 2.0
+"""The same of a step from rest that no known law explains (`Moment.stands`) [-]: errors of a network are no forces."""
+
 
 class Simulator(nn.Module):
     """x(t + dt) from x(t) and the last displacements.
@@ -28,7 +31,7 @@ class Simulator(nn.Module):
         v' = v + a                       displacement in the coming step (semi-implicit Euler)
         x' = keep_out(x + v')            walls, ground and baffles are impenetrable; what remains of v' is x' - x
         v' <- v' r^4 / (1 + r^4)         r = |v'| / (rest_speed dt): static friction
-        v' <- 0                          in a flow that is at rest (`moving`), but not while training
+        v' <- 0                          in a flow that is at rest (`moves`), but not while training
 
     | symbol | variable                                 | unit         |
     | A, c   | `Network`                                | -            |
@@ -68,12 +71,21 @@ class Simulator(nn.Module):
         if settings.rest_speed > 0.0:
             limit = settings.rest_speed * settings.step
             moved = settled(stopped - positions, limit)
-            stopped = positions + (moved if self.training else moved * moving(moved, AT_REST * limit, conditions))
+            stopped = positions + (moved if self.training else moved * self.moves(moved, limit, moment))
             if conditions.baffles is not None or conditions.ground is not None:
                 # A shortened displacement around a corner may end inside the baffle.
                 stopped = keep_out(stopped, positions, conditions)
         displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
         return State(positions=stopped, displacements=displacements)
+
+    def moves(self, moved: Tensor, limit: float, moment: Moment) -> Tensor:
+        """`moving`; of a flow that rested before and can lie as it does (`Moment.stands`) above a higher speed."""
+        conditions, slow = moment.conditions, AT_REST * limit
+        moves = moving(moved, slow, conditions)
+        starts = moves * (1.0 - moving(moment.velocity, slow, conditions) - moving(moved, STANDING * limit, conditions))
+        if not bool((starts > 0.0).any()):
+            return moves
+        return torch.where(conditions.of_particles(moment.stands()), moves - starts.clamp(min=0.0), moves)
 
     def corrected(self, start: State, end: State, positions: Tensor, conditions: Conditions) -> Tensor:
         """The way of a rollout from `start` to `end` [m], [K + 1, N, D], to where its correction, if any, moves it."""

@@ -15,7 +15,8 @@ which any value may be a distribution (docs/formats.md). Lengths are in metres, 
                       Gauss's shape `at` places in the box, of a `radius` of two standard deviations, `height` over that
                       In 3D besides elevations `every` so many metres; a `channel`, `deep` and `wide` (two standard
                       deviations), a ridge where its depth is negative, whose line bends by `bend` over a `wave`; a
-                      `fan`, a cone at the foot, so `high` and of a slope of `fan_deg`; Voellmy's `turbulence`, 0: none
+                      `fan`, a cone at the foot, so `high` and of a slope of `fan_deg`; Voellmy's `turbulence`, 0: none;
+                      `reach` over the box's length, at most, of a body that falls down and slides by Coulomb's friction
     sheet             all material as a layer on the ground: its length is a `share` of the "plateau", of the "foot"'s x
                       or of 1 m; its width `across`, its `thickest`, its `velocity`; or so many `cells` thick, and its
                       `breadth`, width over length
@@ -126,6 +127,9 @@ def composed(stream: Stream, kind: Numbers) -> Scene:
     solids, top = tuple[Solid, ...](), 0.0
     if ground is not None:
         ground["foot"] = ground["plateau"] + (ground.get("run") or ground["fall"] / slope_of(ground))
+        fall = slope_of(ground) * (ground["foot"] - ground["plateau"])
+        if fall > ground.get("reach", math.inf) * plan[0] * keys["floor_friction"]:
+            raise InputError("expected a flow that ends before the box does")
         solids, top = terrain_of(ground, plan, keys["floor_friction"])
         if sketch["sheet"]:
             masses, thickness = sheet_of(sketch, sketch["sheet"], plan)

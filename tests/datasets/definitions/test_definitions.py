@@ -53,7 +53,7 @@ DRAWN = {
     "columns2d": "7bf7332fa1d83a2e",
     "obstacle3d": "d42b8c509573d962",
     "baffles3d": "f9959c593b5daeb9",
-    "terrain3d": "dba8a8c3c60072e2",
+    "terrain3d": "003c0550b1d3a74d",
     "paper2d": "1b8d1079627b217c",
     "paper3d": "c62981929dceb48a",
 }
