@@ -56,8 +56,10 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
         steps = len(flow.positions) - 1
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
         there = sample.to(simulator.displacement_scale.device)
+        rests = not flow.moves(steps - 1)
         with torch.no_grad():
-            rolled = unroll(simulator, there.state, there.conditions, measures.AFTER * steps, corrected=False)
+            more = measures.AFTER if rests else 1
+            rolled = unroll(simulator, there.state, there.conditions, more * steps, corrected=False)
             end = there.state.after(rolled, steps)
             deposit = simulator.corrected(there.state, end, rolled[: steps + 1], there.conditions)[-1].cpu().numpy()
         scene, length = flow.scene, flow.units.length
@@ -65,7 +67,7 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
             flow.positions[0], flow.positions[-1], flow.volume, scene.domain.size, measures.ground_of(scene)
         )
         errors = truth.errors(length * deposit, length**scene.dimension * sample.conditions.volume.numpy())
-        if not flow.moves(steps - 1):
+        if rests:
             errors = replace(errors, creep=measures.creep(length * rolled.cpu().numpy(), flow.step))
         scores.append(Score(**vars(errors), released=not flow.velocity0.any(), at_wall=truth.at_wall))
     return scores

@@ -27,7 +27,7 @@ def scattered(dimension: int, count: int = 30) -> tuple[Tensor, Conditions]:
 def test_the_density_of_the_exact_answer_has_no_error_and_no_gradient(dimension: int) -> None:
     points, around = scattered(dimension)
     free = points.clone().requires_grad_()
-    loss = density_loss(free, points, around, CELL)
+    loss = density_loss(free, points, around, cell=CELL)
     assert loss.item() == 0.0
     assert not torch.autograd.grad(loss, free)[0].any()
 
@@ -38,11 +38,11 @@ def test_the_gradient_of_the_density_is_that_of_central_differences(dimension: i
     generator = torch.Generator().manual_seed(9)
     off, way = (0.01 * torch.randn(points.shape, generator=generator, dtype=torch.float64) for _ in range(2))
     free = (points + off).requires_grad_()
-    slope = torch.autograd.grad(density_loss(free, points, around, CELL), free)[0]
+    slope = torch.autograd.grad(density_loss(free, points, around, cell=CELL), free)[0]
     found = float((slope * way).sum())
     with torch.no_grad():
         # So short a way that no particle comes to another cell, where the weights have a kink.
-        high, low = (density_loss(free + sign * 1.0e-5 * way, points, around, CELL) for sign in (1.0, -1.0))
+        high, low = (density_loss(free + sign * 1.0e-5 * way, points, around, cell=CELL) for sign in (1.0, -1.0))
     assert abs(found) > 1.0e-3
     assert found == pytest.approx(float(high - low) / 2.0e-5, rel=1.0e-6)
 
@@ -50,9 +50,9 @@ def test_the_gradient_of_the_density_is_that_of_central_differences(dimension: i
 def test_a_flow_that_is_puffed_up_or_a_layer_higher_is_seen() -> None:
     points, around = scattered(2)
     puffed = torch.stack((points[:, 0], 1.4 * points[:, 1]), dim=1)
-    assert density_loss(puffed, points, around, CELL).item() > 0.1
+    assert density_loss(puffed, points, around, cell=CELL).item() > 0.1
     # Lifted by a cell all that was there is not there.
     lifted = points + torch.tensor([0.0, 0.5], dtype=torch.float64)
     alone = dataclasses.replace(around, size=around.size + 1.0)
-    share = density_loss(lifted, points, alone, CELL).item()
+    share = density_loss(lifted, points, alone, cell=CELL).item()
     assert share == pytest.approx(2.0, abs=0.2)
