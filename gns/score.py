@@ -103,18 +103,15 @@ def quantile(errors: NDArray[np.float64], level: float) -> float:
 
 
 def table(scores: Sequence[Score]) -> str:
-    """Markdown: mean amounts and the worst over flows released at rest and moving ones, `free` fronts alone."""
+    """Markdown: mean amounts and the worst over flows released at rest and moving ones; fronts free of walls alone."""
     rows = []
     for title, released in (("released at rest", True), ("moving", False)):
         if group := [score for score in scores if score.released == released]:
             held = sum(score.at_wall for score in group)
-            rows.append({"start": title, "flows": len(group), "held by a wall": held} | measures.summary(free(group)))
+            # A front that a wall holds is as right of any model.
+            free = [replace(score, front=math.nan) if score.at_wall else score for score in group]
+            rows.append({"start": title, "flows": len(group), "held by a wall": held} | measures.summary(free))
     return tabulate(rows, "keys", "github", disable_numparse=True) + "\n"
-
-
-def free(scores: Sequence[Score]) -> list[Score]:
-    """The scores, fronts that a wall holds as not known: they would be as right of any model."""
-    return [replace(score, front=math.nan) if score.at_wall else score for score in scores]
 
 
 def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, keep: bool = False) -> None:

@@ -91,12 +91,7 @@ class Simulator(nn.Module):
         """The way of a rollout from `start` to `end` [m], [K + 1, N, D], to where its correction, if any, moves it."""
         if self.correction is None or len(positions) == 1:
             return positions
-        return stretched(positions, self.end_correction(start, end, conditions), conditions)
-
-    def end_correction(self, start: State, end: State, conditions: Conditions) -> Tensor:
-        """By how much its correction moves the end of a rollout [m], shape [N, D], all in units of the model."""
-        assert self.correction is not None
-        return torch.as_tensor(self.correction(start, self.moment(end, conditions)))
+        return stretched(positions, self.correction(start, self.moment(end, conditions)), conditions)
 
     def moment(self, state: State, conditions: Conditions) -> Moment:
         """Features and known forces of a state, all of it in the units of the model."""

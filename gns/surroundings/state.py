@@ -72,7 +72,8 @@ class State(Tensors):
     def after(self, positions: Tensor, step: int) -> "State":
         """The state after so many steps of a rollout from here; positions: at its start and after each step [m]."""
         moved = torch.cat((self.displacements, positions[1 : step + 1] - positions[:step]))
-        return State(positions=positions[step], displacements=moved[step:])
+        # No views of the whole rollout, which would stay in memory.
+        return State(positions=positions[step].clone(), displacements=moved[step:].clone())
 
     @staticmethod
     def joined(states: Sequence["State"]) -> "State":

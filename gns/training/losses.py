@@ -129,7 +129,7 @@ class EndLoss(nn.Module):
 
     def forward(self, batch: Ends) -> Tensor:
         conditions = batch.conditions
-        positions = batch.end.positions + self.simulator.end_correction(batch.state, batch.end, conditions)
+        positions = batch.end.positions + self.correction(batch.state, self.simulator.moment(batch.end, conditions))
         error = (positions - batch.targets[-1]) / (PLACE * length_of(self.correction.settings))
         found = []
         for sample in range(len(conditions.size)):

@@ -244,11 +244,8 @@ class Rollouts(Sampler):
         ends = []
         for step in moments:
             batch = replace(sample, targets=sample.targets[step - 1 : step])
-            end = sample.state.after(positions, step)
-            # Not as views of the whole rollout, which would stay in memory.
-            end = State(positions=end.positions.clone(), displacements=end.displacements.clone())
             required = measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0)
-            ends.append(Ends(**vars(batch), end=end, whole=required))
+            ends.append(Ends(**vars(batch), end=sample.state.after(positions, step), whole=required))
         return ends
 
 
