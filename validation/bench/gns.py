@@ -140,8 +140,7 @@ def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequen
         }
         flows |= {path.stem: gns.simulate(scene, model=simulator), AGAIN: other}
         by = {method: truth.errors(flow.positions[-1], flow.volumes) for method, flow in flows.items()}
-        # A reference that ends before its scene rests.
-        if reference.time[-1] < scene.duration - 0.5 * scene.frame_dt:
+        if reference.summary["rest_time"] is not None:
             longer = gns.simulate(replace(scene, duration=AFTER * scene.duration), model=simulator)
             by[path.stem] = replace(by[path.stem], creep=measures.creep(longer.positions, longer.frame_dt))
         compared.append(
