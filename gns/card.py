@@ -6,7 +6,7 @@ scores and the calibration of the bands.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +37,8 @@ class Calibration(Record):
     """Level -> quantile of the profile's error over the extent [-]."""
     flows: int
     """Number of flows that it was found on."""
+    errors: dict[str, float] = field(default_factory=dict)
+    """Error (`gns.score.Score`) -> its mean amount over these flows; without those that are not known."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -74,6 +74,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
     ]
     held = sum(mass.release is not None for mass in masses)
     elevation, roughness, steepness = terrain(scene, GROUND_SPACING * body.length)
+    turbulences = [float(np.min(each.turbulence)) / scene.gravity for each in scene.solids if each.turbulence]
 
     def lengths(values: Iterable[float], **bounds: Any) -> RangedQuantity:
         return RangedQuantity([value / body.length for value in values], "l", **bounds)
@@ -105,6 +106,7 @@ def quantities(scene: Scene) -> dict[str, RangedQuantity]:
         "baffle_friction": RangedQuantity([coefficient(scene.friction_of(each)) for each in baffles]),
         "channel": lengths([scene.channel.width] if scene.channel else ()),
         "ground_friction": RangedQuantity(roughness),
+        "ground_turbulence": RangedQuantity(turbulences, "g", above=False, scale=logarithm),
         "ground_deg": RangedQuantity(steepness, "deg", below=False),
         "ground_relief": lengths(elevation, below=False),
         "damping": RangedQuantity([scene.damping]),

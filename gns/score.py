@@ -32,16 +32,6 @@ if TYPE_CHECKING:
     from gns.training.samples import Flow
 
 
-FRONTS = {"front error, mean of absolute values": ".1f", "their median": ".1f", "mean": "+.1f", "worst": "+.1f"}
-MEANS = {
-    "profile": ("profile error", ".1f"),
-    "height": ("mean height", "+.1f"),
-    "thickness": ("thickness error", ".1f"),
-    "overlap": ("overlap in plan", ".0f"),
-}
-"""Columns of the table: of the front, and means of the other errors; and how they are written."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Score(measures.Errors):
     """Errors of one rollout against the MPM."""
@@ -66,14 +56,20 @@ def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
         steps = len(flow.positions) - 1
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
         there = sample.to(simulator.displacement_scale.device)
+        rests = not flow.moves(steps - 1)
         with torch.no_grad():
-            deposit = unroll(simulator, there.state, there.conditions, steps)[-1].cpu().numpy()
+            more = measures.AFTER if rests else 1
+            rolled = unroll(simulator, there.state, there.conditions, more * steps, corrected=False)
+            end = there.state.after(rolled, steps)
+            deposit = simulator.corrected(there.state, end, rolled[: steps + 1], there.conditions)[-1].cpu().numpy()
         scene, length = flow.scene, flow.units.length
         truth = measures.Deposit.of_positions(
             flow.positions[0], flow.positions[-1], flow.volume, scene.domain.size, measures.ground_of(scene)
         )
         errors = truth.errors(length * deposit, length**scene.dimension * sample.conditions.volume.numpy())
-        scores.append(Score(released=not flow.velocity0.any(), at_wall=truth.at_wall, **vars(errors)))
+        if rests:
+            errors = replace(errors, creep=measures.creep(length * rolled.cpu().numpy(), flow.step))
+        scores.append(Score(**vars(errors), released=not flow.velocity0.any(), at_wall=truth.at_wall))
     return scores
 
 
@@ -93,7 +89,8 @@ def calibrated(scores: Sequence[Score]) -> Calibration:
     known = [each for each in scores if not each.at_wall] or scores
     errors = [np.sort([abs(getattr(each, name)) for each in known]) for name in ("front", "profile")]
     front, profile = ({f"{level:g}": quantile(each, level) for level in LEVELS} for each in errors)
-    return Calibration(front=front, profile=profile, flows=len(known))
+    means = {name: each for name, each in measures.amounts(known).items() if not math.isnan(each)}
+    return Calibration(front=front, profile=profile, flows=len(known), errors=means)
 
 
 def quantile(errors: NDArray[np.float64], level: float) -> float:
@@ -106,23 +103,15 @@ def quantile(errors: NDArray[np.float64], level: float) -> float:
 
 
 def table(scores: Sequence[Score]) -> str:
-    """Markdown: means over flows released at rest and moving ones; of the front without those held by a wall."""
+    """Markdown: mean amounts and the worst over flows released at rest and moving ones; fronts free of walls alone."""
     rows = []
     for title, released in (("released at rest", True), ("moving", False)):
-        group = [score for score in scores if score.released == released]
-        if not group:
-            continue
-        front = np.array([score.front for score in group if not score.at_wall])
-        amounts = np.abs(front)
-        mean = {name: float(np.mean([getattr(each, name) for each in group])) for name in MEANS}
-        values = (amounts.mean(), np.median(amounts), front.mean(), front[amounts.argmax()]) if len(front) else ()
-        fronts = [f"{100.0 * value:{form}} %" for value, form in zip(values, FRONTS.values(), strict=False)]
-        rows.append(
-            [title, len(group), len(group) - len(front), *(fronts or ["-"] * len(FRONTS))]
-            + [f"{100.0 * mean[name]:{form}} %" for name, (_, form) in MEANS.items()]
-        )
-    heads = ["start", "flows", "held by a wall", *FRONTS, *(head for head, _ in MEANS.values())]
-    return markdown_table(rows, heads, "github") + "\n"
+        if group := [score for score in scores if score.released == released]:
+            held = sum(score.at_wall for score in group)
+            # A front that a wall holds is as right of any model.
+            free = [replace(score, front=math.nan) if score.at_wall else score for score in group]
+            rows.append({"start": title, "flows": len(group), "held by a wall": held} | measures.summary(free))
+    return markdown_table(rows, "keys", "github") + "\n"
 
 
 def score(*datasets: Path, model: Path, split: str = "test", threads: int = 1, keep: bool = False) -> None:

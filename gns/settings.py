@@ -103,6 +103,8 @@ class TrainingSettings(Record):
     """Largest norm of the gradient."""
     loss_scale: Positive = 0.25
     """Errors up to this share of the accelerations' standard deviation count squared, larger ones linearly."""
+    density_weight: NotNegative = 0.0
+    """Weight of the error of the density at the nodes of the grid after the last step, heights and volume; 0: none."""
     first: float = 0.15
     """Share of samples that start with the flow itself: from positions and velocities alone."""
     average: float = 0.998

@@ -19,6 +19,9 @@ from gns.surroundings.state import Conditions, State, in_model_units
 AT_REST = 0.2
 """Root mean square speed of a deposit at rest over the speed of rest, at most [-]."""
 
+STANDING = 2.0
+"""The same of a step from rest that no known law explains (`Moment.stands`) [-]: errors of a network are no forces."""
+
 
 class Simulator(nn.Module):
     """x(t + dt) from x(t) and the last displacements.
@@ -28,7 +31,7 @@ class Simulator(nn.Module):
         v' = v + a                       displacement in the coming step (semi-implicit Euler)
         x' = keep_out(x + v')            walls, ground and baffles are impenetrable; what remains of v' is x' - x
         v' <- v' r^4 / (1 + r^4)         r = |v'| / (rest_speed dt): static friction
-        v' <- 0                          in a flow that is at rest (`moving`), but not while training
+        v' <- 0                          in a flow that is at rest (`moves`), but not while training
 
     | symbol | variable                                 | unit         |
     | A, c   | `Network`                                | -            |
@@ -68,17 +71,27 @@ class Simulator(nn.Module):
         if settings.rest_speed > 0.0:
             limit = settings.rest_speed * settings.step
             moved = settled(stopped - positions, limit)
-            stopped = positions + (moved if self.training else moved * moving(moved, AT_REST * limit, conditions))
+            stopped = positions + (moved if self.training else moved * self.moves(moved, limit, moment))
             if conditions.baffles is not None or conditions.ground is not None:
                 # A shortened displacement around a corner may end inside the baffle.
                 stopped = keep_out(stopped, positions, conditions)
         displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
         return State(positions=stopped, displacements=displacements)
 
-    def end_correction(self, start: State, end: State, conditions: Conditions) -> Tensor:
-        """By how much its correction moves the end of a rollout [m], shape [N, D], all in units of the model."""
-        assert self.correction is not None
-        return torch.as_tensor(self.correction(start, self.moment(end, conditions)))
+    def moves(self, moved: Tensor, limit: float, moment: Moment) -> Tensor:
+        """`moving`; of a flow that rested before and can lie as it does (`Moment.stands`) above a higher speed."""
+        conditions, slow = moment.conditions, AT_REST * limit
+        moves = moving(moved, slow, conditions)
+        starts = moves * (1.0 - moving(moment.velocity, slow, conditions) - moving(moved, STANDING * limit, conditions))
+        if not bool((starts > 0.0).any()):
+            return moves
+        return torch.where(conditions.of_particles(moment.stands()), moves - starts.clamp(min=0.0), moves)
+
+    def corrected(self, start: State, end: State, positions: Tensor, conditions: Conditions) -> Tensor:
+        """The way of a rollout from `start` to `end` [m], [K + 1, N, D], to where its correction, if any, moves it."""
+        if self.correction is None or len(positions) == 1:
+            return positions
+        return stretched(positions, self.correction(start, self.moment(end, conditions)), conditions)
 
     def moment(self, state: State, conditions: Conditions) -> Moment:
         """Features and known forces of a state, all of it in the units of the model."""
@@ -126,14 +139,19 @@ def unroll(
     state, conditions = in_model_units(start, conditions)
     first, positions = state, [state.positions]
     for step in tqdm(range(steps), desc="rollout", unit="step", disable=not progress):
+        before = state
         if torch.is_grad_enabled() and step < steps - kept_steps:
             state = checkpoint(lean, state, conditions, use_reentrant=False, preserve_rng_state=False)
         else:
             state = simulator(state, conditions)
         positions.append(state.positions)
+        if not (torch.is_grad_enabled() or before.displacements.any() or state.displacements.any()):
+            # A step that leads from a state to the same state is that of all the time to come.
+            positions += (steps - step - 1) * [state.positions]
+            break
     moved = torch.stack(positions)
-    if corrected and simulator.correction is not None and steps > 0:
-        moved = stretched(moved, simulator.end_correction(first, state, conditions), conditions)
+    if corrected:
+        moved = simulator.corrected(first, state, moved, conditions)
     return moved if length == 1.0 else moved * length
 
 

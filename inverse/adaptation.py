@@ -153,11 +153,9 @@ def scored(simulator: Simulator, flows: Sequence[Flow], name: str) -> list[Score
 
 def change(before: Sequence[Score], after: Sequence[Score]) -> str:
     """Mean errors before and after, in words."""
-    parts = []
-    for name in ("front", "profile", "thickness"):
-        means = [100.0 * np.mean([abs(getattr(each, name)) for each in some]) for some in (before, after)]
-        parts.append(f"{name} {means[0]:.1f} -> {means[1]:.1f} %")
-    return ", ".join(parts)
+    old, new = measures.amounts(before), measures.amounts(after)
+    names = ("front", "profile", "height", "thickness")
+    return ", ".join(f"{name} {100.0 * old[name]:.1f} -> {100.0 * new[name]:.1f} %" for name in names)
 
 
 def scatter(runs: Sequence[tuple[Vector, Trajectory]], problem: Problem) -> str:

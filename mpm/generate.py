@@ -48,7 +48,7 @@ def command(
     Parameters
     ----------
     definition
-        flow2d, columns2d, obstacle3d, baffles3d, paper2d, paper3d, or the path of a definition in TOML.
+        flow2d, columns2d, obstacle3d, baffles3d, terrain3d, paper2d, paper3d, or the path of a definition in TOML.
     out
         Folder of the dataset: train, valid, test, metadata.json.
     count

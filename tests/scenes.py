@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from datasets import Baffle, Domain, Mass, Material, Scene, Trajectory
+from datasets import Baffle, Domain, Mass, Material, Scene, Solid, Trajectory
 
 SAND = Material(friction_deg=30.0)
 COLUMN = Mass(lower=(0.0, 0.0), size=(0.2, 0.2))
@@ -46,6 +46,10 @@ def scaled(scene: Scene, length: float, *, gravity: float = 9.81, density: float
     def shape(each: Mass | Baffle) -> dict[str, Any]:
         return {"lower": long(each.lower), "size": long(each.size)}
 
+    def ground(each: Solid) -> dict[str, Any]:
+        rows = {name: tuple(map(long, value)) for name in ("points", "heights") if (value := getattr(each, name))}
+        return rows | {name: long(value) for name in ("origin", "spacing") if (value := getattr(each, name))}
+
     constants = {"young": sand.modulus, "cohesion": sand.cohesion, "tension_cutoff": sand.tension_cutoff}
     return replace(
         scene,
@@ -56,7 +60,7 @@ def scaled(scene: Scene, length: float, *, gravity: float = 9.81, density: float
             for each in scene.masses
         ),
         baffles=tuple(replace(each, **shape(each)) for each in scene.baffles),
-        solids=tuple(replace(each, points=tuple(map(long, each.points or ()))) for each in scene.solids),
+        solids=tuple(replace(each, **ground(each)) for each in scene.solids),
         duration=time * scene.duration,
         frame_dt=time * scene.frame_dt,
         gravity=gravity,

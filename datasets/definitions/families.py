@@ -13,8 +13,13 @@ which any value may be a distribution (docs/formats.md). Lengths are in metres, 
     ground            falls by `fall`, or over a `run`, at `angle_deg` from a `plateau` to its foot, may rise by `rise`
                       beyond; least elevation `base`; slope of a `valley` and its place across, `middle`; `bumps` of
                       Gauss's shape `at` places in the box, of a `radius` of two standard deviations, `height` over that
+                      In 3D besides elevations `every` so many metres; a `channel`, `deep` and `wide` (two standard
+                      deviations), a ridge where its depth is negative, whose line bends by `bend` over a `wave`; a
+                      `fan`, a cone at the foot, so `high` and of a slope of `fan_deg`; Voellmy's `turbulence`, 0: none;
+                      `reach` over the box's length, at most, of a body that falls down and slides by Coulomb's friction
     sheet             all material as a layer on the ground: its length is a `share` of the "plateau", of the "foot"'s x
-                      or of 1 m; its width `across`, its `thickest`, its `velocity`
+                      or of 1 m; its width `across`, its `thickest`, its `velocity`; or so many `cells` thick, and its
+                      `breadth`, width over length
     left, place       of the material: least distance from the side of the box, place in the room beyond; `aside` in z
     baffles           how many (`count`); of each the distance `ahead` of the material, `size` above the ground, place
                       `aside`, and `turned_deg` in scenes whose baffles are `turned`
@@ -122,9 +127,16 @@ def composed(stream: Stream, kind: Numbers) -> Scene:
     solids, top = tuple[Solid, ...](), 0.0
     if ground is not None:
         ground["foot"] = ground["plateau"] + (ground.get("run") or ground["fall"] / slope_of(ground))
+        fall = slope_of(ground) * (ground["foot"] - ground["plateau"])
+        if fall > ground.get("reach", math.inf) * plan[0] * keys["floor_friction"]:
+            raise InputError("expected a flow that ends before the box does")
         solids, top = terrain_of(ground, plan, keys["floor_friction"])
-        masses, thickness = sheet_of(sketch, sketch["sheet"], plan)
-        top += thickness
+        if sketch["sheet"]:
+            masses, thickness = sheet_of(sketch, sketch["sheet"], plan)
+            top += thickness
+        masses = tuple(
+            dataclasses.replace(each, lower=on_ground(each, solids[0])) if each.size else each for each in masses
+        )
     top = max([top, *(mass.lower[1] + mass.size[1] for mass in masses if mass.size)])
     extent, cell = (plan[0], max(sketch["height"], top + AIR), *plan[1:]), sketch["cell"]
     domain = Domain(size=tuple(cell * math.ceil(each / cell - 1e-6) for each in extent), cell=cell)
@@ -189,13 +201,20 @@ def slope_of(ground: Numbers) -> float:
 
 def terrain_of(ground: Numbers, plan: tuple[float, ...], friction: float) -> tuple[tuple[Solid, ...], float]:
     """The terrain of a box of a size in plan [m], and its highest elevation [m]."""
-    plateau, foot = ground["plateau"], ground["foot"]
-    x, *across = (GRID * np.arange(-1, round(length / GRID) + 3) for length in plan)
+    plateau, foot, grid = ground["plateau"], ground["foot"], ground.get("every", GRID)
+    x, *across = (grid * np.arange(-1, round(length / grid) + 3) for length in plan)
     x = x if across else np.unique([0.0, *x[2:], plateau, foot])
     places = np.stack(np.meshgrid(x, *across, indexing="ij"), axis=-1)
     knots = [plateau, foot, max(plan[0], foot + GRID)]
     heights = np.interp(places[..., 0], knots, [(foot - plateau) * slope_of(ground), 0.0, ground.get("rise", 0.0)])
-    heights += ground.get("valley", 0.0) * np.abs(places[..., -1] - ground.get("middle", 0.0) * plan[-1])
+    off = places[..., -1] - ground.get("middle", 0.0) * plan[-1]
+    heights += ground.get("valley", 0.0) * np.abs(off)
+    if channel := ground.get("channel"):
+        off = off - channel["bend"] * np.sin(2.0 * math.pi * places[..., 0] / channel["wave"])
+        heights -= channel["deep"] * np.exp(-2.0 * (off / channel["wide"]) ** 2)
+    if fan := ground.get("fan"):
+        apart = np.hypot(places[..., 0] - foot, off)
+        heights = np.maximum(heights, fan["high"] - math.tan(math.radians(fan["fan_deg"])) * apart)
     for bump in ground["bumps"]:
         off = ((places - np.multiply(bump["at"], plan)) ** 2).sum(axis=-1)
         heights += bump["height"] * bump["radius"] * np.exp(-2.0 * off / bump["radius"] ** 2)
@@ -204,14 +223,31 @@ def terrain_of(ground: Numbers, plan: tuple[float, ...], friction: float) -> tup
         solid = Solid(kind="terrain", friction=friction, points=tuple(zip(x.tolist(), heights.tolist(), strict=True)))
     else:
         corner, rows = (float(x[0]), float(across[0][0])), tuple(map(tuple, heights.tolist()))
-        solid = Solid(kind="terrain", friction=friction, origin=corner, spacing=(GRID, GRID), heights=rows)
+        solid = Solid(kind="terrain", friction=friction, origin=corner, spacing=(grid, grid), heights=rows)
+        solid = dataclasses.replace(solid, turbulence=ground.get("turbulence") or None)
     return (solid,), float(heights.max())
+
+
+def on_ground(mass: Mass, terrain: Solid) -> tuple[float, ...]:
+    """Lower corner of a box in 3D [m] that lies on the highest post of a terrain beneath it, or above that."""
+    heights = np.array(terrain.heights)
+    for axis, first, step in zip((0, 2), terrain.origin or (), terrain.spacing or (), strict=True):
+        begin, end = ((each - first) / step for each in (mass.lower[axis], mass.lower[axis] + mass.size[axis]))
+        heights = heights[math.floor(begin) : math.ceil(end) + 1].T
+    return mass.lower[0], mass.lower[1] + float(heights.max()), mass.lower[2]
 
 
 def sheet_of(sketch: Numbers, sheet: Numbers, plan: tuple[float, ...]) -> tuple[tuple[Mass, ...], float]:
     """The layer on the ground, and its thickness [m]."""
     left = sketch["left"]
-    length, across = sheet["share"] * {**sketch["ground"], "": 1.0}[sheet.get("of", "")], 1.0
+    across = 1.0
+    if "cells" in sheet:
+        length = math.sqrt(sketch["volume"] / (sheet["cells"] * sketch["cell"] * sheet["breadth"]))
+        sheet = {**sheet, "across": sheet["breadth"] * length}
+        if sheet["across"] > plan[1] - 0.1 or left + length > 0.6 * plan[0]:
+            raise InputError("expected a layer that leaves room around it and ahead")
+    else:
+        length = sheet["share"] * {**sketch["ground"], "": 1.0}[sheet.get("of", "")]
     outline: tuple[tuple[float, ...], ...] = ((left,), (left + length,))
     if len(plan) == 2:
         across = min(sheet["across"], plan[1] - 0.04)

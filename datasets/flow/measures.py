@@ -13,8 +13,8 @@ function as wide as its volume: the fit is continuous in the positions. The furt
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any
 
@@ -33,6 +33,8 @@ AT_WALL = 0.01
 """A front within this share of the box's length of the wall ahead leans on it, which then bounds everyone's."""
 OUTLINE = 0.1
 """Thickness over a deposit's largest from which on a place in plan is covered [-]."""
+AFTER = 4
+"""Durations of a flow until whose end a deposit must stay where it is (`creep`)."""
 COLUMN = 3.0
 """Width of the columns in which two deposits are compared, over the larger distance between their particles [-]."""
 
@@ -199,20 +201,61 @@ def overlap(one: Floats, other: Floats) -> float:
     return 1.0 - int((covered ^ its).sum()) / max(1, int((covered | its).sum()))
 
 
+def error(title: str, unit: str = "%", *, exact: float = 0.0, signed: bool = False, **default: Any) -> Any:
+    """A field of `Errors`: its title in tables, a unit of `FACTORS`, its exact value, whether it has a sign.
+
+    Tables, logs and cards of models take their columns from these: to add an error is to add its field.
+    """
+    return field(metadata={"title": title, "unit": unit, "exact": exact, "sign": "+" if signed else ""}, **default)
+
+
+FACTORS = {"%": 100.0, "mm/s": 1000.0}
+"""Units of tables -> how many of them are 1 in SI units."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """How far one deposit is from another, the reference [-]."""
+    """How far one deposit is from another, the reference [-]; nan where that says nothing."""
 
-    front: float
+    front: float = error("front", signed=True)
     """Front beyond the reference's, over the extent from its rear to its front; see `Deposit.side`."""
-    profile: float
+    profile: float = error("profile")
     """`transport_distance` over the extent: of places along x, blind to heights."""
-    height: float
+    height: float = error("mean height", signed=True)
     """`mean_height` above the reference's, over that."""
-    thickness: float
+    thickness: float = error("thickness")
     """Difference in `thickness`, rms over the columns where either deposit lies, over the reference's largest."""
-    overlap: float
-    """In plan: `overlap`, 1 where the outlines are the same."""
+    overlap: float = error("overlap in plan", exact=1.0)
+    """In plan, in 2D along x: `overlap`, 1 where the outlines are the same."""
+    creep: float = error("creep", "mm/s", default=math.nan)
+    """`creep` of the deposit after the flow [m/s]."""
+
+
+def amounts(errors: Sequence[Errors]) -> dict[str, float]:
+    """Mean amount of each of the errors, by its name; nan where none is known."""
+    values = {name: np.abs(each) for name, (each, _) in columns(errors).items()}
+    return {name: float(each.mean()) if len(each) else math.nan for name, each in values.items()}
+
+
+def summary(errors: Sequence[Errors]) -> dict[str, str]:
+    """The same by its title in words, with the worst of them: `1.2 % (+3.4)`; a dash where none is known."""
+    found = {}
+    for each, about in columns(errors).values():
+        factor, words = FACTORS[about["unit"]], "-"
+        if len(each):
+            worst = each[np.abs(each - about["exact"]).argmax()]
+            words = f"{factor * np.abs(each).mean():.1f} {about['unit']} ({factor * worst:{about['sign']}.1f})"
+        found[about["title"]] = words
+    return found
+
+
+def columns(errors: Sequence[Errors]) -> dict[str, tuple[Floats, Mapping[str, Any]]]:
+    """The known values of each of the errors, shape [n], and what `error` says of it, by its name."""
+    found: dict[str, tuple[Floats, Mapping[str, Any]]] = {}
+    for column in (each for each in fields(errors[0]) if each.metadata):
+        values = np.array([getattr(each, column.name) for each in errors])
+        found[column.name] = values[~np.isnan(values)], column.metadata
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,6 +322,17 @@ def thickness_apart(one: Floats, other: Floats) -> float:
     """Difference of two thicknesses [m] in the same columns, rms over those where either deposit lies."""
     somewhere = (one > 0.0) | (other > 0.0)
     return rms((other - one)[somewhere]) if somewhere.any() else 0.0
+
+
+def creep(positions: Positions, step: float) -> float:
+    """Speed of a deposit [m/s] in a run that goes on until `AFTER` times the duration of its flow.
+
+    The rms over the particles of how far it moves after the flow, over that time. positions: [m], shape [T, N, D];
+    step: between two of them [s].
+    """
+    steps = (len(positions) - 1) // AFTER
+    moved = np.linalg.norm(positions[-1] - positions[steps], axis=1)
+    return rms(moved) / ((len(positions) - 1 - steps) * step)
 
 
 def rms(values: NDArray[np.floating]) -> float:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -52,6 +53,18 @@ def ground_raster(scene: SceneLayout, spacing: float) -> tuple[Floats, Floats, I
     shape, places = plan.shape[:-1], plan.reshape(-1, len(axes))
     height, friction, top = highest(scene.solids, scene.domain, places, coefficient(scene.floor_friction, 1.0))
     return height.reshape(shape), friction.reshape(shape), top.reshape(shape)
+
+
+def turbulence_raster(scene: SceneLayout, spacing: float) -> Floats | None:
+    """1 / xi [s^2/m] of the highest terrain at the same places, 0 where it has no turbulence; None where none has."""
+    if all(each.turbulence is None for each in scene.solids):
+        return None
+    drags = []
+    for each in scene.solids:
+        drag = np.array(0.0 if each.turbulence is None else 1.0 / np.array(each.turbulence))
+        # As a friction it is interpolated as that is.
+        drags.append(replace(each, friction=tuple(map(tuple, drag.tolist())) if drag.ndim else float(drag)))
+    return ground_raster(replace(scene, solids=tuple(drags), floor_friction=0.0), spacing)[1]
 
 
 def highest(

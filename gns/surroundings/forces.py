@@ -29,6 +29,7 @@ with the deviatoric rate of strain D' [1 per step]. On cells as coarse as these 
 | d0     | `slow` over the cell              | rate of strain below which the shear fades         |
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -37,7 +38,7 @@ from torch import Tensor
 
 from gns.settings import GRAVITY, UP, ModelSettings
 from gns.surroundings.grid import CHANNELS, REFERENCE_HEIGHT, Stencil, stencil_of
-from gns.surroundings.solids import solid_features
+from gns.surroundings.solids import Below, solid_features, upward
 from gns.surroundings.state import Conditions, State, computed
 
 FORCES = ("basal friction", "traction", "damping", "shear", "pressure")
@@ -50,6 +51,8 @@ EMPTY = 0.05
 """Share of a cell that is filled below which the mean of what is in it fades [-]."""
 LOOSE = 0.3
 """Share of a cell that is filled below which a force is that on so much material [-]."""
+SMOOTHED = 2
+"""Means over three nodes along each level axis that the height of a column is smoothed by."""
 LARGEST = 3.0
 """The weight of the material that a force on the grid approaches at most [-]."""
 
@@ -83,8 +86,19 @@ class Moment:
 
     @cached_property
     def solids(self) -> Tensor:
-        """`solid_features`, shape [N, 3 D + 2]."""
-        return solid_features(self.state.positions, self.conditions, self.settings.radius)
+        """`solid_features`, shape [N, 3 D + 2]; Voellmy's turbulence as friction, mu + |v|^2 / (xi h) on a bed.
+
+        Its traction rho g |v|^2 / xi over the pressure rho g h of the column of height h (Salm 1993).
+        """
+        positions, conditions = self.state.positions, self.conditions
+        found, ground = solid_features(positions, conditions, self.settings.radius), conditions.ground
+        if ground is None or ground.drag is None:
+            return found
+        square = self.velocity.square().sum(dim=1) / self.settings.step**2
+        height = REFERENCE_HEIGHT * self.column[:, 2] + self.settings.cell
+        drag = Below(positions, ground, conditions.batch).value(ground.drag) * square / height
+        near = 1.0 - found[:, -self.settings.dimension - 2]
+        return torch.cat((found[:, :-1], (found[:, -1] + near * drag.clamp(max=LARGEST)).unsqueeze(1)), dim=1)
 
     @cached_property
     def stencil(self) -> Stencil:
@@ -195,6 +209,42 @@ class Moment:
         pressure = -torch.stack([gradient[axis][..., dimension + 1].reshape(-1) for axis in axes], dim=1)
         return stencil.gather(LARGEST * torch.tanh(torch.cat((shear, pressure), dim=1) / LARGEST))
 
+    def stands(self) -> Tensor:
+        """Whether each flow can lie as it does: no known law lets it move from rest; bool, shape [B, 1].
+
+            tan(a_s) <= tan(phi),    tan(a_b) + K |grad h| <= min(mu, tan(phi)),    K = (1 - sin(phi)) / (1 + sin(phi))
+
+        for the inclinations a_s of the surface and a_b of the bed against the horizontal below every particle: limit
+        equilibrium of an infinite slope, and of a column on its bed between active pressures (Rankine 1857). The
+        heights h of the columns are smoothed over the nodes around each: what single particles add is no slope.
+        """
+        conditions, stencil, level = self.conditions, self.stencil, [*range(0, self.settings.dimension, 2)]
+        height = REFERENCE_HEIGHT * self.nodes[:, 2].view(stencil.samples, *stencil.shape)
+        for axis in level * SMOOTHED:
+            height = stencil.within(height, conditions.size, level)
+            height = 0.5 * height + 0.25 * (height.roll(1, axis + 1) + height.roll(-1, axis + 1))
+        height = stencil.within(height, conditions.size, level)
+        slopes = [torch.gradient(height, spacing=stencil.cell, dim=axis + 1)[0] for axis in level]
+        slope = stencil.gather(torch.stack(slopes, dim=-1).flatten(0, -2))
+        friction, bed = conditions.friction, torch.zeros_like(slope)
+        rough = conditions.of_particles(conditions.floor_friction)
+        if conditions.ground is not None:
+            below = Below(self.state.positions, conditions.ground, conditions.batch)
+            rough, bed = below.value(conditions.ground.friction), below.value_and_slope(conditions.ground.elevation)[1]
+        sine = friction / (1.0 + friction.square()).sqrt()
+        thrust = (1.0 - sine) / (1.0 + sine) * slope.norm(dim=1)
+        gravity = conditions.of_particles(conditions.gravity)
+        slips = inclination(bed, gravity) + thrust > torch.minimum(rough, friction)
+        fails = slips | (inclination(bed + slope, gravity) > friction)
+        return conditions.total(fails.to(slope).unsqueeze(1)) == 0.0
+
     def unit(self, vectors: Tensor) -> Tensor:
         """Directions of vectors [..., D], which fade where they are shorter than `slow`."""
         return vectors / (vectors.square().sum(dim=-1, keepdim=True) + self.slow**2).sqrt()
+
+
+def inclination(slope: Tensor, gravity: Tensor) -> Tensor:
+    """Tangent of the angle of planes of this slope [N, D - 1] against the horizontal [-], shape [N]."""
+    down = -(upward(slope) * gravity).sum(dim=1)
+    along = (gravity.square().sum(dim=1) - down.square()).clamp(min=0.0).sqrt()
+    return torch.where(down > 0.0, along / down, math.inf)

@@ -12,7 +12,7 @@ from datasets import memory
 from datasets.definitions.training import thin
 from datasets.errors import InputError, require
 from datasets.flow.trajectory import Floats, Trajectory, brackets
-from datasets.geometry.ground import ground_raster
+from datasets.geometry.ground import ground_raster, turbulence_raster
 from datasets.scene import INFLOW, Scene, coefficient, keyed
 from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import initial_particles, mass_counts, released_volume
@@ -121,8 +121,8 @@ def check(scene: Scene, settings: ModelSettings) -> None:
         (len({each.density for each in materials}) > 1, "masses", "masses of one density"),
         *((each.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for each in materials),
     ]
-    for place, rigid in keyed(scene, "baffles", "solids").items():
-        refused.append((rigid.turbulence is not None, f"{place}.turbulence", "Coulomb friction alone"))
+    for place, baffle in keyed(scene, "baffles").items():
+        refused.append((baffle.turbulence is not None, f"{place}.turbulence", "Coulomb friction alone"))
     for place, solid in keyed(scene, "solids").items():
         refused.append((solid.kind != "terrain", f"{place}.kind", "baffles and terrain alone"))
         refused.append((solid.contact != "coulomb", f"{place}.contact", "Coulomb friction alone"))
@@ -140,7 +140,9 @@ def conditions_of(scene: Scene, spacing: float, friction: Any, cohesion: Any, vo
     ground = None
     if scene.solids:
         elevation, roughness, _ = ground_raster(scene, spacing)
-        ground = Ground(elevation=one(elevation), friction=one(roughness), spacing=spacing)
+        drag = turbulence_raster(scene, spacing)
+        drags = None if drag is None else one(drag)
+        ground = Ground(elevation=one(elevation), friction=one(roughness), spacing=spacing, drag=drags)
     # Sand shears above what is rougher than itself.
     frictions = scene.floor_friction, scene.wall_friction, *map(scene.friction_of, scene.baffles)
     floor, wall, *rough = (coefficient(each, 1.0) for each in frictions)

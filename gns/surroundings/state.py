@@ -69,6 +69,12 @@ class State(Tensors):
         displacements = torch.cat((before, frames[1:] - frames[:-1]))[-history:]
         return State(positions=frames[-1], displacements=displacements)
 
+    def after(self, positions: Tensor, step: int) -> "State":
+        """The state after so many steps of a rollout from here; positions: at its start and after each step [m]."""
+        moved = torch.cat((self.displacements, positions[1 : step + 1] - positions[:step]))
+        # No views of the whole rollout, which would stay in memory.
+        return State(positions=positions[step].clone(), displacements=moved[step:].clone())
+
     @staticmethod
     def joined(states: Sequence["State"]) -> "State":
         """Samples side by side."""
@@ -88,6 +94,8 @@ class Ground(Tensors):
     """Coulomb coefficient [-], of the same shape."""
     spacing: float
     """Distance between two elevations [m]."""
+    drag: Tensor | None = None
+    """1 / xi of Voellmy's turbulent friction [s^2/m], of the same shape; absent where there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +163,8 @@ class Conditions(Tensors):
             shape = [max(counts) for counts in zip(*(each.elevation.shape[1:] for each in grounds), strict=True)]
             rasters = {
                 name: torch.cat([level(each.ground, name, shape, absent) for each in samples])
-                for name, absent in (("elevation", ABSENT), ("friction", 0.0))
+                for name, absent in (("elevation", ABSENT), ("friction", 0.0), ("drag", 0.0))
+                if any(getattr(each, name) is not None for each in grounds)
             }
             found["ground"] = Ground(**rasters, spacing=grounds[0].spacing)
         particles = torch.tensor([len(each.friction) for each in samples])
@@ -170,7 +179,8 @@ def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditi
         return state, conditions
     length = units.length
     if ground is not None:
-        ground = replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length)
+        drag = None if ground.drag is None else ground.drag * (length / units.time**2)
+        ground = replace(ground, elevation=ground.elevation / length, spacing=ground.spacing / length, drag=drag)
     scaled = replace(
         conditions,
         cohesion=conditions.cohesion / units.stress,
@@ -186,8 +196,8 @@ def in_model_units(state: State, conditions: Conditions) -> tuple[State, Conditi
 
 def level(ground: Ground | None, name: str, shape: Sequence[int], absent: float) -> Tensor:
     """A raster of one sample's ground that goes on level up to a larger shape; where there is none a constant one."""
-    if ground is None:
+    raster: Tensor | None = getattr(ground, name, None)
+    if raster is None:
         return torch.full((1, *shape), absent)
-    raster: Tensor = getattr(ground, name)
     behind = [end for count, own in zip(shape, raster.shape[1:], strict=True) for end in (count - own, 0)]
     return functional.pad(raster, behind[::-1], mode="replicate")

@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from tqdm import tqdm
 from datasets import files
 from datasets.errors import InputError, WorkFailed, require
 from datasets.files import reading
-from datasets.flow.measures import Errors
+from datasets.flow.measures import amounts
 from datasets.lock import locked
 from datasets.processes import end_with_parent, stopping
 from datasets.scene import Scene
@@ -178,7 +178,7 @@ class TrainingRun:
             self.sampler, loss = Sampler(flows, simulator.settings, training), UnrolledLoss(simulator, training)
         else:
             self.sampler = rollouts = Rollouts(flows, simulator, training)
-            loss = EndLoss(simulator, rollouts)
+            loss = EndLoss(simulator, rollouts, training)
         self.loss = DistributedDataParallel(loss) if distributed.is_initialized() else loss
         self.free = [weight for weight in simulator.parameters() if weight.requires_grad]
         matrices = [weight for weight in self.free if weight.dim() == 2]
@@ -226,10 +226,10 @@ class TrainingRun:
             "loss": round(float(np.mean(self.losses or [math.nan])), 6),
             "score": round(total, 4),
         }
-        for name in (each.name for each in fields(Errors)):
-            row[name] = round(float(np.mean([abs(getattr(score, name)) for score in scores])), 4)
+        row |= {name: round(mean, 4) for name, mean in amounts(scores).items()}
         position.rows.append(row)
-        lines = [row, *(each.values() for each in position.rows)]
+        # A run that is resumed may have older rows of fewer columns.
+        lines = [row, *([each.get(name, "") for name in row] for each in position.rows)]
         files.write_text(out / "log.csv", "".join(",".join(map(str, line)) + "\n" for line in lines))
         tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
         if total < position.best:

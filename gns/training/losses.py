@@ -3,13 +3,16 @@
     loss = mean_k h(|x_k - X_k| / (k s)) + h(|v_k - V_k| / s),   h(e) = e^2 / 2 below 1, e - 1/2 above
 
 over the steps k of a rollout. An error in the displacement grows k-fold in the position. Impacts that a step cannot
-resolve are far above s and count linearly only: they would drown the flow otherwise.
+resolve are far above s and count linearly only: they would drown the flow otherwise. Where `density_weight` says so the
+error of the density is added (`density_loss`): particles that each err little may lie too loosely, or too high.
 
 | symbol | variable           | meaning                                    |
 | x, v   | `positions`        | of the model, and their differences        |
 | X, V   | `SampleBatch.targets`    | of the MPM                                 |
 | s      | `scale`            | a share of the accelerations per step [m]  |
 """
+
+from functools import partial
 
 import numpy as np
 import torch
@@ -20,7 +23,8 @@ from gns.network.correction import length_of
 from gns.network.features import NODES
 from gns.settings import TrainingSettings
 from gns.simulator import Simulator, step_activation_bytes, unroll
-from gns.surroundings.state import computed
+from gns.surroundings.grid import stencil_of
+from gns.surroundings.state import Conditions, computed
 from gns.training.samples import Ends, Rollouts, SampleBatch, measured
 
 MARGIN = 1.5
@@ -42,6 +46,7 @@ class UnrolledLoss(nn.Module):
     def __init__(self, simulator: Simulator, training: TrainingSettings) -> None:
         super().__init__()
         self.simulator, self.scale, self.memory = simulator, training.loss_scale, training.memory_gib * 2**30
+        self.density = partial(density_loss, cell=simulator.settings.grid_cell, weight=training.density_weight)
         self._particle_bytes = 0.0
         simulator.network.half_precision = half_precision()
 
@@ -52,7 +57,8 @@ class UnrolledLoss(nn.Module):
             self._particle_bytes = MARGIN * step_activation_bytes(self.simulator, state, conditions) / particles
         kept = int(self.memory / (self._particle_bytes * particles))
         positions = unroll(self.simulator, state, conditions, len(batch.targets), kept_steps=kept)
-        return rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
+        loss = rollout_loss(positions, batch.targets, self.scale * self.simulator.acceleration_scale)
+        return loss + self.density(positions[-1], batch.targets[-1], conditions)
 
 
 def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> Tensor:
@@ -64,8 +70,32 @@ def rollout_loss(positions: Tensor, targets: Tensor, scale: float | Tensor) -> T
     steps = torch.arange(1, len(targets) + 1, device=targets.device).view(-1, 1, 1)
     error = (positions[1:] - targets) / scale
     before = torch.cat((torch.zeros_like(error[:1]), error[:-1]))
-    zero = torch.zeros_like(error)
-    return functional.smooth_l1_loss(error / steps, zero) + functional.smooth_l1_loss(error - before, zero)
+    return huber(error / steps) + huber(error - before)
+
+
+def huber(error: Tensor) -> Tensor:
+    """Mean of h(e)."""
+    return functional.smooth_l1_loss(error, torch.zeros_like(error))
+
+
+def density_loss(
+    positions: Tensor, targets: Tensor, conditions: Conditions, *, cell: float, weight: float = 1.0
+) -> Tensor:
+    """Error of the density of a flow at the nodes of a grid, relative, of all samples alike, times its weight,
+
+        mean_b sum_n (r_n - R_n)^2 / sum_n R_n^2,    r_n = sum_i w_n(x_i) V_i / h^D
+
+    with multilinear weights w. positions x, targets: [m], [N, D]; the densities r and R are theirs; cell: h [m].
+    """
+    if weight == 0.0:
+        return positions.new_zeros(())
+    samples, share = len(conditions.size), conditions.volume.unsqueeze(1) / cell ** positions.shape[1]
+    batch = None if conditions.batch is None else conditions.batch.repeat(2)
+    stencil = stencil_of(torch.cat((positions, targets)), conditions.size, cell, batch)
+    none = torch.zeros_like(share)
+    # Each summed in the same order, so that the same particles have the same density to the bit.
+    own, known = (stencil.scatter(torch.cat(each)).view(samples, -1) for each in ((share, none), (none, share)))
+    return weight * ((own - known).square().sum(dim=1) / known.square().sum(dim=1)).mean()
 
 
 class EndLoss(nn.Module):
@@ -77,11 +107,12 @@ class EndLoss(nn.Module):
     of all its particles: of the few that a rollout follows, single ones are the front.
     """
 
-    def __init__(self, simulator: Simulator, rollouts: Rollouts) -> None:
+    def __init__(self, simulator: Simulator, rollouts: Rollouts, training: TrainingSettings) -> None:
         """The features of a new correction are normalised by `NORMALISED` batches of the rollouts."""
         super().__init__()
         assert simulator.correction is not None
         self.simulator, self.correction = simulator, simulator.correction
+        self.density = partial(density_loss, cell=simulator.settings.grid_cell, weight=training.density_weight)
         self.correction.network.half_precision = half_precision()
         if (self.correction.std != 1.0).any():
             # Normalised before.
@@ -98,17 +129,15 @@ class EndLoss(nn.Module):
 
     def forward(self, batch: Ends) -> Tensor:
         conditions = batch.conditions
-        positions = batch.end.positions + self.simulator.end_correction(batch.state, batch.end, conditions)
+        positions = batch.end.positions + self.correction(batch.state, self.simulator.moment(batch.end, conditions))
         error = (positions - batch.targets[-1]) / (PLACE * length_of(self.correction.settings))
         found = []
         for sample in range(len(conditions.size)):
             own = slice(None) if conditions.batch is None else conditions.batch == sample
             found.append(measured(positions[own], conditions.volume[own]))
         off = (torch.stack(found) - batch.whole) / batch.whole[..., :2].sum(dim=2, keepdim=True)
-        loss = functional.smooth_l1_loss(error, torch.zeros_like(error))
-        for part in (off[..., :2] / END, off[..., 2:] / SHARE):
-            loss = loss + OF_ENDS * functional.smooth_l1_loss(part, torch.zeros_like(part))
-        return loss
+        loss = huber(error) + OF_ENDS * huber(off[..., :2] / END) + OF_ENDS * huber(off[..., 2:] / SHARE)
+        return loss + self.density(positions, batch.targets[-1], conditions)
 
 
 def half_precision() -> bool:

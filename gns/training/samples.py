@@ -241,14 +241,11 @@ class Rollouts(Sampler):
         with torch.no_grad():
             positions = unroll(self._simulator, there.state, there.conditions, last - now, corrected=False).cpu()
         moments = sorted({last - now, *(int(each) for each in rng.integers(1, last - now + 1, size=MOMENTS))})
-        moved = torch.cat((sample.state.displacements, positions[1:] - positions[:-1]))
         ends = []
         for step in moments:
             batch = replace(sample, targets=sample.targets[step - 1 : step])
-            recent = moved[step : step + settings.history].clone()
-            end = State(positions=positions[step].clone(), displacements=recent)
             required = measured(whole.targets[step - 1], whole.conditions.volume).unsqueeze(0)
-            ends.append(Ends(**vars(batch), end=end, whole=required))
+            ends.append(Ends(**vars(batch), end=sample.state.after(positions, step), whole=required))
         return ends
 
 
@@ -302,8 +299,9 @@ def reflected(sample: SampleBatch, axis: int | None) -> SampleBatch:
         plan = [ground.spacing * torch.arange(count) for count in shape[1:]]
         posts = torch.stack(torch.meshgrid(plan[0], torch.zeros(1), *plan[1:], indexing="ij"), dim=-1)
         image = Below(points(posts.flatten(0, -2)), ground, None)
-        elevation, friction = (image.value(each).view(shape) for each in (ground.elevation, ground.friction))
-        ground = replace(ground, elevation=elevation, friction=friction)
+        rasters: dict[str, Any] = {name: each for name, each in vars(ground).items() if isinstance(each, Tensor)}
+        rasters |= {name: image.value(each).view(shape) for name, each in rasters.items()}
+        ground = replace(ground, **rasters)
     conditions = replace(
         around,
         size=around.size[:, order],

@@ -1,6 +1,7 @@
 """How far a rollout may be from the MPM: scores, calibrated bands, and the command."""
 
 import dataclasses
+import math
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,9 @@ from scipy.spatial import cKDTree
 import gns
 from datasets import command_line
 from datasets.flow import measures
+from datasets.flow.measures import AFTER, creep, summary
 from gns import card, checkpoint
-from gns.score import Score, calibrated, evaluate, score, validation_score
+from gns.score import Score, calibrated, evaluate, score, table, validation_score
 from gns.settings import ModelSettings
 from gns.simulator import Simulator
 from gns.surroundings.state import Conditions, State
@@ -113,6 +115,28 @@ def test_what_cannot_be_calibrated_is_an_input_error(
     assert command_line.run(score, "score", [str(dataset), "--model", str(model)]) == 0
 
 
+def test_a_table_has_mean_amounts_and_the_worst_of_what_is_known() -> None:
+    many = [scored(front=0.01, overlap=0.9, creep=0.002), scored(front=-0.03, overlap=0.8), scored()]
+    found = summary(many)
+    assert (found["front"], found["overlap in plan"]) == ("1.3 % (-3.0)", "90.0 % (80.0)")
+    assert found["creep"] == "2.0 mm/s (2.0)"
+    # A front at a wall is right of any model; of flows of which none rests nothing is known of the creep.
+    row = table([dataclasses.replace(each, creep=math.nan, at_wall=True) for each in many]).splitlines()[-1]
+    start, flows, held, front, profile, *_, creeps = (cell.strip() for cell in row.strip("|").split("|"))
+    assert (start, flows, held, front, profile, creeps) == ("released at rest", "3", "3", "-", "0.0 % (0.0)", "-")
+    assert calibrated(many).errors["overlap"] == pytest.approx(0.9)
+    assert "creep" not in calibrated([scored()]).errors
+
+
+def test_creep_is_the_speed_after_the_flow() -> None:
+    # Fast while it flows, for ten steps of 0.1 s; then half of the particles move at 3 mm/s, the others do not.
+    steps = np.arange(10 * AFTER + 1)
+    way = np.where(steps <= 10, 0.5 * steps, 5.0 + 3.0e-4 * (steps - 10))
+    positions = np.zeros((len(steps), 2, 2))
+    positions[:, 0, 0], positions[:, 1, 0] = way, np.minimum(way, 5.0)
+    assert creep(positions, 0.1) == pytest.approx(3.0e-3 / math.sqrt(2.0))
+
+
 def flying(flow: Flow) -> Flow:
     """Free flight, as the model steps it: its displacement changes by -g dt^2 a step."""
     flight = FreeFlight(velocity=(1e-3 / flow.step, 1e-2 / flow.step), gravity=(0.0, -9.81), step=flow.step)
@@ -143,14 +167,17 @@ def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(
     simulator: Simulator, settings: ModelSettings, dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flow = flows_of(dataset, "valid", settings)[1]
+    assert math.isnan(evaluate(simulator, [flow])[0].creep)
+    # With a moment more, at rest.
+    flow = dataclasses.replace(flow, positions=np.concatenate((flow.positions, flow.positions[-1:])))
 
     def rolled(flat: bool) -> Score:
-        def unroll(_: Simulator, state: State, conditions: Conditions, steps: int) -> torch.Tensor:
+        def unroll(_: Simulator, state: State, conditions: Conditions, steps: int, **named: bool) -> torch.Tensor:
             _, which = cKDTree(flow.positions[0]).query(state.positions.numpy())
             end = torch.from_numpy(np.array(flow.positions[-1])[which])
             if flat:
                 end[:, 1] = 5.0e-6
-            return end[None]
+            return end.expand(steps + 1, -1, -1)
 
         monkeypatch.setattr("gns.simulator.unroll", unroll)
         simulator.settings = dataclasses.replace(settings, particles_per_cell=4)
@@ -162,4 +189,5 @@ def test_sand_that_lies_flat_is_scored_as_wrong_though_its_front_is_right(
     assert (right.height, right.thickness, right.overlap) == pytest.approx((0.0, 0.0, 1.0), abs=1e-3)
     assert flat.height < -0.99
     assert flat.thickness > 0.4
+    assert (right.creep, flat.creep) == (0.0, 0.0)
     assert validation_score([flat]) > validation_score([right]) + 0.4

@@ -9,6 +9,7 @@ of this file, on the cells of the scene, in single precision.
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +19,15 @@ import torch
 from torch import Tensor
 
 import gns
-from datasets import Trajectory, read_scene
+from datasets import Domain, Mass, Material, Scene, Solid, Trajectory, read_scene
 from datasets.flow import measures
 from gns import card
 from gns.library import shipped
 from gns.simulator import Simulator, moving, step_activation_bytes, unroll
+from gns.surroundings.forces import Moment
 from gns.surroundings.initial import initial_state
-from gns.surroundings.state import Conditions, State
-from tests.gns.conftest import Cloud
+from gns.surroundings.state import Conditions, State, in_model_units
+from tests.gns.conftest import NORMALISATION, Cloud
 from validation.bench.stability.exact_solutions import FreeFlight
 
 
@@ -91,6 +93,84 @@ def test_a_creeping_deposit_comes_to_rest(lively: Simulator, cloud: Cloud) -> No
     # It is at rest, not nearly so; one flow's rest is not another's.
     assert speeds[2] < 1e-4
     assert moving(torch.tensor([[0.1, 0.0], [0.0, 0.0], [2.0, 0.0]]), 1.0, two).flatten().tolist() == [0.0, 0.0, 1.0]
+
+
+def test_a_rollout_of_a_flow_that_rests_takes_no_more_steps(
+    lively: Simulator, cloud: Cloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, conditions = cloud(lower=(0.4, 0.4))
+    still = dataclasses.replace(conditions, gravity=torch.zeros(1, 2))
+    lively.eval().settings = dataclasses.replace(lively.settings, rest_speed=10.0)
+    calls, step = [], lively.forward
+    monkeypatch.setattr(lively, "forward", lambda *given: calls.append(1) or step(*given))
+    with torch.no_grad():
+        short = unroll(lively, state, still, 40)
+    assert len(calls) == 1
+    assert torch.equal(short, state.positions.expand(41, -1, -1))
+    # With gradients every step is taken, to the same positions.
+    assert torch.equal(unroll(lively, state, still, 5, kept_steps=5), short[:6])
+    assert len(calls) == 6
+
+
+def mound(friction_deg: float, below_deg: float, tilt_deg: float, *, floor_friction: float = 0.5, deep: bool) -> Scene:
+    """A wedge, or in 3D a pyramid, whose steepest side is so far below its angle of friction, on a tilted floor."""
+    slope = math.tan(math.radians(friction_deg - below_deg - tilt_deg))
+    half = (0.75 * 0.032 / slope) ** (1 / 3) if deep else math.sqrt(0.08 / slope)
+    x, high, cell = (0.4, 0.4 + half, 0.4 + 2.0 * half), half * slope, 1 / 48 if deep else 0.01
+    width = cell * math.ceil((x[2] + 0.4) / cell)
+    if deep:
+        corners = tuple((a, 0.0, b) for a, b in ((x[0], x[0]), (x[2], x[0]), (x[2], x[2]), (x[0], x[2])))
+        faces = ((0, 1, 2), (0, 2, 3), (0, 4, 1), (1, 4, 2), (2, 4, 3), (3, 4, 0))
+        mass = Mass(kind="mesh", vertices=(*corners, (x[1], high, x[1])), triangles=faces)
+    else:
+        mass = Mass(kind="polygon", vertices=((x[0], 0.0), (x[2], 0.0), (x[1], high)))
+    return Scene(
+        domain=Domain(size=(width, cell * round(0.6 / cell), *([width] if deep else [])), cell=cell),
+        material=Material(friction_deg=friction_deg),
+        masses=(mass,),
+        floor_friction=floor_friction,
+        slope_deg=tilt_deg,
+        duration=1.2,
+        frame_dt=0.02,
+    )
+
+
+@pytest.mark.parametrize(
+    ("angle", "tilt", "deep"),
+    [(30.0, 8.0, False), (30.0, 12.0, False), (38.0, 12.0, False), (30.0, 0.0, True), (38.0, 8.0, True)],
+)
+def test_a_mound_below_its_angle_of_friction_stands(angle: float, tilt: float, deep: bool) -> None:
+    flow = gns.simulate(mound(angle, 5.0, tilt, deep=deep))
+    speed = measures.rms(np.linalg.norm(flow.positions[-1] - flow.positions[0], axis=1)) / flow.time[-1]
+    assert speed < 1.0e-3
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_what_can_stand_is_what_no_known_law_moves(deep: bool) -> None:
+    settings = gns.load(shipped(3 if deep else 2)).settings
+
+    def stands(scene: Scene) -> bool:
+        initial = initial_state(scene, settings)
+        return bool(Moment(*in_model_units(initial.state, initial.conditions), settings, NORMALISATION).stands())
+
+    assert stands(mound(35.0, 5.0, 8.0, deep=deep))
+    assert not stands(mound(35.0, -4.0, 8.0, deep=deep))
+    # A floor that is too smooth for its tilt, or for the thrust of the sides.
+    assert not stands(mound(35.0, 5.0, 8.0, floor_friction=0.13, deep=deep))
+    assert not stands(mound(35.0, 5.0, 0.0, floor_friction=0.1, deep=deep))
+    assert stands(mound(35.0, 5.0, 0.0, floor_friction=0.25, deep=deep))
+    # A side that is cut, whatever lies behind it; a mound on terrain of that tilt.
+    assert not stands(dataclasses.replace(read_scene("baffles-2" if deep else "column-short-21"), baffles=()))
+    scene, plan = mound(35.0, 5.0, 0.0, deep=deep), (0.0, 3.0)
+    for rise, same in ((0.05, True), (0.2, False)):
+        rows = tuple(tuple(0.05 + rise * x for _ in plan) for x in plan)
+        points = {"origin": (0.0, 0.0), "spacing": (3.0, 3.0), "heights": rows}
+        points = points if deep else {"points": tuple((x, row[0]) for x, row in zip(plan, rows, strict=True))}
+        (mass,) = scene.masses
+        lifted = tuple((p[0], p[1] + 0.05 + rise * p[0], *p[2:]) for p in mass.vertices)
+        ground = Solid(kind="terrain", friction=0.5, **points)
+        masses = (dataclasses.replace(mass, vertices=lifted),)
+        assert stands(dataclasses.replace(scene, solids=(ground,), masses=masses)) is same
 
 
 @pytest.mark.parametrize("name", ["column-tall-42", "layers-10"])

@@ -19,7 +19,7 @@ import gns
 from datasets.definitions import read_definition
 from datasets.errors import InputError
 from datasets.flow import measures
-from datasets.flow.measures import Errors
+from datasets.flow.measures import AFTER, Errors, summary
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import Domain, Mass, Scene
 from datasets.scene.material import Material
@@ -27,7 +27,7 @@ from gns.library import model_path, models
 from mpm import AT_REST, simulate
 from mpm.resolution import ROUNDING, characteristic_length, fitted_cell
 from validation.bench.accuracy.bench import deposit_of
-from validation.bench.page import Keep, Out, Row, between, signed, tables, write_page
+from validation.bench.page import Keep, Out, Row, between, tables, write_page
 from validation.plots import BLUE, INK, ORANGE, figure
 from validation.run_store import Run, RunStore, kept
 
@@ -158,12 +158,16 @@ def measure(path: Path, family: str, number: int, store: RunStore, cells: Sequen
             for across in cells
         }
         flows |= {path.stem: gns.simulate(scene, model=simulator), AGAIN: other}
+        by = {method: truth.errors(flow.positions[-1], flow.volumes) for method, flow in flows.items()}
+        if reference.summary["rest_time"] is not None:
+            longer = gns.simulate(replace(scene, duration=AFTER * scene.duration), model=simulator)
+            by[path.stem] = replace(by[path.stem], creep=measures.creep(longer.positions, longer.frame_dt))
         compared.append(
             Compared(
                 kind=kind,
                 extent=truth.extent,
                 free=not truth.at_wall,
-                by={method: truth.errors(flow.positions[-1], flow.volumes) for method, flow in flows.items()},
+                by=by,
                 seconds={method: flow.summary["wall_s"] for method, flow in flows.items()},
                 band=None if truth.at_wall or truth.side != 1 else band(path, scene, truth.front),
             )
@@ -179,7 +183,7 @@ def at_rest(models: Sequence[Path]) -> Mounds:
     found = {}
     for friction_deg, slope_deg in tqdm(MOUNDS if models else (), desc="mounds at rest", unit="mound"):
         scenes = [mound(friction_deg, slope_deg, seed) for seed in range(JITTERS)]
-        by = {name: worst([creep(run(each)) for each in scenes]) for name, run in ways.items()}
+        by = {name: max((creep(run(each)) for each in scenes), key=abs) for name, run in ways.items()}
         found[friction_deg, slope_deg] = by
     return found
 
@@ -226,12 +230,9 @@ def kind_rows(model: ModelErrors) -> list[Row]:
     groups = [(kind, model.name, [each for each in every if each.kind == kind]) for kind in names]
     rows: list[Row] = []
     for title, method, group in (*groups, ("all", model.name, every), (AGAIN, AGAIN, every)):
-        free = [each.by[method].front for each in group if each.free]
-        row = {f"`{model.name}` on {model.family}": title, "scenes, free": f"{len(group)}, {len(free)}"}
-        values = {"front": free}
-        for what in ("profile", "height", "thickness"):
-            values[what] = [getattr(each.by[method], what) for each in group]
-        rows.append(row | {what: f"{mean(v):.1%} ({signed(worst(v))})" if v else "-" for what, v in values.items()})
+        errors = [each.by[method] if each.free else replace(each.by[method], front=math.nan) for each in group]
+        counts = f"{len(group)}, {sum(each.free for each in group)}"
+        rows.append({f"`{model.name}` on {model.family}": title, "scenes, free": counts} | summary(errors))
     return rows
 
 
@@ -308,8 +309,3 @@ def creep(flow: Trajectory) -> float:
 def mean(values: Sequence[float]) -> float:
     """Mean of the absolute values; nan of none."""
     return float(np.mean(np.abs(values))) if values else math.nan
-
-
-def worst(values: Sequence[float]) -> float:
-    """The value of the largest amount, with its sign; nan of none."""
-    return max(values, key=abs) if values else math.nan

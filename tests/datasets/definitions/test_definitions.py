@@ -16,8 +16,8 @@ from datasets import Baffle, Mass, Scene, read_scene
 from datasets.definitions import FAMILIES, NAMES, read_definition
 from datasets.definitions.definition import Definition, Entry, Split
 from datasets.definitions.held_out import ASPECTS, is_held_out, neighbours
-from datasets.geometry.placement import overlaps
-from datasets.scene.particles import initial_particles
+from datasets.geometry.placement import heights_above_ground, overlaps
+from datasets.scene.particles import initial_particles, released_volume
 from datasets.schema import changed
 from tests.commands import DOCS, blocks
 from tests.refusals import refused
@@ -53,6 +53,7 @@ DRAWN = {
     "columns2d": "7bf7332fa1d83a2e",
     "obstacle3d": "d42b8c509573d962",
     "baffles3d": "f9959c593b5daeb9",
+    "terrain3d": "003c0550b1d3a74d",
     "paper2d": "1b8d1079627b217c",
     "paper3d": "c62981929dceb48a",
 }
@@ -85,6 +86,31 @@ def test_paper2d_is_the_paper_s() -> None:
 def test_no_flow_is_a_neighbour_of_what_is_held_out() -> None:
     for name in FAMILIES:
         assert [entry.name for entry in first_entries(read_definition(name)) if is_held_out(entry.scene)] == []
+
+
+def test_terrain3d_releases_layers_and_boxes_on_every_kind_of_ground() -> None:
+    definition = read_definition("terrain3d")
+    scenes = [entry.scene for entry in first_entries(definition, 60)]
+    assert Counter(definition.split(index) for index in range(definition.size)) == {
+        "train": 480,
+        "valid": 60,
+        "test": 60,
+    }
+    for index, scene in enumerate(scenes):
+        (mass,), (ground,) = scene.masses, scene.solids
+        assert released_volume(scene) == pytest.approx(0.032, rel=1e-3)
+        assert (mass.kind == "box") == (definition.kinds[index % 6] == "box")
+        assert mass.thickness is None or 1.0 <= mass.thickness / scene.domain.cell <= 4.0
+        heights = np.array(ground.heights)
+        # The mean fall of a slope to its foot, and of rough ground.
+        assert 0.1 < np.ptp(heights) < 2.2
+    assert {bool(scene.solids[0].turbulence) for scene in scenes} == {True, False}
+    rough = [np.abs(np.diff(np.array(scene.solids[0].heights), n=2, axis=0)).mean() for scene in scenes]
+    assert max(rough) > 3.0 * min(rough)
+    # A box stands on the highest post beneath it.
+    box = scenes[5]
+    clear = heights_above_ground(box)
+    assert 0.0 < clear.min() < 0.1
 
 
 @pytest.mark.parametrize(("name", "count"), [("baffles-2", 11_010), ("baffles-5", 32_113)])

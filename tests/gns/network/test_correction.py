@@ -120,4 +120,4 @@ def test_ends_are_those_of_rollouts_and_kept(
     for ends in drawn[:5]:
         assert ends.targets.shape == (1, *ends.end.positions.shape)
         assert ends.whole.shape == (4, 1, 2 + measures.SHARES)
-        assert EndLoss(simulator, rollouts)(ends).isfinite()
+        assert EndLoss(simulator, rollouts, TrainingSettings(density_weight=1.0))(ends).isfinite()

@@ -13,8 +13,11 @@ from datasets.scene.particles import initial_particles, released_volume
 from gns.inference import simulate
 from gns.settings import GRAVITY, ModelSettings
 from gns.simulator import Simulator
+from gns.surroundings.forces import Moment
 from gns.surroundings.initial import initial_state
+from gns.surroundings.state import in_model_units
 from gns.surroundings.units import Units
+from tests.gns.conftest import NORMALISATION
 from tests.refusals import refused
 from tests.scenes import scaled, scene_of
 
@@ -154,3 +157,30 @@ def test_a_scene_lasts_a_whole_number_of_steps_under_the_gravity_of_the_model(du
     else:
         assert body == pytest.approx(0.28)
     assert units.stress == pytest.approx(scene.material.density / settings.density * 3.71 / GRAVITY * units.length)
+
+
+def test_turbulence_of_the_ground_brakes_as_friction_that_grows_with_the_speed() -> None:
+    side = tuple(0.4 * step for step in range(4))
+    bed = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.4, 0.4), heights=((0.1,) * 4,) * 4, friction=0.3)
+    varied = tuple(tuple(100.0 / (1.0 + x) for _ in side) for x in side)
+    settings = dataclasses.replace(SETTINGS, dimension=3, cell=0.02, radius=0.05, grid_cell=0.04, body_length=0.252)
+    mass = Mass(lower=(0.4, 0.1, 0.4), size=(0.4, 0.1, 0.4), velocity=(2.0, 0.0, 0.0))
+    scene = scene_of(mass, size=(1.2, 0.4, 1.2), cell=0.02, solids=(bed,), duration=0.1)
+    found = {}
+    for name, xi in (("none", None), ("even", 100.0), ("varied", varied)):
+        own = dataclasses.replace(scene, solids=(dataclasses.replace(bed, turbulence=xi),))
+        for scale in (1.0, 9.0):
+            initial = initial_state(scaled(own, scale), settings)
+            state, conditions = in_model_units(initial.state, initial.conditions)
+            moment = Moment(state, conditions, settings, NORMALISATION)
+            found[name, scale] = moment.solids[:, -1] / (1.0 - moment.solids[:, 6]).clamp(min=1e-6)
+    lowest = found["none", 1.0] > 0.0
+    assert 0 < lowest.sum() < len(lowest)
+    torch.testing.assert_close(found["none", 1.0][lowest], torch.full((int(lowest.sum()),), 0.3))
+    # The column of 0.1 m has, on nodes of the grid, about its height and a cell more for the particle.
+    drag = (found["even", 1.0] - 0.3)[lowest]
+    assert float(drag.median()) == pytest.approx(2.0**2 / (100.0 * (0.1 + 0.02)), rel=0.2)
+    x = initial_state(scene, settings).state.positions[lowest, 0]
+    torch.testing.assert_close((found["varied", 1.0] - 0.3)[lowest], drag * (1.0 + x), rtol=1e-3, atol=0.0)
+    # A flow of any size is braked alike.
+    torch.testing.assert_close(found["even", 9.0], found["even", 1.0], rtol=1e-3, atol=1e-4)

@@ -62,6 +62,7 @@ def test_a_training_learns_and_leaves_a_model_with_its_card(dataset: Path, tmp_p
     scores = [place + float(row["thickness"]) for place, row in zip(places, found, strict=True)]
     assert [float(row["score"]) for row in found] == pytest.approx(scores, abs=1e-3)
     assert scores[-1] < 0.9 * scores[0]
+    assert {"height", "thickness", "overlap", "creep"} < found[0].keys()
     assert last(tmp_path)["muon"]["state"]
     assert last(tmp_path)["adam"]["state"]
     known, best = card.read(tmp_path / "best.safetensors"), checkpoint.load(tmp_path / "best.safetensors")

@@ -216,7 +216,7 @@ def deep() -> SampleBatch:
         return torch.from_numpy(rng.random(shape, np.float32))
 
     own = dict(zip(("friction", "cohesion", "volume"), some(3, 7), strict=True))
-    ground = Ground(elevation=some(1, 9, 9), friction=some(1, 9, 9), spacing=0.1)
+    ground = Ground(elevation=some(1, 9, 9), friction=some(1, 9, 9), spacing=0.1, drag=some(1, 9, 9))
     return SampleBatch(
         state=State(positions=some(7, 3), displacements=some(3, 7, 3)),
         conditions=dataclasses.replace(conditions_of(scene, 0.1, **own, units=Units()), ground=ground),

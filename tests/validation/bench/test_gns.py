@@ -11,7 +11,7 @@ from datasets.flow.measures import Deposit, Errors
 from datasets.scene.particles import initial_particles, released_volume
 from tests.scenes import flow_of, scene_of
 from validation.bench.accuracy.bench import deposit_of
-from validation.bench.gns import AGAIN, MOUNDS, Compared, ModelErrors, conclusion, creep, mound
+from validation.bench.gns import AGAIN, MOUNDS, Compared, ModelErrors, conclusion, creep, kind_rows, mound
 
 BLOCK = scene_of(Mass(lower=(0.1, 0.0), size=(0.2, 0.2)), size=(1.0, 0.4), duration=1.0, frame_dt=0.1)
 
@@ -84,3 +84,10 @@ def test_the_price_is_that_of_the_cheapest_mpm_with_no_larger_error() -> None:
     )
     assert "no coarse run" in conclusion([finer], {})[1]
     assert points["tiny"] == (0.5, pytest.approx(0.05))
+
+
+def test_the_page_has_every_error_of_each_kind() -> None:
+    column, every, again = kind_rows(model())
+    assert (column["scenes, free"], column["front"]) == ("2, 1", "5.0 % (-5.0)")
+    assert column["mean height"] == "20.0 % (-20.0)"
+    assert (every["overlap in plan"], every["creep"], again["front"]) == ("90.0 % (90.0)", "-", "0.5 % (+0.5)")
