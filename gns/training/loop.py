@@ -278,22 +278,19 @@ def draw(path: Path, position: Position) -> None:
     """The loss of each update and its mean over `RECENT`, and the score of each validation with its parts."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    figure, losses = Figure(figsize=(9.0, 3.6), layout="constrained"), np.array(position.losses)
     left, right = figure.subplots(1, 2)
-    count, losses = len(position.losses), np.array(position.losses)
-    updates = position.updates - count + 1.0 + np.arange(count)
-    left.plot(updates, losses, ".", markersize=2, color="0.7", label="of an update")
-    window = min(RECENT, count)
-    if window > 1:
-        mean = np.convolve(losses, np.full(window, 1.0 / window), mode="valid")
-        left.plot(updates[window - 1 :], mean, label=f"mean of {window}")
+    window = max(1, min(RECENT, len(losses)))
+    for mean, style in ((1, {"marker": ".", "markersize": 2, "linestyle": "", "color": "0.7"}), (window, {})):
+        last = np.arange(mean, len(losses) + 1)
+        sums = np.append(0.0, np.cumsum(losses))
+        left.plot(position.updates - len(losses) + last, (sums[last] - sums[last - mean]) / mean, **style)
     for name in ("score", "front", "profile", "thickness"):
         right.plot(*zip(*((row["updates"], row[name]) for row in position.rows), strict=True), ".-", label=name)
-    for panel, title in ((left, "loss of training"), (right, "errors of whole rollouts")):
+    right.legend(frameon=False, fontsize=8)
+    for panel, title in ((left, f"loss, and its mean over {window} updates"), (right, "errors of whole rollouts")):
         panel.set_title(title, loc="left", fontsize=10)
         panel.set(xlabel="updates", yscale="log")
-        panel.grid(alpha=0.25)
-        panel.legend(frameon=False, fontsize=8)
     with files.replacing(path) as part:
         figure.savefig(part, dpi=110)
 
