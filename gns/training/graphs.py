@@ -27,17 +27,18 @@ def graph_of(state: State, conditions: Conditions, settings: ModelSettings, norm
 
 
 class Graphs(torch.utils.data.Dataset[Data]):
-    """The steps of all flows of a split; a graph of number i is always the same, of the same particles."""
+    """The steps of all flows of a split; graph i is always of the same particles, and without noise always the same."""
 
-    def __init__(self, flows: Flows, settings: ModelSettings, normalisation: Normalisation) -> None:
+    def __init__(self, flows: Flows, settings: ModelSettings, normalisation: Normalisation, noise: float) -> None:
         self.flows, self.settings, self.normalisation = flows, settings, normalisation
+        self.noise = noise * float(normalisation.displacement_scale) / settings.history**0.5
         self._ends = np.cumsum([len(flow.positions) - 1 for flow in flows])
 
     def __len__(self) -> int:
         return int(self._ends[-1])
 
     def __getitem__(self, index: int) -> Data:
-        """`graph_of` the state before a step; `y`: the acceleration in it, shape [N, D].
+        """`graph_of` the state before a step; `y`: the acceleration from there to the state after it, shape [N, D].
 
         That is the change of the displacements besides gravity's, over `normalisation.acceleration_scale`.
         """
@@ -47,6 +48,9 @@ class Graphs(torch.utils.data.Dataset[Data]):
         now = index - int(self._ends[number]) + len(flow.positions) - 1
         sample = stretch(flow, settings, now=now, steps=1, rng=np.random.default_rng(index))
         state, conditions = sample.state, sample.conditions
+        if self.noise > 0.0:
+            walk = self.noise * torch.randn_like(state.displacements).cumsum(dim=0)
+            state = State(positions=state.positions + walk.sum(dim=0), displacements=state.displacements + walk)
         graph = graph_of(state, conditions, settings, self.normalisation)
         change = sample.targets[0] - state.positions - state.displacements[-1]
         graph.y = (change - conditions.gravity * settings.step**2) / self.normalisation.acceleration_scale
@@ -59,6 +63,7 @@ def dataset(
     *,
     split: str = "train",
     normalisation: Normalisation | None = None,
+    noise: float = 0.0,
 ) -> Graphs:
     """The steps of a dataset as `torch_geometric.data.Data`, for a `torch_geometric.loader.DataLoader`.
 
@@ -67,9 +72,11 @@ def dataset(
             loss = (network(batch.x, batch.edge_index) - batch.y).square().mean()
 
     folder: of `python -m mpm.generate`; settings: the model's dimension, step, cell, radius and history, the defaults
-    where absent; split: train, valid or test; normalisation: that of the split train where absent. Raises InputError.
+    where absent; split: train, valid or test; normalisation: that of the split train where absent; noise: standard
+    deviation of a random walk that is added to the past displacements, at its end, over `displacement_scale`, so that a
+    network learns to correct its own errors (Sanchez-Gonzalez et al. 2020, section 4.2). Raises InputError.
     """
     settings, folder = settings or ModelSettings(), Path(folder)
     flows = flows_of(folder, split, settings)
     known = normalisation or statistics([flows if split == "train" else flows_of(folder, "train", settings)])
-    return Graphs(flows, settings, known)
+    return Graphs(flows, settings, known, noise)

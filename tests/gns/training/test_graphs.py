@@ -52,6 +52,25 @@ def test_a_loader_puts_graphs_side_by_side(dataset: Path, settings: ModelSetting
     assert batch.batch.bincount().tolist() == [len(first.x), len(second.x)]
 
 
+def test_from_a_disturbed_state_the_acceleration_leads_to_the_target(dataset: Path, settings: ModelSettings) -> None:
+    settings = dataclasses.replace(settings, rest_speed=0.0)
+    torch.manual_seed(0)
+    clean, noisy = graphs_of(dataset, settings), graphs_of(dataset, settings, noise=0.5)
+    scale, moved, past = clean.normalisation.displacement_scale, [], []
+    columns = slice(4, 6)
+    for number in range(5, 20):
+        pure, graph = clean[number], noisy[number]
+        walk = scale * (graph.x - pure.x)[:, columns]
+        # x + v + a is the same place, for the noise in all of them.
+        change = clean.normalisation.acceleration_scale * (graph.y - pure.y) + walk + graph.pos - pure.pos
+        torch.testing.assert_close(change, torch.zeros_like(change), atol=1e-6, rtol=0.0)
+        moved.append(graph.pos - pure.pos)
+        past.append(walk)
+    # The last displacement has the standard deviation asked for, the position that of the sum of three.
+    assert torch.cat(past).std().item() == pytest.approx(0.5 * scale, rel=0.05)
+    assert torch.cat(moved).std().item() == pytest.approx(0.5 * scale * (14.0 / 3.0) ** 0.5, rel=0.05)
+
+
 def test_mistakes_name_the_folder_or_the_file(dataset: Path, tmp_path: Path) -> None:
     refused(graphs_of, tmp_path, said="expected trajectories in train")
     refused(graphs_of, dataset, ModelSettings(dimension=3), said="expected a 3D scene")
