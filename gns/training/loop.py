@@ -275,12 +275,12 @@ class Run:
 
 
 def draw(path: Path, position: Position) -> None:
-    """The loss of each update and its mean over `RECENT`, and the score of each validation with its parts."""
+    """The loss of each update and a running mean, and the score of each validation with its parts."""
     from matplotlib.figure import Figure
 
     figure, losses = Figure(figsize=(9.0, 3.6), layout="constrained"), np.array(position.losses)
     left, right = figure.subplots(1, 2)
-    window = max(1, min(RECENT, len(losses)))
+    window = max(1, min(RECENT, len(losses) // 5))
     for mean, style in ((1, {"marker": ".", "markersize": 2, "linestyle": "", "color": "0.7"}), (window, {})):
         last = np.arange(mean, len(losses) + 1)
         sums = np.append(0.0, np.cumsum(losses))
