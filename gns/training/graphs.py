@@ -58,12 +58,7 @@ class Graphs(torch.utils.data.Dataset[Data]):
 
 
 def dataset(
-    folder: str | Path,
-    settings: ModelSettings | None = None,
-    *,
-    split: str = "train",
-    normalisation: Normalisation | None = None,
-    noise: float = 0.0,
+    folder: str | Path, settings: ModelSettings | None = None, *, split: str = "train", noise: float = 0.0
 ) -> Graphs:
     """The steps of a dataset as `torch_geometric.data.Data`, for a `torch_geometric.loader.DataLoader`.
 
@@ -72,11 +67,11 @@ def dataset(
             loss = (network(batch.x, batch.edge_index) - batch.y).square().mean()
 
     folder: of `python -m mpm.generate`; settings: the model's dimension, step, cell, radius and history, the defaults
-    where absent; split: train, valid or test; normalisation: that of the split train where absent; noise: standard
-    deviation of a random walk that is added to the past displacements, at its end, over `displacement_scale`, so that a
-    network learns to correct its own errors (Sanchez-Gonzalez et al. 2020, section 4.2). Raises InputError.
+    where absent; split: train, valid or test, all in the scales of train; noise: standard deviation of a random walk
+    that is added to the past displacements, at its end, over `displacement_scale`, so that a network learns to correct
+    its own errors (Sanchez-Gonzalez et al. 2020, section 4.2). Raises InputError.
     """
     settings, folder = settings or ModelSettings(), Path(folder)
     flows = flows_of(folder, split, settings)
-    known = normalisation or statistics([flows if split == "train" else flows_of(folder, "train", settings)])
-    return Graphs(flows, settings, known, noise)
+    training = flows if split == "train" else flows_of(folder, "train", settings)
+    return Graphs(flows, settings, statistics([training]), noise)
