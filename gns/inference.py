@@ -15,7 +15,7 @@ from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from gns import card, checkpoint
 from gns.library import model_path, shipped
-from gns.simulator import Simulator, unroll
+from gns.simulator import Simulator, StepModel, checked, on_threads, unroll
 from gns.surroundings.initial import initial_state
 
 
@@ -27,8 +27,9 @@ def load(model: str | Path) -> Simulator:
 def simulate(
     scene: Scene | str | Path,
     *,
-    model: Simulator | str | Path | None = None,
+    model: StepModel | str | Path | None = None,
     start: Trajectory | None = None,
+    threads: int = 1,
     device: torch.device | str = "cpu",
     progress: bool = False,
 ) -> Trajectory:
@@ -38,20 +39,24 @@ def simulate(
         trajectory.positions[-1]                    # the deposit [m], shape [N, D]
         trajectory.volume                           # what each particle stands for [m^D], shape [N]
 
-    scene: a scene, the path of one in TOML, or the name of a shipped one; model: a simulator, its file, or the name of
-    a shipped one, that of the scene's dimension where absent; start: a run of the scene by the MPM, from whose last
-    frame the rollout goes on, where absent it begins at time 0; device: where the model runs; progress: show a bar.
+    scene: a scene, the path of one in TOML, or the name of a shipped one; model: a simulator, or a network of one's own
+    (`gns.simulator.StepModel`), its file, or the name of a shipped one, that of the scene's dimension where absent;
+    start: a run of the scene by the MPM, from whose last frame the rollout goes on, where absent it begins at time 0;
+    threads: of torch; device: where the model runs; progress: show a bar.
 
     Returns the trajectory at the model's step, the frames of `start` included; its summary has what
     `python -m gns.rollout` writes. Raises InputError.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
-    simulator = model if isinstance(model, Simulator) else load(model or shipped(scene.dimension))
+    model = shipped(scene.dimension) if model is None else model
+    simulator = load(model) if isinstance(model, str | Path) else checked(model)
     initial = initial_state(scene, simulator.settings, start)
     there = initial.to(device)
     clock = time.perf_counter()
     with torch.no_grad():
-        moved = unroll(simulator.to(device), there.state, there.conditions, there.steps, progress=progress)
+        moved = on_threads(
+            threads, unroll, simulator.to(device), there.state, there.conditions, there.steps, progress=progress
+        )
     positions = np.concatenate((initial.known, moved[1:].cpu().numpy()))
     wall = time.perf_counter() - clock
     deposit, volume = positions[-1], initial.conditions.volume.numpy()
@@ -93,23 +98,31 @@ class Prediction:
     """Why it may not be: the scene is outside of the training data."""
 
 
-def predict(scene: Scene | str | Path, *, model: str | Path | None = None, level: float = 0.95) -> Prediction:
+def predict(
+    scene: Scene | str | Path,
+    *,
+    model: StepModel | str | Path | None = None,
+    level: float = 0.95,
+    calibration: card.Calibration | None = None,
+) -> Prediction:
     """Roll out a scene, with how far the MPM may be by flows that training never saw (`gns.score`).
 
         prediction = gns.predict("column-tall-42", level=0.95)
         prediction.front, prediction.half_width     # [m]; 95 of 100 fronts of the MPM are within
 
-    scene, model: as `simulate` takes them; level: one of `gns.card.LEVELS`. Raises InputError.
+    scene, model: as `simulate` takes them; level: one of `gns.card.LEVELS`; calibration: that of the model's card where
+    absent, of a network of one's own from `gns.score.calibrated`. Raises InputError.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
-    path = model_path(model or shipped(scene.dimension))
+    model = shipped(scene.dimension) if model is None else model
+    path = model_path(model) if isinstance(model, str | Path) else None
     require(level in card.LEVELS, "level", f"one of {', '.join(map(str, card.LEVELS))}", f"{level:g}")
-    described, key = card.read(path), f"{level:g}"
-    known = described.calibration(scene, key) if described is not None else None
+    described, key = None if path is None else card.read(path), f"{level:g}"
+    known = described.calibration(scene, key) if calibration is None and described is not None else calibration
     if known is None:
-        message = "expected a calibration on the model's card, which python -m gns.score --keep writes"
-        raise InputError(message, where=str(card.card_path(path)), key="calibration")
-    rollout = simulate(scene, model=path)
+        message = "expected a calibration, by gns.score.calibrated or on the model's card by python -m gns.score --keep"
+        raise InputError(message, where="" if path is None else str(card.card_path(path)), key="calibration")
+    rollout = simulate(scene, model=model)
     rear, front = measures.ends(rollout.positions[-1], rollout.volumes)
     return Prediction(
         deposit=rollout.positions[-1],
@@ -117,5 +130,5 @@ def predict(scene: Scene | str | Path, *, model: str | Path | None = None, level
         extent=front - rear,
         half_width=known.front[key] * (front - rear),
         profile_error=known.profile[key] * (front - rear),
-        warning=card.warning(path, scene),
+        warning="the training range of this network is unknown" if path is None else card.warning(path, scene),
     )

@@ -50,7 +50,6 @@ def rollout(
     from gns.inference import load, simulate
     from gns.surroundings.initial import check
 
-    torch.set_num_threads(threads)
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", key="--device")
     read = read_scene(scene)
@@ -65,7 +64,7 @@ def rollout(
             check(read, simulator.settings)
             if warning := card.warning(path, read):
                 print(warning, file=sys.stderr)
-            trajectory = simulate(read, model=simulator, start=frames, device=device, progress=True)
+            trajectory = simulate(read, model=simulator, start=frames, threads=threads, device=device, progress=True)
     except KeyboardInterrupt as interrupt:
         raise type(interrupt)("nothing was written") from None
     summary = trajectory.summary

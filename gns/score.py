@@ -28,7 +28,7 @@ from gns.card import LEVELS, Calibration
 from gns.library import model_path
 
 if TYPE_CHECKING:
-    from gns.simulator import Simulator
+    from gns.simulator import StepModel
     from gns.training.samples import Flow
 
 
@@ -42,26 +42,29 @@ class Score(measures.Errors):
     """Whether a wall holds the MPM's front, which then says little of the model's."""
 
 
-def evaluate(simulator: "Simulator", flows: "Sequence[Flow]") -> list[Score]:
-    """Compare rollouts of `flows` from their starts with all particles that the flows have."""
+def evaluate(simulator: "StepModel", flows: "Sequence[Flow]") -> list[Score]:
+    """Compare rollouts of `flows` by Talus's network or another from their starts with all particles of the flows."""
     # Here, because torch takes seconds, which --help should not.
     import torch
 
-    from gns.simulator import unroll
+    from gns.simulator import Simulator, checked, unroll
     from gns.training.samples import stretch
 
-    settings, rng = simulator.settings, np.random.default_rng(0)
+    settings, rng = checked(simulator).settings, np.random.default_rng(0)
     scores: list[Score] = []
     for flow in flows:
         steps = len(flow.positions) - 1
         sample = stretch(flow, settings, now=0, steps=steps, rng=rng)
-        there = sample.to(simulator.displacement_scale.device)
+        there = sample.to(next(simulator.parameters()).device)
         rests = not flow.moves(steps - 1)
         with torch.no_grad():
             more = measures.AFTER if rests else 1
             rolled = unroll(simulator, there.state, there.conditions, more * steps, corrected=False)
             end = there.state.after(rolled, steps)
-            deposit = simulator.corrected(there.state, end, rolled[: steps + 1], there.conditions)[-1].cpu().numpy()
+            ended = rolled[: steps + 1]
+            if isinstance(simulator, Simulator):
+                ended = simulator.corrected(there.state, end, ended, there.conditions)
+            deposit = ended[-1].cpu().numpy()
         scene, length = flow.scene, flow.units.length
         truth = measures.Deposit.of_positions(
             flow.positions[0], flow.positions[-1], flow.volume, scene.domain.size, measures.ground_of(scene)

@@ -110,7 +110,9 @@ class TrainingSettings(Record):
     average: float = 0.998
     """Decay of the running average of the weights, which is what is scored and shipped."""
     validations: Count = 12
-    """Validations, equally far apart in the budget."""
+    """Validations, equally far apart in the budget; of several one comes before, of the weights that are begun with."""
+    validation_share: Annotated[float, Bounds("a share in (0, 1]", gt=0.0, le=1.0)] = 0.15
+    """Share of the minutes that validations take at most, but for the first and the last; then they are fewer."""
     validate_flows: Count = 8
     """Flows to roll out then, spread over the valid splits."""
     memory_gib: Positive = 4.0

@@ -1,12 +1,18 @@
 """The simulator: one step of a granular flow, learned; and the rollout, the loop that all who need one step through."""
 
 import dataclasses
+import inspect
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, ParamSpec, Protocol, Self
 
 import torch
 from torch import Tensor, UntypedStorage, nn
+from torch.autograd import Variable
 from torch.utils.checkpoint import checkpoint
 from tqdm import tqdm
 
+from datasets.errors import require
 from datasets.memory import trimming
 from gns.network.correction import Correction, stretched
 from gns.network.features import NODES, Inputs
@@ -18,9 +24,74 @@ from gns.surroundings.state import Conditions, State, in_model_units
 
 AT_REST = 0.2
 """Root mean square speed of a deposit at rest over the speed of rest, at most [-]."""
-
 STANDING = 2.0
 """The same of a step from rest that no known law explains (`Moment.stands`) [-]: errors of a network are no forces."""
+P = ParamSpec("P")
+
+
+class StepModel(Protocol):
+    """What a network of one's own must be: a `torch.nn.Module` that has these two.
+
+    `gns.simulate`, `gns.predict`, `gns.score.evaluate` and `inverse.forward.gns.GnsForward` take every such network.
+    """
+
+    settings: ModelSettings
+    """Its dimension, its step, which particles it follows (`cell`, `particles_per_cell`), how many of their past
+    displacements it needs (`history`), and the length and density of its training data; the other settings are those of
+    `Simulator` alone."""
+
+    def forward(self, state: State, conditions: Conditions, /) -> State:
+        """One step of N particles, all of it in the units of the model, by `advanced` outside of walls and solids."""
+
+    # A module has the others.
+    def __call__(self, state: State, conditions: Conditions, /) -> State: ...
+    def to(self, device: torch.device | str, /) -> Self: ...
+    def parameters(self) -> Iterator[nn.Parameter]: ...
+    def buffers(self) -> Iterator[Tensor]: ...
+    def requires_grad_(self, requires_grad: bool = True) -> Self: ...
+
+
+def checked(model: Any) -> StepModel:
+    """The model, where it is a `StepModel`. Raises InputError, which says what it lacks."""
+    name = type(model).__name__
+    expected = "a torch.nn.Module with settings and forward(state, conditions) (gns.simulator.StepModel)"
+    require(isinstance(model, nn.Module), "model", expected, f"one of the type {name}")
+    settings = getattr(model, "settings", None)
+    require(isinstance(settings, ModelSettings), f"{name}.settings", "gns.settings.ModelSettings", repr(settings))
+    signature = inspect.signature(model.forward)
+    try:
+        signature.bind("state", "conditions")
+    except TypeError:
+        require(False, f"{name}.forward", "forward(state, conditions)", f"forward{signature}")
+    return model  # type: ignore[no-any-return]
+
+
+def advanced(
+    state: State,
+    conditions: Conditions,
+    acceleration: Tensor,
+    settings: ModelSettings,
+    moves: Callable[[Tensor, float], Tensor] | None = None,
+) -> State:
+    """The state after a step by the equations of `Simulator`, all of it in the units of the model.
+
+    acceleration: without gravity, g dt^2 + s A + ... but for its first term [m per step^2], shape [N, D]; moves: the
+    share of the displacements [N, D] that is left, by these and the step's length at the speed of rest, where it is not
+    that of `moving`: a flow whose particles hardly move stops.
+    """
+    positions = state.positions
+    fall = conditions.of_particles(conditions.gravity) * settings.step**2
+    stopped = keep_out(positions + state.displacements[-1] + acceleration + fall, positions, conditions)
+    if settings.rest_speed > 0.0:
+        limit = settings.rest_speed * settings.step
+        moved = settled(stopped - positions, limit)
+        left = moving(moved, AT_REST * limit, conditions) if moves is None else moves(moved, limit)
+        stopped = positions + moved * left
+        if conditions.baffles is not None or conditions.ground is not None:
+            # A shortened displacement around a corner may end inside the baffle.
+            stopped = keep_out(stopped, positions, conditions)
+    displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
+    return State(positions=stopped, displacements=displacements)
 
 
 class Simulator(nn.Module):
@@ -61,22 +132,15 @@ class Simulator(nn.Module):
 
     def forward(self, state: State, conditions: Conditions) -> State:
         """One step, all of it in the units of the model. Differentiable in the state and in all conditions."""
-        settings, positions = self.settings, state.positions
-        moment = self.moment(state, conditions)
+        settings, moment = self.settings, self.moment(state, conditions)
         own, shares = self.network(Inputs.of_moment(moment)).split((settings.dimension, len(FORCES)), dim=1)
         known = (shares.unsqueeze(1) @ moment.forces).squeeze(1)
         contact = self.acceleration_scale * own + GRAVITY * settings.step**2 * known
-        fall = conditions.of_particles(conditions.gravity) * settings.step**2
-        stopped = keep_out(positions + state.displacements[-1] + contact + fall, positions, conditions)
-        if settings.rest_speed > 0.0:
-            limit = settings.rest_speed * settings.step
-            moved = settled(stopped - positions, limit)
-            stopped = positions + (moved if self.training else moved * self.moves(moved, limit, moment))
-            if conditions.baffles is not None or conditions.ground is not None:
-                # A shortened displacement around a corner may end inside the baffle.
-                stopped = keep_out(stopped, positions, conditions)
-        displacements = torch.cat((state.displacements[1:], (stopped - positions).unsqueeze(0)))
-        return State(positions=stopped, displacements=displacements)
+
+        def moves(moved: Tensor, limit: float) -> Tensor:
+            return torch.ones(()) if self.training else self.moves(moved, limit, moment)
+
+        return advanced(state, conditions, contact, settings, moves)
 
     def moves(self, moved: Tensor, limit: float, moment: Moment) -> Tensor:
         """`moving`; of a flow that rested before and can lie as it does (`Moment.stands`) above a higher speed."""
@@ -117,8 +181,33 @@ def settled(displacements: Tensor, limit: float) -> Tensor:
     return displacements * (fourth / (1.0 + fourth))
 
 
+def on_threads(count: int, compute: Callable[P, Tensor], *args: P.args, **kwargs: P.kwargs) -> Tensor:
+    """What `compute` returns, with so many threads of torch in it and in the backward pass through what it returns.
+
+    Afterwards torch has as many as before. On a thousand particles two threads take ten times as long as one where
+    another process takes a processor: they spin at a barrier after every operation.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        found = compute(*args, **kwargs)
+    finally:
+        torch.set_num_threads(before)
+
+    def begin(_: Tensor) -> None:
+        now = torch.get_num_threads()
+        if now != count:
+            torch.set_num_threads(count)
+            # Called where the backward pass ends.
+            Variable._execution_engine.queue_callback(partial(torch.set_num_threads, now))
+
+    if found.requires_grad:
+        found.register_hook(begin)  # type: ignore[no-untyped-call]
+    return found
+
+
 def unroll(
-    simulator: Simulator,
+    simulator: StepModel,
     start: State,
     conditions: Conditions,
     steps: int,
@@ -144,18 +233,22 @@ def unroll(
             state = checkpoint(lean, state, conditions, use_reentrant=False, preserve_rng_state=False)
         else:
             state = simulator(state, conditions)
+        if step == 0:
+            shapes = first.positions.shape, first.displacements.shape
+            found = (state.positions.shape, state.displacements.shape) if isinstance(state, State) else type(state)
+            require(found == shapes, "forward", f"a State of shapes {shapes}", found)
         positions.append(state.positions)
         if not (torch.is_grad_enabled() or before.displacements.any() or state.displacements.any()):
             # A step that leads from a state to the same state is that of all the time to come.
             positions += (steps - step - 1) * [state.positions]
             break
     moved = torch.stack(positions)
-    if corrected:
+    if corrected and isinstance(simulator, Simulator):
         moved = simulator.corrected(first, state, moved, conditions)
     return moved if length == 1.0 else moved * length
 
 
-def step_activation_bytes(simulator: Simulator, state: State, conditions: Conditions) -> int:
+def step_activation_bytes(simulator: StepModel, state: State, conditions: Conditions) -> int:
     """Memory that the activations of a step take until the backward pass [bytes].
 
     Every storage that autograd saves is counted once, without weights and inputs.

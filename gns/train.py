@@ -27,8 +27,8 @@ def train(
     """Train a graph network simulator on trajectories of the MPM.
 
     Leaves OUT/best.safetensors (the model to use) with its card OUT/best.json, OUT/last.pt (what --resume continues),
-    OUT/log.csv and OUT/scores.md. Ctrl-C ends the update in progress and leaves OUT/last.pt. On several GPUs or
-    processes: torchrun --nproc-per-node N -m gns.train ...
+    OUT/log.csv, OUT/log.png and OUT/scores.md. Ctrl-C ends the update in progress and leaves OUT/last.pt. On several
+    GPUs or processes: torchrun --nproc-per-node N -m gns.train ...
 
     Parameters
     ----------

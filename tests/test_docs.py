@@ -126,10 +126,12 @@ def test_the_gradients_of_the_page_agree() -> None:
     sides = sides.replace(
         "print(type(forward).__name__, ", "slopes.setdefault(type(forward).__name__, angle.grad.item()); ("
     )
-    exec(sides, {"slopes": slopes})
+    found: dict[str, Any] = {"slopes": slopes}
+    exec(sides, found)
     # Millimetres per degree: the surrogate's is near the adjoint's.
     assert slopes["AdjointForward"] == pytest.approx(-0.011, rel=0.2)
     assert slopes["GnsForward"] == pytest.approx(slopes["AdjointForward"], rel=0.3)
+    assert found["differences"][1e-4] == pytest.approx(slopes["GnsForward"], rel=1e-3)
     names: dict[str, Any] = {}
     exec(plain, names)
     scene = read_scene("column-tall-42")

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Parameter
+from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from datasets.command_line import run
@@ -25,7 +26,6 @@ from datasets.flow.measures import extents
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_files
 from datasets.scene import Scene
 from datasets.scene.library import read_scene
-from datasets.scene.particles import particle_volumes
 from datasets.schema import Record, from_mapping
 
 STATISTICS = ("default_connectivity_radius", "vel_mean", "vel_std", "acc_mean", "acc_std")
@@ -42,6 +42,8 @@ class ForeignMetadata(Record):
     """Lower and upper end of the box per axis [m]."""
     dt: float
     """Time between frames [s]."""
+    dx: float | None = None
+    """Spacing of the particles [m], which Talus writes."""
 
 
 def export(dataset: Path, out: Path) -> None:
@@ -70,9 +72,8 @@ def described_as_theirs(dataset: Path, files: Mapping[Split, Sequence[Path]]) ->
     for path in paths:
         flow = open_trajectory(path)
         scene = flow.scene
-        if scene.solids or scene.open_sides or any(baffle.turned_deg for baffle in scene.baffles):
-            expected = "expected a closed box without solids but baffles along its axes, their format knows no others"
-            raise InputError(expected, where=str(path), key="scene")
+        if scene.open_sides:
+            raise InputError("expected a closed box, their format knows no other", where=str(path), key="scene")
         this = (scene.domain.size, scene.frame_dt, len(flow.positions), scene.particle_spacing)
         if shared is not None and this != shared:
             expected = f"expected the box, time between frames, number of frames and spacing {shared} of {paths[0]}"
@@ -117,11 +118,13 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
         with naming(source / "metadata.json"):
             foreign = from_mapping(ForeignMetadata, known)
         flows = tqdm(geoelements.read(path), desc=split.value, unit="trajectory", dynamic_ncols=True)
-        for index, (name, sand) in enumerate(flows):
+        for name, sand in flows:
             with naming(path, name):
+                fits = Path(name).name == name and name[:1] not in ("", ".")
+                require(fits, "", "a name that a file can have", repr(name))
                 flow = trajectory_of(sand, scene, foreign, up)
-            flow.save(out / split.value / f"{index:05d}.npz")
-            entries.append(Entry(split=split, name=f"{index:05d}", scene=flow.scene))
+            flow.save(out / split.value / f"{name}.npz")
+            entries.append(Entry(split=split, name=name, scene=flow.scene))
             if split is entries[0].split:
                 statistics += motion_statistics(flow.positions, flow.frame_dt)
     if not entries:
@@ -131,7 +134,11 @@ def import_dataset(source: Path, out: Path, *, scene: Scene, up: str) -> None:
 
 
 def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -> Trajectory:
-    """The trajectory of their sand, in `scene`. Raises InputError where the scene's box is another one."""
+    """The trajectory of their sand, in `scene`. Raises InputError where the scene's box is another one.
+
+    Each particle has the volume of its share of a lattice of the set's spacing; where the set names none, that is the
+    median distance to the nearest particle in the first frame.
+    """
     (positions, friction), bounds = sand, np.array(foreign.bounds)
     if up == "z":
         if positions.shape[2] != 3:
@@ -141,6 +148,9 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
     same = len(size) == scene.dimension and np.allclose(size, scene.domain.size, rtol=CLOSE)
     require(same, "", f"a scene in the box of the set, {size.tolist()} m", f"{list(scene.domain.size)} m")
     positions = np.ascontiguousarray(positions - bounds[:, 0], dtype=np.float32)
+    spacing = foreign.dx or float(np.median(cKDTree(positions[0]).query(positions[0], k=2)[0][:, 1]))
+    require(0.0 < spacing < np.inf, "", "particles that are apart in the first frame", f"a spacing of {spacing:g} m")
+    volume = np.full(positions.shape[1], spacing**scene.dimension, np.float32)
     if friction is None:
         friction = np.full(positions.shape[1], scene.material.friction)
     return Trajectory(
@@ -148,8 +158,9 @@ def trajectory_of(sand: Sand, scene: Scene, foreign: ForeignMetadata, up: str) -
         time=np.arange(len(positions), dtype=np.float64) * foreign.dt,
         velocity0=((positions[1] - positions[0]) / foreign.dt).astype(np.float32),
         friction=friction.astype(np.float32),
+        volume=volume,
         scene=replace(scene, duration=(len(positions) - 1) * foreign.dt, frame_dt=foreign.dt),
-        summary=extents(scene, positions[-1], particle_volumes(scene, len(positions[-1]))),
+        summary=extents(scene, positions[-1], volume),
     )
 
 

@@ -11,13 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from datasets.errors import InputError, require
 from datasets.files import reading, replacing
 from datasets.flow.array_files import keys, open_npz, read_member
 from datasets.flow.trajectory import Trajectory
-from datasets.scene import Baffle
+from datasets.geometry.bodies import lattice_in
+from datasets.geometry.ground import elevation, plan_axes
+from datasets.geometry.shells import manifold, sliced
+from datasets.geometry.surface import closed_body, solids_of
+from datasets.scene import Scene
 
 ALL = "gns_data"
 """The key that holds all trajectories where it exists."""
@@ -42,28 +47,41 @@ class ParticleType(IntEnum):
     SAND = 6
 
 
-def obstacle_particles(baffle: Baffle, spacing: float) -> NDArray[np.float64]:
-    """A lattice that fills `baffle`, about `spacing` [m] apart and at least two along each axis: [m], shape [N, D].
+def obstacle_particles(scene: Scene) -> NDArray[np.float64]:
+    """Particles that stand for all that is solid in `scene`, about as far apart as the sand's [m], shape [N, D].
 
-    Each particle stands in the middle of its share of the box.
+    A lattice fills each baffle and solid, a finer one where that is thinner than the spacing of the sand. Two layers
+    follow the surface of terrain from below.
     """
-    axes = []
-    for low, size in zip(baffle.lower, baffle.size, strict=True):
-        count = max(2, round(size / spacing))
-        axes.append(low + (np.arange(count) + 0.5) * (size / count))
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    spacing, size, planar = scene.particle_spacing, np.array(scene.domain.size), scene.dimension == 2
+    found = [np.empty((0, scene.dimension))]
+    for solid, key in zip(*solids_of(scene), strict=True):
+        if solid.kind == "terrain":
+            continue
+        body = closed_body(solid, key, scene.domain)
+        vertices, faces = body.vertices, body.faces
+        shape = shapely.Polygon(vertices) if planar else manifold(vertices, faces)
+        thickness = 2.0 * (shape.area / shape.length if planar else shape.volume() / shape.surface_area())
+        lattice, _ = lattice_in(vertices.min(axis=0), vertices.max(axis=0), min(spacing, thickness))
+        within = shapely.contains_xy(shape, lattice) if planar else sliced(vertices, faces, lattice)
+        found.append(lattice[within])
+    if any(solid.kind == "terrain" for solid in scene.solids):
+        lengths = size[plan_axes(scene.dimension)]
+        plan, _ = lattice_in(np.zeros(len(lengths)), lengths, spacing)
+        top = elevation(scene.solids, scene.domain, plan)
+        found += [np.insert(plan, 1, top - share * spacing, axis=1) for share in (0.5, 1.5)]
+    points = np.concatenate(found)
+    return np.asarray(points[((points >= 0.0) & (points <= size)).all(axis=1)])
 
 
 def write(path: Path, flows: Iterable[tuple[str, Trajectory]]) -> None:
     """Write a split, one trajectory in memory at a time.
 
-    Sand and, after it, the lattices of particles that stand for the baffles, at the spacing of the sand's.
+    Sand and, after it, the particles that stand for baffles and solids.
     """
     with replacing(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, flow in flows:
-            scene, sand = flow.scene, np.asarray(flow.positions)
-            lattices = [obstacle_particles(baffle, scene.particle_spacing) for baffle in scene.baffles]
-            obstacles = np.concatenate([np.empty((0, scene.dimension)), *lattices]).astype(np.float32)
+            sand, obstacles = np.asarray(flow.positions), obstacle_particles(flow.scene).astype(np.float32)
             objects = np.empty(3, dtype=object)
             objects[0] = np.concatenate([sand, np.broadcast_to(obstacles, (len(sand), *obstacles.shape))], axis=1)
             counts = sand.shape[1], len(obstacles)

@@ -65,16 +65,26 @@ class Position:
     """Seconds and updates at the last validation."""
     rows: list[dict[str, float]] = field(default_factory=list)
     """Of log.csv: one a validation."""
+    validated: list[float] = field(default_factory=list)
+    """Time that each validation took [s]."""
+    losses: list[float] = field(default_factory=list)
+    """One of each update."""
 
     def progress(self, training: TrainingSettings) -> float:
         """Share of the budget that is spent, in [0, 1]."""
         return min(share_of(training, self.seconds, self.updates), 1.0)
 
     def due(self, training: TrainingSettings) -> bool:
-        """Whether a validation is due: after its interval and at the end, if there were updates since the last one."""
-        since = self.progress(training) - share_of(training, *self.scored)
-        interval = self.progress(training) >= 1.0 or since >= 1.0 / training.validations - 1.0e-9
-        return interval and self.updates > self.scored[1]
+        """Whether a validation is due: after its interval and at the end, if there were updates since the last one.
+
+        Before the end only where it, and the last one too, leave validations within their share of the minutes.
+        """
+        wanted = self.progress(training) - share_of(training, *self.scored) >= 1.0 / training.validations - 1.0e-9
+        if training.updates is None and self.validated:
+            spent, once, share = sum(self.validated), self.validated[-1], training.validation_share
+            most = min(share * self.seconds, 60.0 * share * training.minutes - once)
+            wanted = wanted and spent + once <= most
+        return (wanted or self.progress(training) >= 1.0) and self.updates > self.scored[1]
 
 
 def share_of(training: TrainingSettings, seconds: float, updates: int) -> float:
@@ -130,18 +140,19 @@ def fit(
         position, bar = run.position, stack.enter_context(tqdm(total=100.0, bar_format=BAR, disable=not first))
         stop = stack.enter_context(stopping())
         clock = time.process_time if training.clock == "cpu" else time.perf_counter
-        begun = clock() - position.seconds
+        begun, baseline = clock() - position.seconds, begin is not None and training.validations > 1
         while True:
             position.seconds = clock() - begun
             # The first process decides, so that all unroll the same steps, and a stop of one is a stop of all.
-            own = (position.progress(training), position.due(training)) if first else (0.0, 0.0)
+            wanted = position.due(training) or (baseline and not position.rows)
+            own = (position.progress(training), wanted) if first else (0.0, 0.0)
             progress, due, stops = sums(*own, stop())
             if stops or (progress >= 1.0 and not due):
                 break
             if not due:
                 run.update(progress)
                 what = "ends" if training.correct else f"{run.steps(progress)} steps"
-                bar.set_description_str(f"{what}, loss {np.mean(run.losses[-RECENT:]):.4f}", refresh=False)
+                bar.set_description_str(f"{what}, loss {np.mean(position.losses[-RECENT:]):.4f}", refresh=False)
                 bar.update(100.0 * position.progress(training) - bar.n)
                 continue
             if first:
@@ -149,7 +160,7 @@ def fit(
                 run.save()
                 with stop.at_once():
                     run.validate(valid, scenes, provenance)
-            run.losses.clear()
+            position.validated.append(clock() - begun - position.seconds)
             position.seconds = clock() - begun
             position.scored = position.seconds, position.updates
             if first:
@@ -161,8 +172,10 @@ def fit(
         # Or the line would follow the bar.
         bar.close()
         if first:
-            total = card.total_updates(checkpoint.load(out / BEST).provenance)
-            print(f"{out / BEST}: {total} updates in all")
+            history = checkpoint.load(out / BEST).provenance
+            new, total = history["log"]["updates"], card.total_updates(history)
+            of = f" of {position.updates:,}" if new < position.updates else ""
+            print(f"{out / BEST}: {new:,} new updates{of}, {total:,} in all")
 
 
 class TrainingRun:
@@ -187,7 +200,7 @@ class TrainingRun:
         self.optimisers: tuple[torch.optim.Optimizer, ...] = muon, torch.optim.Adam(others)
         names = "weights", "average", "muon", "adam"
         self.parts: dict[str, Any] = dict(zip(names, (simulator, self.average, *self.optimisers), strict=True))
-        self.position, self.losses = Position(), list[float]()
+        self.position = Position()
 
     def steps(self, progress: float) -> int:
         """Steps that are unrolled at `progress` in [0, 1]."""
@@ -211,19 +224,20 @@ class TrainingRun:
             optimiser.zero_grad()
         self.average.update_parameters(self.simulator)
         self.position.updates += 1
-        self.losses.append(loss.item())
+        self.position.losses.append(loss.item())
 
     def validate(
         self, flows: Sequence[Flow], scenes: Mapping[str, Sequence[Scene]], provenance: Mapping[str, Any]
     ) -> None:
-        """Score the average by rollouts of `flows`, write a row of log.csv, keep it with its card if it is the best."""
+        """Score the average by rollouts of `flows`, log it as row and picture, keep it with its card if it is best."""
         simulator, position, out = self.average.module.eval(), self.position, self.out
         scores = evaluate(simulator, flows)
         total = validation_score(scores)
+        losses = position.losses[position.scored[1] - position.updates :]
         row = {
             "minutes": round(position.seconds / 60.0, 2),
             "updates": position.updates,
-            "loss": round(float(np.mean(self.losses or [math.nan])), 6),
+            "loss": round(float(np.mean(losses or [math.nan])), 6),
             "score": round(total, 4),
         }
         row |= {name: round(mean, 4) for name, mean in amounts(scores).items()}
@@ -231,8 +245,9 @@ class TrainingRun:
         # A run that is resumed may have older rows of fewer columns.
         lines = [row, *([each.get(name, "") for name in row] for each in position.rows)]
         files.write_text(out / "log.csv", "".join(",".join(map(str, line)) + "\n" for line in lines))
+        draw(out / "log.png", position)
         tqdm.write(", ".join(f"{key} {value}" for key, value in row.items()))
-        if total < position.best:
+        if total <= position.best:
             position.best = total
             history = {**provenance, "score": total, "log": row}
             checkpoint.save(out / BEST, simulator, history)
@@ -257,6 +272,27 @@ class TrainingRun:
             for name, part in self.parts.items():
                 part.load_state_dict(found[name])
             self.position = Position(**found["position"])
+
+
+def draw(path: Path, position: Position) -> None:
+    """The loss of each update and a running mean, and the score of each validation with its parts."""
+    from matplotlib.figure import Figure
+
+    figure, losses = Figure(figsize=(9.0, 3.6), layout="constrained"), np.array(position.losses)
+    left, right = figure.subplots(1, 2)
+    window = max(1, min(RECENT, len(losses) // 5))
+    for mean, style in ((1, {"marker": ".", "markersize": 2, "linestyle": "", "color": "0.7"}), (window, {})):
+        last = np.arange(mean, len(losses) + 1)
+        sums = np.append(0.0, np.cumsum(losses))
+        left.plot(position.updates - len(losses) + last, (sums[last] - sums[last - mean]) / mean, **style)
+    for name in ("score", "front", "profile", "thickness"):
+        right.plot(*zip(*((row["updates"], row[name]) for row in position.rows), strict=True), ".-", label=name)
+    right.legend(frameon=False, fontsize=8)
+    for panel, title in ((left, f"loss, and its mean over {window} updates"), (right, "errors of whole rollouts")):
+        panel.set_title(title, loc="left", fontsize=10)
+        panel.set(xlabel="updates", yscale="log")
+    with files.replacing(path) as part:
+        figure.savefig(part, dpi=110)
 
 
 def averaged(decay: float, average: Tensor, current: Tensor, updates: Tensor) -> Tensor:

@@ -24,7 +24,7 @@ from torch import Tensor
 from datasets.errors import InputError
 from datasets.scene import Scene
 from gns import card
-from gns.simulator import Simulator, step_activation_bytes, unroll
+from gns.simulator import StepModel, checked, on_threads, step_activation_bytes, unroll
 from gns.surroundings.initial import InitialState, initial_state
 from gns.surroundings.state import Conditions, State
 from inverse.observations import Observation, Rollout, Values
@@ -71,12 +71,12 @@ class GnsForward:
     """A rollout of the surrogate that is a differentiable function of the problem's parameters, in SI units.
 
     Unknowns that change the particles (thickness of a layer) are no inputs: each flow then begins with an initial state
-    of its own, one after the other, which has no derivative in them.
+    of its own, one after the other, which has no derivative in them. One thread of torch computes all.
     """
 
     def __init__(
         self,
-        simulator: Simulator,
+        simulator: StepModel,
         problem: Problem,
         observation: Observation,
         band: Band | None = None,
@@ -86,7 +86,7 @@ class GnsForward:
 
         flows: predicted ones by their parameters, which observations of one scene may share. Raises InputError.
         """
-        self.simulator = simulator.requires_grad_(False)
+        self.simulator = checked(simulator).requires_grad_(False)
         self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()
         self.other_particles = any(kind.input is None for kind in self.kinds)
         self.initial = self._initial(problem.scene)
@@ -178,7 +178,7 @@ class GnsForward:
             state = State.joined([each.state for each in starts])
             conditions = Conditions.joined([each.conditions for each in starts])
         kept = min(steps, self.kept_steps // len(starts))
-        return unroll(self.simulator, state, conditions, steps, kept_steps=kept)
+        return on_threads(1, unroll, self.simulator, state, conditions, steps, kept_steps=kept)
 
 
 def band_of(weights: Path, scene: Scene) -> Band:

@@ -9,17 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
-from datasets import Material, write_scene
+from datasets import Baffle, Mass, Material, Solid, write_scene
 from datasets.command_line import run
 from datasets.exchange import geoelements
 from datasets.exchange.__main__ import command
 from datasets.files import write_json
 from datasets.flow.trajectory import Trajectory
+from datasets.scene.particles import initial_particles
 from tests.breaking import dataset_files
 from tests.datasets.conftest import FRAMES, toy, toy_dataset, toy_scene
 from tests.datasets.flow.test_array_files import OBJECTS, Calls, npy, with_member
 from tests.refusals import refused, refused_by
+from tests.scenes import flow_of, scene_of
 
 TO, FROM = ("--to", "geoelements"), ("--from", "geoelements")
 KEYS = ("bounds", "sequence_length", "dim", "dt", "vel_mean", "vel_std", "acc_mean")
@@ -55,10 +58,11 @@ def test_there_and_back(tmp_path: Path, dimension: int, up: str) -> None:
     assert exchange(theirs, *FROM, "--scene", scene, "--up", up, "--out", back) == 0
     for split in ("train", "valid", "test"):
         before, after = (sorted((folder / split).glob("*.npz")) for folder in (ours, back))
-        assert len(before) == len(after) > 0
+        assert [each.name for each in before] == [each.name for each in after] != []
         for a, b in zip(map(Trajectory.load, before), map(Trajectory.load, after), strict=True):
             np.testing.assert_array_equal(a.positions, b.positions)
             np.testing.assert_array_equal(a.friction, b.friction)
+            np.testing.assert_allclose(a.volumes, b.volumes, rtol=1e-6)
             np.testing.assert_allclose(a.time, b.time, rtol=1e-12)
             assert (b.scene.domain, b.scene.frames) == (a.scene.domain, FRAMES)
     before, after = (json.loads((folder / "metadata.json").read_text()) for folder in (ours, back))
@@ -121,6 +125,83 @@ def test_a_set_that_geoelements_generated(
         np.testing.assert_allclose(flow.friction, tangent, rtol=1e-6)
     line = refused_by(capsys, command, source, *FROM, "--scene", "column-tall-42", "--out", tmp_path / "b")
     assert "expected a scene in the box of the set" in line
+
+
+def test_volumes_follow_the_spacing_of_each_trajectory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, spacings = foreign(tmp_path / "theirs"), {"coarse": 0.01, "fine": 0.004}
+
+    def write(spacings: dict[str, float]) -> None:
+        flows = {}
+        for name, spacing in spacings.items():
+            lattice = 0.15 + spacing * np.stack(np.meshgrid(np.arange(9.0), np.arange(7.0)), axis=-1).reshape(-1, 2)
+            flows[name] = np.empty(2, dtype=object)
+            flows[name][:] = np.repeat(lattice[None], FRAMES, axis=0), 6
+        np.savez(source / "train.npz", **flows)
+
+    write(spacings)
+    assert exchange(source, *FROM, "--scene", scene_file(tmp_path, 2), "--out", tmp_path / "back") == 0
+    for name, spacing in spacings.items():
+        flow = Trajectory.load(tmp_path / "back" / "train" / f"{name}.npz")
+        np.testing.assert_allclose(flow.volumes, spacing**2, rtol=1e-4)
+        assert len(flow.volumes) == 63
+    for name, spacing, said in (("../away", 0.01, "a name that a file can have"), ("heap", 0.0, "that are apart")):
+        write({name: spacing})
+        line = refused_by(
+            capsys, command, source, *FROM, "--scene", scene_file(tmp_path, 2), "--out", tmp_path / "other"
+        )
+        assert said in line
+
+
+def test_every_solid_becomes_particles_that_stand() -> None:
+    slope, spacing = Solid(kind="terrain", points=((0.0, 0.2), (1.0, 0.0))), 0.005
+    roof = Solid(kind="polygon", vertices=((0.5, 0.2), (0.8, 0.2), (0.65, 0.35)))
+    plate = Baffle(lower=(0.2, 0.3), size=(0.2, 0.004), turned_deg=30.0)
+    scene = scene_of(
+        Mass(lower=(0.05, 0.4), size=(0.1, 0.1)), size=(1.0, 0.6), cell=0.01, solids=(slope, roof), baffles=(plate,)
+    )
+    points = geoelements.obstacle_particles(scene)
+    ground = 0.2 * (1.0 - points[:, 0]) - points[:, 1]
+    below = points[ground > 0.0]
+    # Two layers, but for what lies below the floor.
+    np.testing.assert_allclose(np.unique(ground[ground > 0.0].round(6)), (0.5 * spacing, 1.5 * spacing), atol=1e-9)
+    assert 2 * 200 - 60 < len(below) <= 2 * 200
+    roofed = shapely.contains_xy(shapely.Polygon(roof.vertices), points[ground <= 0.0])
+    assert roofed.sum() * spacing**2 == pytest.approx(0.5 * 0.3 * 0.15, rel=0.05)
+    plated = points[ground <= 0.0][~roofed] - (0.3, 0.302)
+    c, s = np.cos(np.radians(30.0)), np.sin(np.radians(30.0))
+    along, across = plated @ (c, s), plated @ (-s, c)
+    assert np.abs(across).max() < 0.002
+    # No gap through which sand could pass.
+    assert np.diff(np.sort(along), prepend=-0.1, append=0.1).max() < 2.0 * spacing
+
+
+def test_solids_in_3d_become_particles_that_stand(tmp_path: Path) -> None:
+    heights = tuple(tuple(0.1 - 0.05 * i + 0.02 * j for j in range(3)) for i in range(3))
+    terrain = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.5, 0.2), heights=heights)
+    corners = ((0.6, 0.3, 0.1), (0.8, 0.3, 0.1), (0.6, 0.5, 0.1), (0.6, 0.3, 0.3))
+    tetrahedron = Solid(kind="mesh", vertices=corners, triangles=((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)))
+    scene = scene_of(
+        Mass(lower=(0.05, 0.3, 0.1), size=(0.1, 0.1, 0.1)),
+        size=(1.0, 0.6, 0.4),
+        cell=0.04,
+        solids=(terrain, tetrahedron),
+        baffles=(Baffle(lower=(0.2, 0.3, 0.1), size=(0.1, 0.1, 0.1), turned_deg=45.0),),
+    )
+    points, spacing = geoelements.obstacle_particles(scene), 0.02
+    x, y, z = points.T
+    depth = 0.1 - 0.1 * x + 0.1 * z - y
+    np.testing.assert_allclose(np.unique(depth[depth > 0.0].round(6)), (0.5 * spacing, 1.5 * spacing), atol=1e-9)
+    mesh, box = (x > 0.55) & (depth <= 0.0), (x <= 0.55) & (depth <= 0.0)
+    assert mesh.sum() * spacing**3 == pytest.approx(0.2**3 / 6.0, rel=0.25)
+    assert box.sum() * spacing**3 == pytest.approx(0.1**3, rel=0.15)
+    assert ((x - 0.6) / 0.2 + (y - 0.3) / 0.2 + (z - 0.1) / 0.2)[mesh].max() < 1.0
+    flow = flow_of(scene, np.repeat(initial_particles(scene).positions[None], 2, axis=0))
+    geoelements.write(tmp_path / "train.npz", [("one", flow)])
+    ((name, (sand, _)),) = geoelements.read(tmp_path / "train.npz")
+    assert (name, sand.shape) == ("one", flow.positions.shape)
+    with np.load(tmp_path / "train.npz", allow_pickle=True) as file:
+        positions, types, _ = file["one"]
+    np.testing.assert_allclose(positions[1, types == 3], points, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from gns.settings import ModelSettings, TrainingSettings
 from gns.simulator import Simulator
 from gns.train import train
 from gns.training import loop
-from gns.training.loop import LAST
+from gns.training.loop import LAST, Position
 from gns.training.losses import UnrolledLoss, rollout_loss
 from gns.training.samples import Sampler, flows_of
 from tests.gns.conftest import NORMALISATION, TINY, rows, run_train
@@ -76,6 +76,8 @@ def test_minutes_of_a_resumed_run_add_up(dataset: Path, tmp_path: Path, monkeypa
     # A clock that goes on by a tenth of a second whenever it is read, however busy the machine is.
     ticks = itertools.count()
     monkeypatch.setattr("gns.training.loop.time.perf_counter", lambda: next(ticks) / 10.0)
+    # Matplotlib reads it too.
+    monkeypatch.setattr(loop, "draw", lambda *_: None)
     assert run(dataset, tmp_path, "--minutes", "0.02") == 0
     first = last(tmp_path)["position"]
     assert run(dataset, tmp_path, "--minutes", "0.04", "--resume") == 0
@@ -133,11 +135,53 @@ def test_a_training_can_begin_with_a_model(dataset: Path, tmp_path: Path, capsys
     for name, weight in first.items():
         torch.testing.assert_close(second[name], weight)
     assert card.total_updates(checkpoint.load(other).provenance) == 2
+    assert "second/best.safetensors: 1 new updates, 2 in all" in capsys.readouterr().out
+    # The first row is the score of the weights that it begins with.
+    found = rows(tmp_path / "second")
+    assert [(row["updates"], row["loss"] == "nan") for row in found] == [("0", True), ("1", False)]
+    assert found[0]["score"] == found[1]["score"]
+    assert (tmp_path / "second" / "log.png").stat().st_size > 10_000
     # No weight depends on the speed of rest.
     assert run(dataset, tmp_path / "slower", *begin, "--rest-speed", "0.02") == 0
     assert checkpoint.load(tmp_path / "slower" / "best.safetensors").simulator.settings.rest_speed == 0.02
     assert run(dataset, tmp_path / "third", *begin, "--history", "2") == 2
     assert "other is history" in capsys.readouterr().err
+
+
+def test_weights_that_no_update_improves_stay(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(dataset, tmp_path / "first", "--updates", "1") == 0
+    model, scores = tmp_path / "first" / "best.safetensors", itertools.count()
+    monkeypatch.setattr(loop, "validation_score", lambda _: float(next(scores)))
+    flags = ("--begin", str(model), "--updates", "2", "--validations", "2", "--learning-rate", "1")
+    assert run(dataset, tmp_path / "second", *flags) == 0
+    assert "0 new updates of 2, 1 in all" in capsys.readouterr().out
+    assert [row["updates"] for row in rows(tmp_path / "second")] == ["0", "1", "2"]
+    first, second = (checkpoint.load(tmp_path / name / "best.safetensors").simulator for name in ("first", "second"))
+    for name, weight in first.state_dict().items():
+        assert torch.equal(second.state_dict()[name], weight)
+
+
+@pytest.mark.parametrize(("cost", "count"), [(0.1, 12), (10.0, 3), (60.0, 2)])
+def test_validations_take_their_share_of_the_minutes(cost: float, count: int) -> None:
+    """Four minutes of updates of a second; only the first and the last may take more."""
+    position, training = Position(), TrainingSettings(minutes=4.0)
+    while position.progress(training) < 1.0 or position.due(training):
+        if position.due(training):
+            position.validated.append(cost)
+            position.seconds += cost
+            position.scored = position.seconds, position.updates
+        else:
+            position.seconds += 1.0
+            position.updates += 1
+    assert len(position.validated) == count
+    assert count == 2 or sum(position.validated) <= 0.15 * 240.0
+    # With a number of updates their times do not depend on the machine.
+    counted = dataclasses.replace(training, updates=24)
+    later = Position(seconds=60.0, updates=4, scored=(30.0, 2), validated=[1e3])
+    assert later.due(counted)
+    assert not later.due(training)
 
 
 def test_flows_of_any_surroundings_train_together(dataset: Path, tmp_path: Path) -> None:
