@@ -10,8 +10,6 @@ import pytest
 from numpy.typing import ArrayLike
 
 from datasets import Baffle, Mass, Material, Scene, Solid
-from gns.settings import ModelSettings
-from gns.surroundings.initial import check
 from mpm import WITH_FIELDS, simulate
 from mpm.arrays.features import features_of
 from tests.refusals import refused
@@ -206,5 +204,3 @@ def test_what_turbulence_does_not_go_with_is_refused() -> None:
     refused(dataclasses.replace, bed, turbulence=0.0, said="turbulence: expected positive coefficients in m/s^2")
     rows = (dataclasses.replace(bed, turbulence=((9.0, 9.0), (9.0, 9.0))),)
     refused(dataclasses.replace, scene, solids=rows, said="solids[0].turbulence: expected a single number of a box")
-    line = dataclasses.replace(on_polyline(0), masses=(Mass(lower=(0.4, 0.9), size=(0.1, 0.1)),))
-    refused(check, line, ModelSettings(dimension=2), said="solids[0].turbulence: expected Coulomb friction alone")

@@ -69,26 +69,26 @@ def bench(
     cell
         Edge of the inversion's cells [m]; the true flows have half of it.
     twins
-        Experiments of each kind.
+        Experiments of each kind; the page has all that there are in KEEP.
     jobs
         Processes that solve one each; one per processor unless given.
     """
     os.environ |= ONE_THREAD
     with kept(keep) as folder:
-        families, asked = list[Family](), dict[Path, tuple[Family, int, None]]()
+        families, asked = dict[Family, Path](), dict[Path, tuple[Family, int, None]]()
         for title, (case, unknowns, observations) in TWINS.items():
             place = folder / title.replace(" ", "-")
             problem = written_problem(place, data / case, cell, unknowns, observations)
             family = Family(title=title, problem=str(problem.absolute()), finer=FINER, twins=twins)
-            families.append(family)
+            families[family] = place
             asked |= {(place / f"{number:03d}.json").absolute(): (family, number, None) for number in range(twins)}
         missing = [path for path in asked if read_twin(path) is None]
         with pool(min(jobs or processors(), len(missing) or 1)) as workers:
             stored = workers.finished(store_twin, [(path, *asked[path]) for path in missing])
             list(tqdm(stored, total=len(missing), unit="twin", leave=False, disable=None))
         found = {
-            family: [twin for path, (own, *_) in asked.items() if own == family and (twin := read_twin(path))]
-            for family in families
+            family: [twin for path in sorted(place.glob("[0-9]*.json")) if (twin := read_twin(path))]
+            for family, place in families.items()
         }
         beside = explained(folder / CODE, data, cell)
     every = [twin for some in found.values() for twin in some]
@@ -99,7 +99,7 @@ def bench(
         f"The peak thickness that {CODE} computed with a friction of 0.4 asks the MPM for {beside['friction']}.",
     ]
     rows = [row(family, some) for family, some in found.items()]
-    flags = f" --data DIR --cell {cell:g} --twins {twins}"
+    flags = f" --data DIR --cell {cell:g} --twins {max(map(len, found.values()))}"
     return write_page(out, "back_analysis", said, flags=flags, twins=rows, beside=[beside])
 
 

@@ -23,7 +23,7 @@ def flow(trajectory: Trajectory) -> Trajectory:
     steps = stream.normal(0.0, 0.002, (frames, count, 2))
     shapes = {"volume": (count,), "velocities": (frames, count, 2), "stress": (frames, count, 4)}
     shapes |= dict.fromkeys(("pressure", "plastic_strain"), (frames, count))
-    shapes |= {"solid_impulse": (frames, 0, 2)}
+    shapes |= {"solid_impulse": (frames, 0, 2), "entry_time": (count,)}
     return dataclasses.replace(
         trajectory,
         positions=(0.5 + np.cumsum(steps, axis=0)).astype(np.float32),
