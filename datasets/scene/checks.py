@@ -10,6 +10,7 @@ from datasets.geometry.shapes import check_rows, check_solid, check_vector, usua
 from datasets.scene.grid_field import FRICTION, VELOCITIES
 from datasets.scene.material import ANGLES, MOHR_COULOMB
 from datasets.scene.parts import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, SceneLayout, keyed
+from datasets.scene.water import Water, saturated
 from datasets.schema import FARTHEST
 
 MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28
@@ -100,6 +101,7 @@ def check(scene: SceneLayout) -> None:
     require(count <= MOST_PARTICLES, "masses", f"at most {MOST_PARTICLES} particles, so larger cells", f"{count:.3g}")
     check_fields(scene)
     check_k0(scene)
+    check_water(scene)
     check_stages(scene)
     from datasets.geometry.placement import check_overlaps
 
@@ -157,6 +159,16 @@ def check_k0(scene: SceneLayout) -> None:
         high = 1.0 / active + 2.0 * min(ratios) / math.sqrt(active)
         inside = low * (1.0 - SLACK) <= mass.k0 <= high * (1.0 + SLACK)
         require(inside, f"{key}.k0", f"a ratio within active and passive yield, {low:.3g} to {high:.3g}", mass.k0)
+
+
+def check_water(scene: SceneLayout) -> None:
+    """Raise InputError for water that nothing in the scene holds."""
+    wet = saturated(scene)
+    require(wet is not None or scene.water == Water(), "water", "a saturated material beside it", "none")
+    for key, mass in keyed(scene, "masses").items():
+        ratio = mass.initial_pore_pressure_ratio
+        holds = ratio is None or scene.material_of(mass).saturated
+        require(holds, f"{key}.initial_pore_pressure_ratio", "none of a material that is not saturated", ratio)
 
 
 def resting_load(scene: SceneLayout, mass: Mass) -> float:

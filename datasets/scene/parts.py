@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from datasets.errors import require
 from datasets.scene.grid_field import Field
 from datasets.scene.material import Material
+from datasets.scene.water import Water
 from datasets.schema import FARTHEST, Bounds, Record
 
 Vector = tuple[float, ...]
@@ -32,6 +33,7 @@ Coefficient = Annotated[float | str, Bounds(f"a coefficient of at least 0 or '{R
 Turbulence = Annotated[float | None, Bounds(f"a positive coefficient in m/s^2, up to {FARTHEST:g}", gt=0.0)]
 Size = Annotated[Vector, Bounds(f"positive lengths in m, above {TOLERANCE:g}", gt=TOLERANCE)]
 K0 = Annotated[float | str, Bounds("a ratio of stresses of at least 0 or 'elastic'", ge=0.0, words=("elastic",))]
+Share = Annotated[float | None, Bounds("a ratio in [0, 1]", ge=0.0, le=1.0)]
 Moment = Annotated[float | str, Bounds("a time in s or 'settled'", words=("settled",))]
 
 
@@ -129,6 +131,9 @@ class Mass(Record):
     """Time [s] until which smooth vertical barriers hold its sides, or "settled"; free from the start where absent."""
     gate: Gate | None = None
     """How these barriers then rise; they are gone at once where absent."""
+    initial_pore_pressure_ratio: Share = None
+    """Of a saturated mass the pore pressure at the start over the total stress normal to its ground [-]; hydrostatic
+    below the water table where absent."""
 
     @property
     def spin(self) -> NDArray[np.float64]:
@@ -274,6 +279,8 @@ class SceneLayout(Record):
     """Other fixed rigid bodies: boxes, polygons, terrain, meshes."""
     channel: Channel | None = None
     """Side walls of a scene in 2D; none where absent."""
+    water: Water = Water()
+    """Where the water stands in saturated material."""
     open_sides: tuple[str, ...] = ()
     """Sides of the box that let material out, of "x-", "x+", "y-", "y+", "z-" and "z+"."""
     duration: Time = 1.0

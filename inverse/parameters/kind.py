@@ -32,6 +32,8 @@ UP = 1
 WITHOUT = {
     "softening_length": "it never falls to a residual strength",
     "friction_limit_deg": "its friction does not grow with the rate",
+    "permeability": "its water does not flow",
+    "consolidation": "its water does not flow",
 }
 """What a material does without a constant that another one requires."""
 
@@ -96,7 +98,8 @@ class Kind:
         if self.form == "masses[].height" and (kind := self.holder(scene).kind) != "box":
             raise InputError(f"expected a mass of kind box, got a {kind}")
         if self.axis is None and not isinstance(getattr(self.holder(scene), self.key, 0.0), float | int):
-            owner = {"thickness": "a mass of kind layer", "k0": "a mass"}.get(self.key, "a surface")
+            masses = dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
+            owner = {"thickness": "a mass of kind layer", **masses}.get(self.key, "a surface")
             raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
 
     def idle(self, scene: Scene) -> str:
@@ -335,6 +338,8 @@ _MATERIAL = (
     Residual(form="residual_cohesion", unit="Pa", digits=1, order=1, requires="softening_length"),
     Constant(form="friction_limit_deg", unit="deg", digits=2, order=1, requires="friction_limit_deg"),
     Constant(form="inertial_number", unit="-", digits=3, order=1, requires="friction_limit_deg"),
+    Constant(form="permeability", unit="m/s", digits=7, order=0, requires="permeability"),
+    Constant(form="consolidation", unit="m^2/s", digits=6, order=0, requires="consolidation"),
 )
 _AXES = {"x": 0, "y": 1, "z": 2}
 _VELOCITY: dict[str, Any] = {"unit": "m/s", "digits": 3, "attribute": "velocity", "input": with_velocity}
@@ -357,6 +362,7 @@ KINDS: dict[str, Kind] = {
         Extent(form="baffles[].height", axis=_AXES["y"], positive=False, **_BAFFLE),
         Extent(form="baffles[].width", axis=_AXES["z"], positive=False, **_BAFFLE),
         Kind(form="masses[].k0", unit="-", digits=3),
+        Kind(form="masses[].initial_pore_pressure_ratio", unit="-", digits=3),
         Kind(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
         Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
         Kind(form="solids[].friction", unit="-", digits=3, input=with_ground_friction),

@@ -168,6 +168,7 @@ class Batch:
             raise InputError(f"expected a smaller run: {room.sum()} nodes in use, of at most {2**31 // NODE}")
         self.workers[:, Worker.NODE] = np.cumsum(room) - room
         self.grid = aligned((int(room.sum()), NODE), self.state.dtype)
+        self.cells = aligned((2 * len(self.grid) if self.features.wet else 1, NODE), self.state.dtype)
 
     def grow_grid(self) -> bool:
         """Give the workers whose columns need more nodes than they have room for more room; whether there were any."""
@@ -244,11 +245,19 @@ class Batch:
             put_vectors(portion, features.state.contacts, contacts)
         if particles.velocity_gradients.any():
             put(features.state.affine, particles.velocity_gradients.reshape(count, -1))
-        if any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
+        if features.wet or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.
             from mpm.initial.stress import initial_tractions
 
-            stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype))
+            water = None
+            if features.wet:
+                from mpm.initial.water import initial_water
+
+                pressure, wet, share = initial_water(scene, particles, particles.positions)
+                water = pressure, share
+                put(features.state.pore_pressure, pressure[:, None])
+                put(features.state.saturated, wet[:, None])
+            stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype), water)
             put(features.state.stress, stress)
             if features.contact:
                 put(features.state.contacts + Contact.NORMAL + features.dimension, shear)
@@ -279,13 +288,14 @@ class Batch:
         shapes: dict[str, tuple[int, ...]] = {"positions": (features.dimension,)}
         if self.recording.fields:
             shapes |= {"velocities": (features.dimension,), "stress": (features.stresses,), "plastic_strain": ()}
+            shapes |= {"pore_pressure": ()} if features.wet else {}
         return {name: np.zeros((kept, count, *shape), np.float32) for name, shape in shapes.items()}
 
     def store(self, index: int, slot: int) -> None:
         """Record the present state of one scene as kept frame `slot`, or as the next one of the file."""
         features, order = self.features, self.order_of(index)
         first = {"positions": 0, "velocities": features.state.velocity, "stress": features.state.stress}
-        first["plastic_strain"] = features.state.plastic_strain
+        first |= {"plastic_strain": features.state.plastic_strain, "pore_pressure": features.state.pore_pressure}
         for name, array in self.record[index].items():
             numbers = self.numbers(index, first[name], math.prod(array.shape[2:]))
             array[0 if self.file is not None else slot, order] = numbers.T.reshape(array.shape[1:])

@@ -102,6 +102,8 @@ class Features:
     """Side walls of a scene in 2D brake it (`mpm.physics.channel`)."""
     outflow: bool = False
     """A side of the box lets particles out."""
+    wet: bool = False
+    """Water fills the pores of a material (`mpm.physics.water`)."""
     barriers: bool = False
     """Masses stand behind barriers until their release."""
     gates: bool = False
@@ -173,6 +175,9 @@ class Features:
             properties=self.columns if self.heterogeneous else 0,
             remainder=size if self.compensated else 0,  # what rounding has kept from the position [m]
             before=size if self.recorded.until_rest else 0,  # the velocity at the end of the frame before
+            pore_pressure=int(self.wet),  # [Pa]
+            saturated=int(self.wet),  # 1 where water fills the pores, else 0
+            volume_strain=int(self.wet),  # of a step [-]
         )
 
     @cached_property
@@ -226,6 +231,8 @@ def features_of(
     asked = any(scene.volume_correction for scene in scenes)
     require(law.OPENS or not asked, "volume_correction", "false or none beside a law without gaps", "true")
     stages = [stage for scene in scenes for stage in scene.stages]
+    wet = any(material.saturated for material in materials)
+    require(not (wet and gpu), "material.saturated", "false on a GPU, which knows no pore water yet", "true")
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
@@ -240,6 +247,7 @@ def features_of(
         turbulent=any(any(drags_of(scene)) for scene in scenes),
         channel=any(scene.channel is not None for scene in scenes),
         outflow=any(scene.open_sides for scene in scenes),
+        wet=wet,
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
         recorded=Recorded(strain=record.fields, walls=record.wall_forces, until_rest=record.until_rest),

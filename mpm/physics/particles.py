@@ -12,6 +12,7 @@ from mpm.physics.contact import (
     motion_and_stress,
     record_traction,
     shear_traction_step,
+    total_stress,
     touches,
     with_jump,
 )
@@ -19,6 +20,7 @@ from mpm.physics.contact_search import find_contacts
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
 from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_gap
+from mpm.physics.water import give_to_cells
 
 
 @ti.func
@@ -57,6 +59,8 @@ def update_block(worker, table, scene, block, scratch, dt, kappa, arrays: ti.tem
     if ti.static(features.contact):
         mass = volume * property_of(scene, block, Property.DENSITY, arrays)
         find_contacts(block, scratch, mass, worker, scene, arrays)
+    if ti.static(features.wet):
+        give_to_cells(scene, table, block, scratch, arrays)
 
 
 @ti.func
@@ -125,11 +129,21 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     strengths = strengths_of(scene, block, dt, arrays)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
-    increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
+    modulus = lame + 2.0 * shear + 0.0 * stress[0]
+    if ti.static(features.wet):
+        a = dt * dt * arrays.settings[scene, Setting.WATER_WAVE] / arrays.settings[scene, Setting.CELL] ** 2
+        gives = arrays.settings[scene, Setting.WATER_MODULUS] / (1.0 + arrays.settings[scene, Setting.WATER_LIMIT] * a)
+        modulus = modulus + gives * arrays.state[first + features.state.saturated]
+    increment = strain_increment(block, scratch, near, modulus, dt, arrays)
     opened = 0.0 * stress[0]
     if ti.static(features.volume_correction):
         if is_loose(block, arrays):
             opened = opened_of(scene, block, scratch, strengths[3], lame + shear * (2.0 / 3.0), dt, arrays)
+    if ti.static(features.wet):
+        volumetric = increment[0] + increment[features.dimension + 1]
+        if ti.static(features.dimension == 3):
+            volumetric += increment[8]
+        arrays.state[first + features.state.volume_strain] = volumetric
     new = stress_step(stress, increment, opened, strengths, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.state.stress + k] = new[k]
@@ -169,7 +183,8 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     increment = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):
         if near:
-            motion, stress = motion_and_stress(block, scratch, arrays)
+            motion, _ = motion_and_stress(block, scratch, arrays)
+            stress = total_stress(block, arrays)
             jump = jump_at_contact(motion, stress, modulus, dt, features.dimension)
             strained = with_jump(increment, jump, motion[2], features.dimension)
             for k in ti.static(range(features.dimension**2)):
