@@ -239,7 +239,7 @@ def features_of(
         damped=any(scene.damping > 0.0 for scene in scenes),
         law_name=materials[0].law,
         **law.features(materials, stages),
-        volume_correction=law.OPENS and any(remembers_gaps(scene) for scene in scenes),
+        volume_correction=law.OPENS and (wet or any(remembers_gaps(scene) for scene in scenes)),
         heterogeneous=any(varies(scene) for scene in scenes),
         contact=any(scene.baffles or scene.solids for scene in scenes),
         listed=any(has_faces(scene) for scene in scenes),

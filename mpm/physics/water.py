@@ -29,7 +29,7 @@ A uniform strain is exact before the first.
 
 import taichi as ti
 
-from mpm.arrays.access import clamp, columns_deep, minimum, no_overflow
+from mpm.arrays.access import clamp, columns_deep, maximum, minimum, no_overflow
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
 from mpm.physics.boundary import is_wall
@@ -39,7 +39,7 @@ from mpm.physics.transfer import particles_in, property_of, volume_of
 
 WATER_WEIGHT = 1000.0
 """Density of water [kg/m^3]."""
-MOST = 25.0
+MOST = 10.0
 """Diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice."""
 FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12
 """Sweeps: so many, more by the coefficient of the Laplacian over dx^2, at most."""
@@ -224,15 +224,19 @@ def source_of_cell(cell, place, table, scene, known: ti.template(), arrays: ti.t
                     if ti.static(k == axis):
                         part += away
                     weight += WATER_WEIGHT * dx * pull[k] * part
-                step = other[Pore.PRESSURE] - own
-                inflow += (step - weight) / apart
-                rise += away * step
+                step = ti.max(other[Pore.PRESSURE], 0.0) - ti.max(own, 0.0)
+                flow = (step - weight) / apart
+                # Nothing flows out of pores that are not full.
+                if (flow > 0.0 and other[Pore.PRESSURE] > 0.0) or (flow < 0.0 and own > 0.0):
+                    inflow += flow
+                rise += away * (other[Pore.PRESSURE] - own)
                 run += apart
             elif kind == Face.SURFACE or kind == Face.DRAIN:
                 distance = 0.5 + 0.0 * gap
                 if kind == Face.SURFACE:
                     distance, surfaces = gap, surfaces + 1
-                inflow -= own / distance + WATER_WEIGHT * dx * pull[axis] * away
+                if own > 0.0:
+                    inflow -= ti.max(own / distance + WATER_WEIGHT * dx * pull[axis] * away, 0.0)
         if run > 0.0:
             given[Pore.SLOPE_X + axis - NODE] = rise / run
     if surfaces == 0:
@@ -297,17 +301,21 @@ def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
             arrays.lanes[state + features.state.pore_pressure * lanes] = p
             strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
             arrays.scratch_lanes[own + (free + 1) * lanes] = strain
-            arrays.lanes[state + features.state.volume_strain * lanes] = (
-                arrays.settings[scene, Setting.WATER_WEIGHT] * given[Pore.CHANGE - NODE]
-            )
+    share_strain(scene, block, arrays.scratch[values + free + 1], arrays)
+
+
+@ti.func
+def share_strain(scene, block, strain, arrays: ti.template()):
+    """Give the grains of a block `strain` [-], by which the volume strain of their cells exceeds their own."""
+    features, first = arrays.features, no_overflow(block * arrays.features.state.size)
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
-    level = (lame + 2.0 / features.dimension * shear) * arrays.scratch[values + free + 1]
-    at = first + features.state.stress
-    mean = (arrays.state[at] + arrays.state[at + 1] + arrays.state[at + 2]) / 3.0
-    # What bears nothing, or would be pulled, stays as it is.
-    level = ti.select(mean < 0.0, minimum(level, 0.0 - mean), 0.0)
+    stress, gap = first + features.state.stress, first + features.state.gap
+    mean = (arrays.state[stress] + arrays.state[stress + 1] + arrays.state[stress + 2]) / 3.0
+    opened = arrays.state[gap]
+    # Below 0 what they bear, above it by how much they are open.
+    level = ti.select(opened > 0.0, opened, mean) + (lame + shear * (2.0 / 3.0)) * strain
+    moved = strain != 0.0
+    arrays.state[gap] = ti.select(moved, maximum(level, 0.0), opened)
     for k in ti.static(range(3)):
-        part = level
-        if ti.static(k == 2 and features.dimension == 2):
-            part = level * lame / (lame + shear)
-        arrays.state[at + k] = arrays.state[at + k] + part
+        own = arrays.state[stress + k]
+        arrays.state[stress + k] = ti.select(moved, own + (minimum(level, 0.0) - mean), own)
