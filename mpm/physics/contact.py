@@ -248,7 +248,8 @@ def total_stress(block, arrays: ti.template()):
     first = no_overflow(block * features.state.size)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     if ti.static(features.wet):
-        p = maximum(arrays.state[first + features.state.pore_pressure], 0.0)
+        held = arrays.state[first + features.state.pore_pressure]
+        p = maximum(held + arrays.state[first + features.state.volume_strain], 0.0)
         return [stress[k] - p if k < 3 else stress[k] for k in ti.static(range(features.stresses))]
     else:
         return stress

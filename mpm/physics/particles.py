@@ -8,6 +8,7 @@ from mpm.physics.boundary import is_wall
 from mpm.physics.contact import (
     contact_at,
     contact_of,
+    foot_velocity,
     jump_at_contact,
     motion_and_stress,
     record_traction,
@@ -129,12 +130,7 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     strengths = strengths_of(scene, block, dt, arrays)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
-    modulus = lame + 2.0 * shear + 0.0 * stress[0]
-    if ti.static(features.wet):
-        a = dt * dt * arrays.settings[scene, Setting.WATER_WAVE] / arrays.settings[scene, Setting.CELL] ** 2
-        gives = arrays.settings[scene, Setting.WATER_MODULUS] / (1.0 + arrays.settings[scene, Setting.WATER_LIMIT] * a)
-        modulus = modulus + gives * arrays.state[first + features.state.saturated]
-    increment = strain_increment(block, scratch, near, modulus, dt, arrays)
+    increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
     opened = 0.0 * stress[0]
     if ti.static(features.volume_correction):
         if is_loose(block, arrays):
@@ -183,9 +179,14 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     increment = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):
         if near:
-            motion, _ = motion_and_stress(block, scratch, arrays)
+            motion, _grains = motion_and_stress(block, scratch, arrays)
             stress = total_stress(block, arrays)
             jump = jump_at_contact(motion, stress, modulus, dt, features.dimension)
+            if ti.static(features.wet):
+                # Water and grains remember what opens.
+                _foot, opening = foot_velocity(motion, features.dimension)
+                wet = arrays.state[first + features.state.saturated] > 0.0
+                jump = ti.select(wet, dt * motion[2][Contact.DELTA] * opening, jump)
             strained = with_jump(increment, jump, motion[2], features.dimension)
             for k in ti.static(range(features.dimension**2)):
                 increment[k] = strained[k]

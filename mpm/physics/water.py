@@ -301,6 +301,9 @@ def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
             arrays.lanes[state + features.state.pore_pressure * lanes] = p
             strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
             arrays.scratch_lanes[own + (free + 1) * lanes] = strain
+            arrays.lanes[state + features.state.volume_strain * lanes] = (
+                arrays.settings[scene, Setting.WATER_WEIGHT] * given[Pore.CHANGE - NODE]
+            )
     share_strain(scene, block, arrays.scratch[values + free + 1], arrays)
 
 
