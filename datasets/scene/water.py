@@ -27,8 +27,7 @@ DENSITY = 1000.0
 """Of water [kg/m^3]."""
 NO_GRAVITY = 1.0e-9
 """Less than any [m/s^2]."""
-import os
-STIFFER = float(os.environ.get("STIFF","20"))
+STIFFER = 20.0
 """Q / M [-]."""
 DRAINED, UNDRAINED = 3.0, 0.01
 """c_v t / h^2 from which on a layer of thickness h has consolidated by 99.9 %, and up to which by a ninth at most."""
@@ -93,4 +92,4 @@ def pore_numbers(scene: "SceneLayout") -> tuple[float, float, float]:
     if material is None:
         return 0.0, 0.0, 0.0
     modulus = STIFFER * constrained_modulus(material)
-    return modulus, modulus * mobility(material, scene.gravity), modulus / material.density * float(os.environ.get("WAVE","1"))
+    return modulus, modulus * mobility(material, scene.gravity), modulus / material.density

@@ -57,8 +57,6 @@ class Setting(Column):
     WATER_MODULUS = auto()  # Q (`mpm.physics.water`) [Pa]
     WATER_DIFFUSION = auto()  # Q kappa [m^2/s]
     WATER_WAVE = auto()  # Q over the density of the mixture [m^2/s^2]
-    WATER_WEIGHT = auto()  #
-    WATER_LIMIT = auto()  #
     DRAINED = auto()  # 1 where floor and solids let water out, else 0
 
 
@@ -228,7 +226,6 @@ class Face(Column):
     CELL = auto()  # another one
     SURFACE = auto()
     DRAIN = auto()  # a solid that lets water out
-    TOUCH = auto()  # a solid that does not
     GAP = auto()  # a cell without water, and another one behind it
 
 

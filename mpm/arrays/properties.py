@@ -89,9 +89,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
         Setting.WEIGHT: weight,
         Setting.REST_ENERGY: REST_ENERGY * weight * scene_height(scene),
-        Setting.WATER_WEIGHT: float(__import__("os").environ.get("THETA","1")),
-        Setting.WATER_LIMIT: float(__import__("os").environ.get("LIM","2")),
-        Setting.DRAINED: float(scene.water.drained) or -float(__import__("os").environ.get("TOUCH","1.5")),
+        Setting.DRAINED: float(scene.water.drained),
         **dict(zip((Setting.WATER_MODULUS, Setting.WATER_DIFFUSION, Setting.WATER_WAVE), pores, strict=True)),
     }
     return [values[column] for column in Setting]

@@ -43,8 +43,8 @@ MOST = 10.0
 """Diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice."""
 FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12
 """Sweeps: so many, more by the coefficient of the Laplacian over dx^2, at most."""
-import os
-TOUCHING = float(os.environ.get("TOUCH", "1.5"))
+DAMPING = 0.5
+"""Part of its last change by which the pressure in the forces is ahead: it damps the water's pressure waves."""
 LEANING = 0.05
 """Least component of a solid's normal along an axis by which it closes the cells' faces across that."""
 
@@ -190,8 +190,6 @@ def beyond_face(cell, place, face: ti.template(), table, scene, arrays: ti.templ
         kind = Face.CELL
     elif solid == 1 or (edge and is_wall(face, scene, arrays) == 1):
         kind = Face.TIGHT
-        if solid == 1:
-            kind = Face.TOUCH
         if (solid == 1 or face == 2) and arrays.settings[scene, Setting.DRAINED] > 0.0:
             kind = Face.DRAIN
     elif neighbour(place, face, 2, table, scene, arrays) >= 0:
@@ -272,8 +270,6 @@ def relax_cell(cell, place, table, scene, known: ti.template(), arrays: ti.templ
                 diagonal += known[1] / gap
             elif kind == Face.DRAIN:
                 diagonal += known[0] / 0.5
-            elif kind == Face.TOUCH:
-                diagonal += (known[1] - known[0]) * (0.0 - arrays.settings[scene, Setting.DRAINED])
             elif kind == Face.GAP:
                 # Water does not pass it, but what is beside it gives way.
                 diagonal += (known[1] - known[0]) / gap
@@ -301,9 +297,7 @@ def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
             arrays.lanes[state + features.state.pore_pressure * lanes] = p
             strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
             arrays.scratch_lanes[own + (free + 1) * lanes] = strain
-            arrays.lanes[state + features.state.volume_strain * lanes] = (
-                arrays.settings[scene, Setting.WATER_WEIGHT] * given[Pore.CHANGE - NODE]
-            )
+            arrays.lanes[state + features.state.volume_strain * lanes] = DAMPING * given[Pore.CHANGE - NODE]
     share_strain(scene, block, arrays.scratch[values + free + 1], arrays)
 
 
