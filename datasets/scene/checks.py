@@ -10,7 +10,7 @@ from datasets.geometry.shapes import check_rows, check_solid, check_vector, usua
 from datasets.scene.grid_field import FRICTION, VELOCITIES
 from datasets.scene.material import ANGLES, MOHR_COULOMB
 from datasets.scene.parts import DOMAIN_SIDES, ROUGH, TOLERANCE, Mass, SceneLayout, keyed
-from datasets.scene.water import Water, saturated
+from datasets.scene.water import saturated
 from datasets.schema import FARTHEST
 
 MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28
@@ -162,9 +162,18 @@ def check_k0(scene: SceneLayout) -> None:
 
 
 def check_water(scene: SceneLayout) -> None:
-    """Raise InputError for water that nothing in the scene holds."""
-    wet = saturated(scene)
-    require(wet is not None or scene.water == Water(), "water", "a saturated material beside it", "none")
+    """Raise InputError for water that nothing in the scene holds, and for what its solver does not know."""
+    if saturated(scene) is None:
+        require(scene.water is None, "water", "a saturated material beside it", "none")
+    else:
+        # The box takes friction of a node's whole impulse, of water and grains together.
+        ground = any(solid.kind == "terrain" for solid in scene.solids) or "y-" in scene.open_sides
+        floor = scene.floor_friction if not ground else 0.0
+        expected = "0 under a saturated mass, and a terrain with friction on the floor"
+        require(floor == 0.0, "floor_friction", expected, floor)
+        require(scene.wall_friction == 0.0, "wall_friction", "0 beside a saturated mass", scene.wall_friction)
+        keeps = scene.volume_correction is not False
+        require(keeps, "volume_correction", "true or none beside saturated material", "false")
     for key, mass in keyed(scene, "masses").items():
         ratio = mass.initial_pore_pressure_ratio
         holds = ratio is None or scene.material_of(mass).saturated

@@ -279,8 +279,8 @@ class SceneLayout(Record):
     """Other fixed rigid bodies: boxes, polygons, terrain, meshes."""
     channel: Channel | None = None
     """Side walls of a scene in 2D; none where absent."""
-    water: Water = Water()
-    """Where the water stands in saturated material."""
+    water: Water | None = None
+    """Where the water stands in saturated material, to the top of each mass where absent."""
     open_sides: tuple[str, ...] = ()
     """Sides of the box that let material out, of "x-", "x+", "y-", "y+", "z-" and "z+"."""
     duration: Time = 1.0

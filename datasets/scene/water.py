@@ -4,9 +4,9 @@ The pore pressure p of a mixture whose grains and water move together follows
 
     dp/dt = Q (div(kappa (grad p - rho_w g)) - div v),    kappa = k / (rho_w g)
 
-with the permeability k [m/s] and a bulk modulus Q of the water per volume of the mixture. Q is numerical: `STIFFER` times
-the constrained modulus M of the skeleton, far below that of water, of which a flow does not take notice as long as Q >> M.
-The coefficient of consolidation is that of the mixture as it is computed,
+with the permeability k [m/s] and a bulk modulus Q of the water per volume of the mixture. Q is numerical: `STIFFER`
+times the constrained modulus M of the skeleton, far below that of water, of which a flow does not take notice as long
+as Q >> M. The coefficient of consolidation is that of the mixture as it is computed,
 
     c_v = kappa M Q / (M + Q)    (Terzaghi 1923; k M / (rho_w g) for stiff water),
 

@@ -181,6 +181,20 @@ class ChannelFriction(Kind):
         return {"channel": replace(draft.channel, friction_deg=value)}
 
 
+class WaterLevel(Kind):
+    """Elevation of the water table at the start [m]."""
+
+    def check(self, scene: Scene) -> None:
+        if scene.water is None or scene.water.level is None:
+            raise InputError("expected a scene with a water.level, there is none")
+
+    def holder(self, scene: Scene | Draft) -> Any:
+        return scene.water
+
+    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
+        return {"water": replace(draft.water, level=value)}
+
+
 class Clock(Kind):
     """By how much the clock of the observations starts after the flow [s]; the flow itself has none."""
 
@@ -350,6 +364,7 @@ KINDS: dict[str, Kind] = {
     for each in (
         *_MATERIAL,
         Kind(form="floor_friction", unit="-", digits=3, input=with_floor_friction),
+        WaterLevel(form="water.level", unit="m", digits=4, positive=False),
         ChannelFriction(form="channel.friction_deg", unit="deg", digits=2),
         Kind(form="wall_friction", unit="-", digits=3, input=with_constant),
         Kind(form="baffle_friction", unit="-", digits=3, input=with_baffle_friction),

@@ -89,7 +89,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
         Setting.WEIGHT: weight,
         Setting.REST_ENERGY: REST_ENERGY * weight * scene_height(scene),
-        Setting.DRAINED: float(scene.water.drained),
+        Setting.DRAINED: float(scene.water is not None and scene.water.drained),
         **dict(zip((Setting.WATER_MODULUS, Setting.WATER_DIFFUSION, Setting.WATER_WAVE), pores, strict=True)),
     }
     return [values[column] for column in Setting]

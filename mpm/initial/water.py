@@ -28,7 +28,7 @@ def initial_water(scene: Scene, particles: Particles, positions: Floats) -> tupl
 
     pressure, wet, share = np.zeros((3, len(positions)))
     share += 1.0
-    level = np.inf if scene.water.level is None else scene.water.level
+    level = np.inf if scene.water is None or scene.water.level is None else scene.water.level
     for number, (key, mass) in enumerate(keyed(scene, "masses").items()):
         if not scene.material_of(mass).saturated:
             continue

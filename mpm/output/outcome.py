@@ -90,7 +90,8 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     it was computed; `release_time` [s], when each mass was let go, where barriers hold one, None where it still is;
     `stage_time` [s], when each stage began, None where it did not; where asked for the momentum that the sides of the
     box and the barriers have taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`;
-    `outflow` [kg] through each open side; `drainage`, in words, where water fills pores; `wall_s` of all scenes that ran together, compilation apart.
+    `outflow` [kg] through each open side; `drainage`, in words, where water fills pores; `wall_s` of all scenes that
+    ran together, compilation apart.
     """
     if (failed := failure(batch, index)) is not None:
         return failed

@@ -13,18 +13,22 @@ slides grains at random (the locking of Nagtegaal, Parks & Rice 1974, cured as b
     (1 + L) delta = -Q e_c + dt Q kappa div(grad p_c - rho_w g)
     p_p = p_c + delta_c + s_c . (x_p - x_c)
 
-with the slope s_c of p_c between the neighbours of a cell and its centre of mass x_c: so a linear pressure stays as it is,
-and what particles keep of other cells is gone. L = -(dt Q kappa + (dt c)^2) Laplace, c^2 = Q / rho: backward in time for
-the flow of water, and for its pressure waves as much, so that these do not shorten the step. At the length of a wave k
-that takes a part of Q's stiffness, 1 / Q + (dt k)^2 / rho in place of 1 / Q, no more than the skeleton's
-(step_fraction k dx)^2 / M.
+with the slope s_c of p_c between the neighbours of a cell and its centre of mass x_c: so a linear pressure stays as it
+is, and what particles keep of other cells is gone. L = -(dt Q kappa + (dt c)^2) Laplace, c^2 = Q / rho: backward in
+time for the flow of water, and for its pressure waves as much, so that these do not shorten the step. At a wave number
+k 1 / Q + (dt k)^2 / rho then stands for 1 / Q, which over M is (step_fraction k dx)^2 more.
 
-Where a cell has no saturated neighbour is a surface, with p = 0, or something solid, which is tight or a drain: a wall of
-the box or what particles in the cell touch. A gap of one cell between two others is neither. The volume strain of the
-grains themselves becomes that of the cell, too, where they bear something.
+Gauss-Seidel sweeps over red and black cells solve the system, from delta without L on: a few keep it stable, and a
+uniform strain is exact before the first.
 
-Gauss-Seidel sweeps over red and black cells, from -Q e_c + ... on, solve the system: as many as keep what is left stable.
-A uniform strain is exact before the first.
+Where a cell has no saturated neighbour is a surface, with p = 0, through which water leaves and does not enter; or
+something solid, which is tight or a drain: a wall of the box or what particles in the cell touch. A gap of one cell
+between two others is neither.
+
+**Opening.** Water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes before
+it presses again. Grains do the same with their gap (`mpm.physics.volume_correction`), which here follows the volume
+strain of the cell alone: one that grew with the grid's density could never close while water fills it, and the grains
+would have lost their friction for good. For the same reason all that opens at a solid is strain.
 """
 
 import taichi as ti
@@ -307,12 +311,10 @@ def share_strain(scene, block, strain, arrays: ti.template()):
     features, first = arrays.features, no_overflow(block * arrays.features.state.size)
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     stress, gap = first + features.state.stress, first + features.state.gap
-    mean = (arrays.state[stress] + arrays.state[stress + 1] + arrays.state[stress + 2]) / 3.0
-    opened = arrays.state[gap]
-    # Below 0 what they bear, above it by how much they are open.
-    level = ti.select(opened > 0.0, opened, mean) + (lame + shear * (2.0 / 3.0)) * strain
-    moved = strain != 0.0
-    arrays.state[gap] = ti.select(moved, maximum(level, 0.0), opened)
+    opened, change = arrays.state[gap], (lame + shear * (2.0 / 3.0)) * strain
+    # What is open closes first; what would be pulled opens in the next step.
+    level = opened + change
+    arrays.state[gap] = ti.select(opened > 0.0, maximum(level, 0.0), opened)
+    part = ti.select(opened > 0.0, minimum(level, 0.0), change)
     for k in ti.static(range(3)):
-        own = arrays.state[stress + k]
-        arrays.state[stress + k] = ti.select(moved, own + (minimum(level, 0.0) - mean), own)
+        arrays.state[stress + k] = arrays.state[stress + k] + part
