@@ -20,7 +20,7 @@ import torch
 from datasets import Baffle, Channel, Domain, Gate, Mass, Material, Scene, Solid, read_scene
 from datasets.scene.grid_field import Field
 from datasets.scene.particles import initial_particles
-from datasets.scene.water import Water
+from datasets.scene.parts import Water
 from datasets.schema import from_mapping
 from inverse.forward.adjoint import Run
 from inverse.problem import read_problem

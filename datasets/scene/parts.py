@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from datasets.errors import require
 from datasets.scene.grid_field import Field
 from datasets.scene.material import Material
-from datasets.scene.water import Water
 from datasets.schema import FARTHEST, Bounds, Record
 
 Vector = tuple[float, ...]
@@ -175,6 +174,17 @@ class Channel(Record):
     def grip(self) -> float:
         """Friction per volume over the pressure on the walls [1/m]."""
         return 2.0 * math.tan(math.radians(self.friction_deg)) / self.width
+
+
+@dataclass(frozen=True, kw_only=True)
+class Water(Record):
+    """Where the ground water stands at the start of a scene with saturated material."""
+
+    level: Annotated[float | None, Bounds("an elevation in m", ge=-FARTHEST)] = None
+    """Elevation of the water table [m]: saturated material is so below it and moist, without pore pressure, above; the
+    top of each mass where absent."""
+    drained: bool = False
+    """Whether floor and solids let water out; they are tight where absent."""
 
 
 @dataclass(frozen=True, kw_only=True)

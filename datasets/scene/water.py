@@ -13,15 +13,9 @@ as Q >> M. The coefficient of consolidation is that of the mixture as it is comp
 so that a `consolidation` given as c_v is met whatever Q is.
 """
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
-
 from datasets.errors import require
 from datasets.scene.material import Material
-from datasets.schema import FARTHEST, Bounds, Record
-
-if TYPE_CHECKING:
-    from datasets.scene.parts import SceneLayout
+from datasets.scene.parts import SceneLayout
 
 DENSITY = 1000.0
 """Of water [kg/m^3]."""
@@ -33,18 +27,7 @@ DRAINED, UNDRAINED = 3.0, 0.01
 """c_v t / h^2 from which on a layer of thickness h has consolidated by 99.9 %, and up to which by a ninth at most."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Water(Record):
-    """Where the ground water stands at the start of a scene with saturated material."""
-
-    level: Annotated[float | None, Bounds("an elevation in m", ge=-FARTHEST)] = None
-    """Elevation of the water table [m]: saturated material is so below it and moist, without pore pressure, above; the
-    top of each mass where absent."""
-    drained: bool = False
-    """Whether floor and solids let water out; they are tight where absent."""
-
-
-def saturated(scene: "SceneLayout") -> Material | None:
+def saturated(scene: SceneLayout) -> Material | None:
     """The saturated material of a scene; None where it is dry. Raises InputError for several that differ."""
     found = {each for mass in scene.masses if (each := scene.material_of(mass)).saturated}
     require(len(found) < 2, "masses", "one saturated material, beside dry ones", f"{len(found)}")
@@ -69,7 +52,7 @@ def mobility(material: Material, gravity: float) -> float:
     return consolidation(material, gravity) * (1.0 + STIFFER) / (STIFFER * modulus)
 
 
-def drainage(scene: "SceneLayout", time: float) -> str:
+def drainage(scene: SceneLayout, time: float) -> str:
     """Whether the water of a flow of so much `time` [s] stays, leaves or does something between; empty where dry."""
     material = saturated(scene)
     if material is None:
@@ -86,7 +69,7 @@ def drainage(scene: "SceneLayout", time: float) -> str:
     return f"{kind}: {figures}, {float(f'{needed / time:.2g}'):g} times the {time:.3g} s of the run"
 
 
-def pore_numbers(scene: "SceneLayout") -> tuple[float, float, float]:
+def pore_numbers(scene: SceneLayout) -> tuple[float, float, float]:
     """Q [Pa], Q kappa [m^2/s] and Q over the density of the mixture [m^2/s^2]; 0 where a scene is dry."""
     material = saturated(scene)
     if material is None:

@@ -46,6 +46,7 @@ from mpm.arrays.properties import (
 from mpm.arrays.table import DEVICE, RECORD, STEP, arguments
 from mpm.initial.barriers import barrier_tables
 from mpm.initial.slope import begins_as_slope
+from mpm.initial.water import initial_water
 from mpm.output.recording import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, numbered, obstacles_of
 from mpm.solids.terrain_arrays import terrain_arrays, terrain_kept
@@ -82,7 +83,6 @@ class Batch:
         self.features = features_of(scenes, precision, record=record, shared=workers > 1, gpu=gpu)
         features, lanes = self.features, self.features.lanes
         real = np.dtype(np.float32 if precision == "f32" else np.float64)
-
         pairs = list(zip(scenes, self.particles, strict=True))
         self.settings = in_precision([settings_row(s, p) for s, p in pairs], [*Setting], real)
         rows = [properties_row(material, float(p.volume[0])) for p in self.particles for material in p.materials]
@@ -141,8 +141,7 @@ class Batch:
         self.make_grid()
         if gpu:
             self.hold_box()
-        counts = [len(particles.positions) for particles in self.particles]
-        self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if gpu else 0)
+        self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), self.offsets[:, Offset.PARTICLES] * gpu)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
         kept = terrain_kept(scenes, self.offsets, self.workers, features, real)
         self.column_heights, self.kept_columns, self.kept_holds = kept
@@ -249,14 +248,9 @@ class Batch:
             # Imported here: most runs begin without stress and need no sparse solver.
             from mpm.initial.stress import initial_tractions
 
-            water = None
-            if features.wet:
-                from mpm.initial.water import initial_water
-
-                pressure, wet, share = initial_water(scene, particles, particles.positions)
-                water = pressure, share
-                put(features.state.pore_pressure, pressure[:, None])
-                put(features.state.saturated, wet[:, None])
+            water = initial_water(scene, particles) if features.wet else None
+            if water is not None:
+                put(features.state.pore_pressure, water[:, :2])
             stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype), water)
             put(features.state.stress, stress)
             if features.contact:

@@ -20,12 +20,14 @@ from mpm.initial.slope import begins_as_slope, depth_below_top, ground_beneath, 
 Floats = NDArray[np.float64]
 
 
-def initial_water(scene: Scene, particles: Particles, positions: Floats) -> tuple[Floats, Floats, Floats]:
-    """Of particles at `positions` [m], [N, D]: p [Pa], 1 where water fills the pores and else 0, and the share of the
-    normal stress that grains bear [-]; each of shape [N]. Raises InputError for a saturated mass without a stress.
+def initial_water(scene: Scene, particles: Particles) -> Floats:
+    """p [Pa] of each particle, 1 where water fills its pores and else 0, and the share of the normal stress that grains
+    bear [-], shape [N, 3]. Raises InputError for a saturated mass that begins without a stress.
     """
+    # Imported here: it needs a sparse solver.
     from mpm.initial.stress import overburden
 
+    positions = particles.positions
     pressure, wet, share = np.zeros((3, len(positions)))
     share += 1.0
     level = np.inf if scene.water is None or scene.water.level is None else scene.water.level
@@ -50,4 +52,4 @@ def initial_water(scene: Scene, particles: Particles, positions: Floats) -> tupl
         wet[own] = positions[own, 1] < level
         pressure[own] = np.where(positions[own, 1] < level, np.minimum(p, whole), 0.0)
         share[own] -= np.divide(pressure[own], whole, out=np.zeros_like(whole), where=whole > 0.0)
-    return pressure, wet, share
+    return np.stack([pressure, wet, share], axis=1)

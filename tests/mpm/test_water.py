@@ -10,7 +10,8 @@ import pytest
 from datasets import Mass, Material, Scene, Solid, Trajectory
 from datasets.scene import water
 from datasets.scene.grid_field import Field
-from datasets.scene.water import Water, constrained_modulus, drainage
+from datasets.scene.parts import Water
+from datasets.scene.water import constrained_modulus, drainage
 from gns.settings import ModelSettings
 from gns.surroundings.initial import check
 from inverse.parameters.kind import KINDS
