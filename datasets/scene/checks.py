@@ -172,6 +172,10 @@ def check_water(scene: SceneLayout) -> None:
         expected = "0 under a saturated mass, and a terrain with friction on the floor"
         require(floor == 0.0, "floor_friction", expected, floor)
         require(scene.wall_friction == 0.0, "wall_friction", "0 beside a saturated mass", scene.wall_friction)
+        # Without a softening it would go on for ever, and with it the pull of the water.
+        given = [*scene.stages, *(scene.material_of(mass) for mass in scene.masses)]
+        dilation = max(each.dilation_deg or 0.0 for each in given)
+        require(dilation == 0.0, "material.dilation_deg", "0 in a scene with saturated material", dilation)
         keeps = scene.volume_correction is not False
         require(keeps, "volume_correction", "true or none beside saturated material", "false")
     for key, mass in keyed(scene, "masses").items():

@@ -77,6 +77,9 @@ def fields_of(batch: Batch, index: int) -> dict[str, Any]:
     if fields:
         volume, scene = batch.particles[index].volume, batch.scenes[index]
         fields["stress"] = smoothed(fields["stress"], batch.recorded(index), volume, scene)
+        if "pore_pressure" in fields:
+            # Below zero it says how far water has to go before it presses again.
+            fields["pore_pressure"] = np.maximum(fields["pore_pressure"], 0.0)
         fields["pressure"] = -fields["stress"][:, :, :3].sum(axis=2) / 3.0
     return fields
 

@@ -316,5 +316,8 @@ def share_strain(scene, block, strain, arrays: ti.template()):
     level = opened + change
     arrays.state[gap] = ti.select(opened > 0.0, maximum(level, 0.0), opened)
     part = ti.select(opened > 0.0, minimum(level, 0.0), change)
+    if ti.static(features.cohesive):
+        part = ti.select(opened > 0.0, 0.0, change)
+        arrays.state[gap] = opened
     for k in ti.static(range(3)):
         arrays.state[stress + k] = arrays.state[stress + k] + part
