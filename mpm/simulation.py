@@ -112,7 +112,7 @@ def simulate(
     plan = footprint(scene, record=record, precision=precision, workers=parts, gpu=gpu, in_file=file is not None)
     require_memory([plan])
     particles = particles_of([scene])
-    workers = runtime.workers_for(particle_count(scene), threads)
+    workers = min(parts, runtime.workers_for(particle_count(scene), threads))
     runtime.start(precision, threads, arch, enough=workers)
     batch = Batch([scene], precision=precision, workers=parts, record=record, gpu=gpu, particles=particles, file=file)
     if resume is not None:

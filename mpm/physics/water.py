@@ -60,12 +60,6 @@ def number(array: ti.template(), cell, which: ti.template()):
 
 
 @ti.func
-def put_number(array: ti.template(), cell, which: ti.template(), value):
-    """Set it."""
-    array[2 * cell + which // NODE][which % NODE] = value
-
-
-@ti.func
 def find_cells(scene, block, scratch, arrays: ti.template()):
     """Leave in `scratch` the cells of a block, D vectors, and its places from their middles [cells], D more."""
     features = arrays.features
@@ -129,30 +123,30 @@ def update_water(worker, scene, dt, arrays: ti.template()):
     square = arrays.settings[scene, Setting.CELL] ** 2
     diffusion = ti.min(dt * arrays.settings[scene, Setting.WATER_DIFFUSION] / square, MOST)
     stiffness = diffusion + dt * dt * arrays.settings[scene, Setting.WATER_WAVE] / square
-    over_cells(worker, scene, mean_of_cell, (diffusion, stiffness), arrays)
-    over_cells(worker, scene, source_of_cell, (diffusion, stiffness), arrays)
+    over_cells(worker, scene, mean_of_cell, diffusion, arrays)
+    over_cells(worker, scene, source_of_cell, diffusion, arrays)
     sweeps = ti.min(FEWEST_SWEEPS + ti.cast(SWEEPS * stiffness, ti.i32), MOST_SWEEPS)
     for half in range(2 * sweeps + 1):
-        over_cells(worker, scene, relax_cell, (diffusion, stiffness, half % 2), arrays)
+        relax(worker, scene, stiffness, diffusion, half % 2, arrays)
     table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
         take_from_cells(scene, table, block, scratch, arrays)
 
 
 @ti.func
-def over_cells(worker, scene, operation: ti.template(), known: ti.template(), arrays: ti.template()):
-    """Call operation(cell, place, table, scene, known, arrays) for each cell with water; place: column of nodes, j."""
+def over_cells(worker, scene, operation: ti.template(), diffusion, arrays: ti.template()):
+    """Call operation(cell, place, table, scene, diffusion, arrays) for each cell with water; place: column, j."""
     first = arrays.workers[worker, Worker.COLUMN]
     for n in range(arrays.workers[worker, Worker.ACTIVE]):
         column = arrays.spans[first + n, Span.ACTIVE]
         for j in range(arrays.spans[column, Span.LOW], arrays.spans[column, Span.HIGH]):
             cell = node_at(column, j, arrays)
             if number(arrays.cells, cell, Pore.VOLUME) > 0.0:
-                operation(cell, ti.Vector([column, j]), first, scene, known, arrays)
+                operation(cell, ti.Vector([column, j]), first, scene, diffusion, arrays)
 
 
 @ti.func
-def mean_of_cell(cell, place, table, scene, known: ti.template(), arrays: ti.template()):
+def mean_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
     """Means of a cell in place of its sums."""
     sums = arrays.cells[2 * cell]
     per_volume = 1.0 / sums[Pore.VOLUME]
@@ -202,7 +196,7 @@ def beyond_face(cell, place, face: ti.template(), table, scene, arrays: ti.templ
 
 
 @ti.func
-def source_of_cell(cell, place, table, scene, known: ti.template(), arrays: ti.template()):
+def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
     """The change of the pressure of a cell explicit in time, its slope, and what lies around it."""
     features, dx = arrays.features, arrays.settings[scene, Setting.CELL]
     sums, code, surfaces = arrays.cells[2 * cell], 0, 0
@@ -243,41 +237,55 @@ def source_of_cell(cell, place, table, scene, known: ti.template(), arrays: ti.t
             given[Pore.SLOPE_X + axis - NODE] = rise / run
     if surfaces == 0:
         full = 1.0 + 0.0 * full
-    source = known[0] * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
+    source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
     given[Pore.CHANGE - NODE], given[Pore.SOURCE - NODE] = source / full, source
     given[Pore.SHARE - NODE], given[Pore.FACES - NODE] = full, ti.cast(code, float)
     arrays.cells[2 * cell + 1] = given
 
 
 @ti.func
-def relax_cell(cell, place, table, scene, known: ti.template(), arrays: ti.template()):
-    """One step of Gauss and Seidel for the change of the pressure of a cell of a colour."""
-    features, deep = arrays.features, columns_deep(scene, arrays)
-    colour = place[1] + (place[0] - table) // deep
-    if ti.static(features.dimension == 3):
-        colour += (place[0] - table) % deep
-    if colour % 2 == known[2]:
-        given = arrays.cells[2 * cell + 1]
-        code, total, diagonal = (
-            ti.cast(given[Pore.FACES - NODE], ti.i32),
-            given[Pore.SOURCE - NODE],
-            given[Pore.SHARE - NODE],
-        )
-        gap = ti.max(0.5 * diagonal, 0.25)
-        for face in ti.static(range(2 * features.dimension)):
-            kind = (code >> (3 * face)) & 7
-            if kind == Face.CELL:
-                other = neighbour(place, face, 1, table, scene, arrays)
-                total += known[1] * number(arrays.cells, other, Pore.CHANGE)
-                diagonal += known[1]
-            elif kind == Face.SURFACE:
-                diagonal += known[1] / gap
-            elif kind == Face.DRAIN:
-                diagonal += known[0] / 0.5
-            elif kind == Face.GAP:
-                # Water does not pass it, but what is beside it gives way.
-                diagonal += (known[1] - known[0]) / gap
-        put_number(arrays.cells, cell, Pore.CHANGE, total / diagonal)
+def relax(worker, scene, stiffness, diffusion, colour, arrays: ti.template()):
+    """One step of Gauss and Seidel for the changes of the pressure in the cells of a colour, every other one."""
+    first, deep = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays)
+    for n in range(arrays.workers[worker, Worker.ACTIVE]):
+        column = arrays.spans[first + n, Span.ACTIVE]
+        start = arrays.spans[column, Span.LOW]
+        start += (start + (column - first) // deep + (column - first) % deep + colour) % 2
+        for pair in range((arrays.spans[column, Span.HIGH] - start + 1) // 2):
+            cell = node_at(column, start + 2 * pair, arrays)
+            if number(arrays.cells, cell, Pore.SHARE) > 0.0:
+                relax_cell(cell, column, start + 2 * pair, deep, stiffness, diffusion, arrays)
+
+
+@ti.func
+def relax_cell(cell, column, j, deep, stiffness, diffusion, arrays: ti.template()):
+    """The same for one of them; j: its place in a column of nodes."""
+    given = arrays.cells[2 * cell + 1]
+    code, total, diagonal = (
+        ti.cast(given[Pore.FACES - NODE], ti.i32),
+        given[Pore.SOURCE - NODE],
+        given[Pore.SHARE - NODE],
+    )
+    gap = ti.max(0.5 * diagonal, 0.25)
+    for face in ti.static(range(2 * arrays.features.dimension)):
+        kind = (code >> (3 * face)) & 7
+        if kind == Face.CELL:
+            other = cell + ti.static(2 * (face % 2) - 1)
+            if ti.static(face // 2 == 0):
+                other = node_at(column + ti.static(2 * (face % 2) - 1) * deep, j, arrays)
+            if ti.static(face // 2 == 2):
+                other = node_at(column + ti.static(2 * (face % 2) - 1), j, arrays)
+            total += stiffness * number(arrays.cells, other, Pore.CHANGE)
+            diagonal += stiffness
+        elif kind == Face.SURFACE:
+            diagonal += stiffness / gap
+        elif kind == Face.DRAIN:
+            diagonal += diffusion / 0.5
+        elif kind == Face.GAP:
+            # Water does not pass it, but what is beside it gives way.
+            diagonal += (stiffness - diffusion) / gap
+    given[Pore.CHANGE - NODE] = total / diagonal
+    arrays.cells[2 * cell + 1] = given
 
 
 @ti.func
@@ -312,7 +320,7 @@ def share_strain(scene, block, strain, arrays: ti.template()):
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     stress, gap = first + features.state.stress, first + features.state.gap
     opened, change = arrays.state[gap], (lame + shear * (2.0 / 3.0)) * strain
-    # What is open closes first; what would be pulled opens in the next step.
+    # What is open closes first, what would be pulled opens in the next step; cracks, in cohesive material, close alone.
     level = opened + change
     arrays.state[gap] = ti.select(opened > 0.0, maximum(level, 0.0), opened)
     part = ti.select(opened > 0.0, minimum(level, 0.0), change)

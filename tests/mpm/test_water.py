@@ -182,6 +182,8 @@ def test_scenes_that_water_cannot_be_in_are_refused() -> None:
     assert refused(simulate, scene_of(body, material=WET)).key == "masses[0].k0"
     for key, value in {"floor_friction": 0.4, "wall_friction": 0.4, "volume_correction": False}.items():
         assert refused(layer, None, **{key: value}).key == key
+    dense = dataclasses.replace(WET, dilation_deg=5.0)
+    assert refused(scene_of, dataclasses.replace(body, k0=0.5), material=dense).key == "material.dilation_deg"
     assert refused(scene_of, water=Water(level=0.1)).key == "water"
     ratio = dataclasses.replace(body, initial_pore_pressure_ratio=0.5)
     assert refused(scene_of, ratio).key == "masses[0].initial_pore_pressure_ratio"
