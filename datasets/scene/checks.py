@@ -173,8 +173,8 @@ def check_water(scene: SceneLayout) -> None:
         require(floor == 0.0, "floor_friction", expected, floor)
         require(scene.wall_friction == 0.0, "wall_friction", "0 beside a saturated mass", scene.wall_friction)
         # Without a softening it would go on for ever, and with it the pull of the water.
-        given = [*scene.stages, *(scene.material_of(mass) for mass in scene.masses)]
-        dilation = max(each.dilation_deg or 0.0 for each in given)
+        dilation = max(scene.material_of(mass).dilation_deg for mass in scene.masses)
+        dilation = max(dilation, *(stage.dilation_deg or 0.0 for stage in scene.stages), 0.0)
         require(dilation == 0.0, "material.dilation_deg", "0 in a scene with saturated material", dilation)
         keeps = scene.volume_correction is not False
         require(keeps, "volume_correction", "true or none beside saturated material", "false")

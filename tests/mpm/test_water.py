@@ -1,7 +1,9 @@
 """Pore water: consolidation, undrained strain, rest, sheets on inclines, and what is refused."""
 
 import dataclasses
+import json
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from datasets import Mass, Material, Scene, Solid, Trajectory
 from datasets.scene import water
 from datasets.scene.grid_field import Field
+from datasets.scene.library import scene_from
 from datasets.scene.parts import Water
 from datasets.scene.water import constrained_modulus, drainage
 from gns.settings import ModelSettings
@@ -168,6 +171,16 @@ def test_a_water_table_fills_what_lies_below_it() -> None:
     flow = simulate(scene, record=FIELDS)
     y, p = flow.positions[0, :, 1], pressures(flow)[0]
     assert p == pytest.approx(water.DENSITY * GRAVITY * np.maximum(0.2 - y, 0.0), rel=1.0e-5)
+
+
+def test_a_water_table_counts_from_the_origin_of_a_map() -> None:
+    table = json.loads(layer(None, water=Water(level=0.2)).to_json())
+    table["domain"]["origin"] = [2600000.0, 1200.0]
+    table["masses"][0]["lower"] = [2600000.0, 1200.0]
+    table["water"]["level"] = 1200.2
+    read = scene_from(table, Path()).water
+    assert read is not None
+    assert read.level == 0.2
 
 
 def test_reports_say_whether_water_drains() -> None:
