@@ -33,6 +33,7 @@ would have lost their friction for good. For the same reason all that opens at a
 
 import taichi as ti
 
+from datasets.scene.water import DENSITY
 from mpm.arrays.access import clamp, columns_deep, maximum, minimum, no_overflow
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
@@ -41,8 +42,6 @@ from mpm.physics.columns import node_at
 from mpm.physics.contact import contact_at
 from mpm.physics.transfer import particles_in, property_of, volume_of
 
-WATER_WEIGHT = 1000.0
-"""Density of water [kg/m^3]."""
 MOST = 10.0
 """Diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice."""
 FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12
@@ -219,7 +218,7 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                     part = other[Pore.CENTRE_X + k] - sums[Pore.CENTRE_X + k]
                     if ti.static(k == axis):
                         part += away
-                    weight += WATER_WEIGHT * dx * pull[k] * part
+                    weight += DENSITY * dx * pull[k] * part
                 step = ti.max(other[Pore.PRESSURE], 0.0) - ti.max(own, 0.0)
                 flow = (step - weight) / apart
                 # Nothing flows out of pores that are not full.
@@ -232,7 +231,7 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                 if kind == Face.SURFACE:
                     distance, surfaces = gap, surfaces + 1
                 if own > 0.0:
-                    inflow -= ti.max(own / distance + WATER_WEIGHT * dx * pull[axis] * away, 0.0)
+                    inflow -= ti.max(own / distance + DENSITY * dx * pull[axis] * away, 0.0)
         if run > 0.0:
             given[Pore.SLOPE_X + axis - NODE] = rise / run
     if surfaces == 0:
