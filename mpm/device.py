@@ -76,7 +76,7 @@ def upload(arguments: dict[str, Array], features: Features) -> dict[str, ti.Ndar
             device[name] = device[VIEWS[name]]
             continue
         kind = {"f": ti.f32, "d": ti.f64, "i": ti.i32}[array.dtype.char]
-        nodes = name == "grid"
+        nodes = name in ("grid", "cells")
         device[name] = ti.Vector.ndarray(NODE, kind, len(array)) if nodes else ti.ndarray(kind, array.shape)
         device[name].from_numpy(np.ascontiguousarray(array))
     return device

@@ -38,6 +38,7 @@ from mpm.physics.columns import MARGIN, OUTDATED, has_room, make_columns
 from mpm.physics.grid import clear, relaxation_factor, update_grid, update_node
 from mpm.physics.particles import update_block, update_particles
 from mpm.physics.transfer import number_to_grid, particles_to_grid, prepare_contributions
+from mpm.physics.water import update_water
 
 ITERATIONS = 512
 """The fewest iterations of a loop that Taichi gives to a thread: with fewer, one thread would get the work of several,
@@ -106,6 +107,8 @@ def step(thread, scene, dt, kappa, moved, arrays: ti.template()):
         farthest = 0.0 * moved
         for worker in range(first, end):
             farthest = ti.max(farthest, update_particles(worker, scene, dt, kappa, arrays))
+            if ti.static(arrays.features.wet):
+                update_water(worker, scene, dt, arrays)
         moved += farthest
     else:
         moved = 0.0 * moved - 1.0

@@ -18,6 +18,7 @@ from datasets.processes import stopping
 from datasets.scene import Scene
 from datasets.scene.library import read_scene
 from datasets.scene.particles import particle_count
+from datasets.scene.water import saturated
 from mpm.arrays.layout import Precision
 from mpm.footprint import Footprint, expected, footprint, step_spoken
 from mpm.output.checkpoint import Checkpoint, described
@@ -89,7 +90,7 @@ def command(
         wall_forces=fields or forces,
         until_rest=until_rest,
     )
-    workers = parts_for(particle_count(given)) if arch == "cpu" else 1
+    workers = parts_for(particle_count(given), whole=saturated(given) is not None) if arch == "cpu" else 1
     appended = hdf5 and not record.fields and not last_frame and arch == "cpu"
     with naming(Path(scene)):
         plan = footprint(given, record=record, precision=precise, workers=workers, gpu=arch != "cpu", in_file=appended)
@@ -169,6 +170,8 @@ def print_summary(summary: Mapping[str, Any], out: Path) -> None:
         f"{summary['steps']} steps in {summary['wall_s']:.2f} s ({rate:.1f} million particle-steps a second), "
         f"{summary['compile_s']:.2f} s to compile"
     )
+    if water := summary.get("drainage"):
+        print(water)
     print(f"python -m validation.view {out} shows it in a browser")
     for line in summary["remarks"]:
         print(f"talus: {line}", file=sys.stderr)

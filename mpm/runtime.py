@@ -85,10 +85,10 @@ def workers_for(particles: int, threads: int | None = None) -> int:
     return max(1, min(threads or processors(), particles // PARTICLES_PER_WORKER))
 
 
-def parts_for(particles: int, threads: int | None = None) -> int:
+def parts_for(particles: int, threads: int | None = None, *, whole: bool = False) -> int:
     """Parts that one scene of so many particles is computed in, by at most so many threads, all processors by default.
 
-    At least as many as `workers_for`: a thread computes one or several of them.
+    At least as many as `workers_for`: a thread computes one or several of them; one where it has to stay `whole`.
     """
     threads = threads or processors()
-    return workers_for(particles, PARTS if PARTS % threads == 0 else threads)
+    return 1 if whole else workers_for(particles, PARTS if PARTS % threads == 0 else threads)

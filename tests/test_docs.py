@@ -20,6 +20,7 @@ import torch
 from datasets import Baffle, Channel, Domain, Gate, Mass, Material, Scene, Solid, read_scene
 from datasets.scene.grid_field import Field
 from datasets.scene.particles import initial_particles
+from datasets.scene.parts import Water
 from datasets.schema import from_mapping
 from inverse.forward.adjoint import AdjointRun
 from inverse.problem import read_problem
@@ -235,13 +236,13 @@ def rows_of(title: str) -> list[list[str]]:
     return [line.split("|") for line in section(title).splitlines() if line.startswith("|")]
 
 
-@pytest.mark.parametrize("kind", [Scene, Domain, Material, Mass, Gate, Field, Channel, Baffle, Solid])
+@pytest.mark.parametrize("kind", [Scene, Domain, Material, Mass, Gate, Field, Channel, Water, Baffle, Solid])
 def test_every_key_of_a_scene_stands_on_the_page_with_its_default(kind: type) -> None:
     rows = rows_of("Scene (TOML)") if kind is not Solid else []
     if kind in (Mass, Solid):
         rows += rows_of("Solids and bodies (TOML)")
     for field in dataclasses.fields(kind):
-        if field.name in ("domain", "masses", "fields", "baffles", "solids", "stages", "channel"):
+        if field.name in ("domain", "masses", "fields", "baffles", "solids", "stages", "channel", "water"):
             assert f"[{field.name}]" in FORMATS.read_text()
             continue
         row = next((row for row in rows if f"`{field.name}`" in row[1]), None)
@@ -257,8 +258,8 @@ def test_every_key_of_a_trajectory_stands_on_the_page(tmp_path: Path) -> None:
     each, scalars = np.ones(shape[1]), np.zeros(shape[:2])
     stress, impulse = np.zeros((*shape[:2], 4)), np.zeros((shape[0], len(flow.scene.baffles), 2))
     whole = {"volume": each, "mass": np.zeros(shape[1], np.int32), "velocities": np.zeros(shape), "stress": stress}
-    whole |= {"entry_time": np.zeros(shape[1])}
-    whole |= {"pressure": scalars, "plastic_strain": scalars, "solid_impulse": impulse, "summary": {"steps": 7}}
+    whole |= dict.fromkeys(("pressure", "plastic_strain", "pore_pressure"), scalars)
+    whole |= {"entry_time": np.zeros(shape[1]), "solid_impulse": impulse, "summary": {"steps": 7}}
     dataclasses.replace(flow, **whole).save(tmp_path / "trajectory.npz")
     with np.load(tmp_path / "trajectory.npz", allow_pickle=False) as file:
         named = set(re.findall(r"^\| `(\w+)` \|", section("Trajectory (NPZ)"), re.MULTILINE))

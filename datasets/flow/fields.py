@@ -15,6 +15,8 @@ from datasets.scene.particles import initial_particles
 
 Values = dict[str, NDArray[Any]]
 """Of the particles by name, shape [N] or [N, D] each."""
+RECORDED = ("stress", "pressure", "plastic_strain", "pore_pressure")
+"""Fields that a run may have recorded."""
 CONSTANT = ("material", "friction_deg")
 """Fields that do not change."""
 RANGE_QUANTILE = 0.995
@@ -28,6 +30,7 @@ class Colour(StrEnum):
     DISPLACEMENT = "displacement"
     PRESSURE = "pressure"
     PLASTIC_STRAIN = "plastic_strain"
+    PORE_PRESSURE = "pore_pressure"
     MATERIAL = "material"
 
 
@@ -52,6 +55,7 @@ SCALES = {
     Colour.DISPLACEMENT: ColourScale(title="displacement [m]", colours="viridis"),
     Colour.PRESSURE: ColourScale(title="pressure [kPa]", unit=1000.0, colours="plasma"),
     Colour.PLASTIC_STRAIN: ColourScale(title="plastic strain [-]", colours="inferno"),
+    Colour.PORE_PRESSURE: ColourScale(title="pore pressure [kPa]", unit=1000.0, colours="plasma"),
     Colour.MATERIAL: ColourScale(title="friction angle", colours="Set2"),
 }
 
@@ -112,7 +116,7 @@ class FlowFields:
     def at_frame(self, frame: int) -> Values:
         """All that is known of the particles at `frame` besides their positions."""
         trajectory = self.trajectory
-        recorded = {key: getattr(trajectory, key) for key in ("stress", "pressure", "plastic_strain")}
+        recorded = {key: getattr(trajectory, key) for key in RECORDED}
         values = {
             "velocity": self.velocity(frame),
             "displacement": trajectory.positions[frame] - self.start.astype(np.float32),

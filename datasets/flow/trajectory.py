@@ -32,6 +32,7 @@ STORED: dict[str, tuple[type, str]] = {
     "stress": (np.float32, "TNS"),
     "pressure": (np.float32, "TN"),
     "plastic_strain": (np.float32, "TN"),
+    "pore_pressure": (np.float32, "TN"),
     "solid_impulse": (np.float64, "TBD"),
 }
 """As what all but the positions is stored, and its axes: T frames, N particles, D dimensions, S stresses, B solids."""
@@ -77,6 +78,8 @@ class Trajectory:
     """Mean compressive stress -tr(sigma)/3 [Pa], compression positive, shape [T, N]."""
     plastic_strain: Floats | None = None
     """Accumulated equivalent deviatoric plastic strain [-], shape [T, N]."""
+    pore_pressure: Floats | None = None
+    """Pressure of the water in the pores [Pa], shape [T, N]; `stress` and `pressure` are then those of the grains."""
     solid_impulse: NDArray[np.float64] | None = None
     """Momentum given to each solid since the start [N s, in 2D per metre of width], shape [T, B, D].
 

@@ -12,6 +12,7 @@ from datasets.geometry.shapes import check_rows, check_solid, check_vector, usua
 from datasets.scene.grid_field import FRICTION, VELOCITIES
 from datasets.scene.material import ANGLES, MOHR_COULOMB
 from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, SceneLayout, keyed
+from datasets.scene.water import saturated
 from datasets.schema import FARTHEST
 
 MOST_CELLS, MOST_COLUMNS = 2**31 - 1, 2**28
@@ -104,6 +105,7 @@ def check(scene: SceneLayout) -> None:
     require(count <= MOST_PARTICLES, "masses", f"at most {MOST_PARTICLES} particles, so larger cells", f"{count:.3g}")
     check_fields(scene)
     check_k0(scene)
+    check_water(scene)
     check_stages(scene)
     from datasets.geometry.placement import check_overlaps
 
@@ -164,6 +166,31 @@ def check_k0(scene: SceneLayout) -> None:
         high = 1.0 / active + 2.0 * min(ratios) / math.sqrt(active)
         inside = low * (1.0 - SLACK) <= mass.k0 <= high * (1.0 + SLACK)
         require(inside, f"{key}.k0", f"a ratio within active and passive yield, {low:.3g} to {high:.3g}", mass.k0)
+
+
+def check_water(scene: SceneLayout) -> None:
+    """Raise InputError for water that nothing in the scene holds, and for what its solver does not know."""
+    if saturated(scene) is None:
+        require(scene.water is None, "water", "a saturated material beside it", "none")
+    else:
+        # The box takes friction of a node's whole impulse, of water and grains together.
+        ground = any(solid.kind == "terrain" for solid in scene.solids) or "y-" in scene.open_sides
+        floor = scene.floor_friction if not ground else 0.0
+        expected = "0 under a saturated mass, and a terrain with friction on the floor"
+        require(floor == 0.0, "floor_friction", expected, floor)
+        require(scene.wall_friction == 0.0, "wall_friction", "0 beside a saturated mass", scene.wall_friction)
+        # Without a softening it would go on for ever, and with it the pull of the water.
+        dilation = max(scene.material_of(mass).dilation_deg for mass in scene.masses)
+        dilation = max(dilation, *(stage.dilation_deg or 0.0 for stage in scene.stages), 0.0)
+        require(dilation == 0.0, "material.dilation_deg", "0 in a scene with saturated material", dilation)
+        enters = any(mass.kind == INFLOW for mass in scene.masses)
+        require(not enters, "masses", "no inflow in a scene with saturated material", "one")
+        keeps = scene.volume_correction is not False
+        require(keeps, "volume_correction", "true or none beside saturated material", "false")
+    for key, mass in keyed(scene, "masses").items():
+        ratio = mass.initial_pore_pressure_ratio
+        holds = ratio is None or scene.material_of(mass).saturated
+        require(holds, f"{key}.initial_pore_pressure_ratio", "none of a material that is not saturated", ratio)
 
 
 def resting_load(scene: SceneLayout, mass: Mass) -> float:

@@ -82,6 +82,8 @@ def moved(data: dict[str, Any], by: NDArray[np.float64]) -> dict[str, Any]:
     for group, keys in PLACES.items():
         if isinstance(data.get(group), list | tuple):
             new[group] = [moved_entry(entry, keys, by) for entry in data[group]]
+    if isinstance(water := data.get("water"), dict) and isinstance(level := water.get("level"), int | float):
+        new["water"] = {**water, "level": round(level + float(by[1]), DIGITS)}
     return new
 
 

@@ -49,6 +49,8 @@ Ratio = Annotated[float, Bounds(f"a ratio in [0, {LEAST_VOLUME_CHANGE:g}]", ge=0
 Slip = Annotated[float, Bounds("a positive slip in m, 1e-9 to 1e9", ge=1.0e-9)]
 Diameter = Annotated[float, Bounds("a positive length in m, 1e-9 to 1000", ge=1.0e-9, le=1.0e3)]
 Inertial = Annotated[float, Bounds("a positive number, 1e-6 to 1e6", ge=1.0e-6, le=1.0e6)]
+Permeability = Annotated[float | None, Bounds("a permeability of at least 0 m/s, up to 100", ge=0.0, le=100.0)]
+Diffusivity = Annotated[float | None, Bounds("a coefficient of at least 0 m^2/s, up to 1e6", ge=0.0, le=1.0e6)]
 
 SHARED = ("law", "constants", "density", "young", "poisson")
 """Keys that a material of any law has."""
@@ -117,6 +119,13 @@ class Material(Record):
     """Cohesion after softening [Pa], at most `cohesion`, at depth the same share of it; the peak's where absent."""
     residual_tension_cutoff: float | None = None
     """Tension cutoff after softening [Pa], at most that of the peak at the top; that of the peak where absent."""
+    saturated: bool = False
+    """Whether water fills its pores (`mpm.physics.water`): strength is then that of the effective stress, `density`
+    that of grains and water together."""
+    permeability: Permeability = None
+    """Of saturated material k [m/s], with a `young`; undrained where neither this nor `consolidation` is given."""
+    consolidation: Diffusivity = None
+    """Its coefficient of consolidation c_v [m^2/s], in place of the permeability."""
 
     @model_validator(mode="before")
     @classmethod
@@ -161,6 +170,12 @@ class Material(Record):
             require(slow <= self.friction_limit_deg < highest, "friction_limit_deg", expected)
             if self.grain_diameter is None:
                 raise InputError("expected a value with friction_limit_deg, got none", key="material.grain_diameter")
+        for key in ("permeability", "consolidation"):
+            if getattr(self, key) is not None:
+                require(self.saturated, key, "none of a material that is not saturated")
+        if self.permeability is not None:
+            require(self.consolidation is None, "permeability", "one of permeability and consolidation")
+            require(self.young is not None, "permeability", "a young beside it, on which consolidation depends too,")
         if self.residual_friction_deg == 0.0:
             strong = self.residual_cohesion != 0.0 and self.cohesion > 0.0
             require(strong, "residual_friction_deg", "an angle above 0 degrees where no cohesion remains")

@@ -34,6 +34,7 @@ Coefficient = Annotated[float | str, Bounds(f"a coefficient of at least 0 or '{R
 Turbulence = Annotated[float | None, Bounds(f"a positive coefficient in m/s^2, up to {FARTHEST:g}", gt=0.0)]
 Size = Annotated[Vector, Bounds(f"positive lengths in m, above {TOLERANCE:g}", gt=TOLERANCE)]
 K0 = Annotated[float | str, Bounds("a ratio of stresses of at least 0 or 'elastic'", ge=0.0, words=("elastic",))]
+Share = Annotated[float | None, Bounds("a ratio in [0, 1]", ge=0.0, le=1.0)]
 Moment = Annotated[float | str, Bounds("a time in s or 'settled'", words=("settled",))]
 
 
@@ -141,6 +142,9 @@ class Mass(Record):
     """Time [s] until which smooth vertical barriers hold its sides, or "settled"; free from the start where absent."""
     gate: Gate | None = None
     """How these barriers then rise; they are gone at once where absent."""
+    initial_pore_pressure_ratio: Share = None
+    """Of a saturated mass the pore pressure at the start over the total stress normal to its ground [-]; hydrostatic
+    below the water table where absent."""
 
     @property
     def spin(self) -> NDArray[np.float64]:
@@ -182,6 +186,17 @@ class Channel(Record):
     def grip(self) -> float:
         """Friction per volume over the pressure on the walls [1/m]."""
         return 2.0 * math.tan(math.radians(self.friction_deg)) / self.width
+
+
+@dataclass(frozen=True, kw_only=True)
+class Water(Record):
+    """Where the ground water stands at the start of a scene with saturated material."""
+
+    level: Annotated[float | None, Bounds("an elevation in m", ge=-FARTHEST)] = None
+    """Elevation of the water table [m]: saturated material is so below it and moist, without pore pressure, above; the
+    top of each mass where absent."""
+    drained: bool = False
+    """Whether floor and solids let water out; they are tight where absent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,6 +301,8 @@ class SceneLayout(Record):
     """Other fixed rigid bodies: boxes, polygons, terrain, meshes."""
     channel: Channel | None = None
     """Side walls of a scene in 2D; none where absent."""
+    water: Water | None = None
+    """Where the water stands in saturated material, to the top of each mass where absent."""
     open_sides: tuple[str, ...] = ()
     """Sides of the box that let material out, of "x-", "x+", "y-", "y+", "z-" and "z+"."""
     duration: Time = 1.0

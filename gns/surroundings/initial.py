@@ -118,6 +118,7 @@ def check(scene: Scene, settings: ModelSettings) -> None:
         (bool(scene.stages), "stages", "a material that stays as it is"),
         (any(mass.kind == INFLOW for mass in scene.masses), "masses", "masses that are there from the start"),
         (any(mass.release is not None for mass in scene.masses), "masses", "masses that are free from the start"),
+        (any(each.saturated for each in materials), "material.saturated", "dry material"),
         (len({each.density for each in materials}) > 1, "masses", "masses of one density"),
         *((each.law != MOHR_COULOMB, "material.law", repr(MOHR_COULOMB)) for each in materials),
     ]

@@ -32,6 +32,8 @@ UP = 1
 WITHOUT = {
     "softening_length": "it never falls to a residual strength",
     "friction_limit_deg": "its friction does not grow with the rate",
+    "permeability": "its water does not flow",
+    "consolidation": "its water does not flow",
 }
 """What a material does without a constant that another one requires."""
 
@@ -96,8 +98,10 @@ class Kind:
         if self.form == "masses[].height" and (kind := self.holder(scene).kind) != "box":
             raise InputError(f"expected a mass of kind box, got a {kind}")
         if self.axis is None and not isinstance(getattr(self.holder(scene), self.key, 0.0), float | int):
-            owners = {"thickness": "a mass of kind layer", "k0": "a mass", "discharge_factor": "an inflow"}
-            owner = owners.get(self.key, "a surface")
+            masses = dict.fromkeys(("k0", "initial_pore_pressure_ratio"), "a mass")
+            owner = {"thickness": "a mass of kind layer", "discharge_factor": "an inflow", **masses}.get(
+                self.key, "a surface"
+            )
             raise InputError(f"expected {owner} whose {self.key} is a number in the scene, its own is none")
 
     def idle(self, scene: Scene) -> str:
@@ -177,6 +181,20 @@ class ChannelFriction(Kind):
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
         return {"channel": replace(draft.channel, friction_deg=value)}
+
+
+class WaterLevel(Kind):
+    """Elevation of the water table at the start [m]."""
+
+    def check(self, scene: Scene) -> None:
+        if scene.water is None or scene.water.level is None:
+            raise InputError("expected a scene with a water.level, there is none")
+
+    def holder(self, scene: Scene | Draft) -> Any:
+        return scene.water
+
+    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
+        return {"water": replace(draft.water, level=value)}
 
 
 class Clock(Kind):
@@ -336,6 +354,8 @@ _MATERIAL = (
     Residual(form="residual_cohesion", unit="Pa", digits=1, order=1, requires="softening_length"),
     Constant(form="friction_limit_deg", unit="deg", digits=2, order=1, requires="friction_limit_deg"),
     Constant(form="inertial_number", unit="-", digits=3, order=1, requires="friction_limit_deg"),
+    Constant(form="permeability", unit="m/s", digits=7, order=0, requires="permeability"),
+    Constant(form="consolidation", unit="m^2/s", digits=6, order=0, requires="consolidation"),
 )
 _AXES = {"x": 0, "y": 1, "z": 2}
 _VELOCITY: dict[str, Any] = {"unit": "m/s", "digits": 3, "attribute": "velocity", "input": with_velocity}
@@ -346,6 +366,7 @@ KINDS: dict[str, Kind] = {
     for each in (
         *_MATERIAL,
         Kind(form="floor_friction", unit="-", digits=3, input=with_floor_friction),
+        WaterLevel(form="water.level", unit="m", digits=4, positive=False),
         ChannelFriction(form="channel.friction_deg", unit="deg", digits=2),
         Kind(form="wall_friction", unit="-", digits=3, input=with_constant),
         Kind(form="baffle_friction", unit="-", digits=3, input=with_baffle_friction),
@@ -358,6 +379,7 @@ KINDS: dict[str, Kind] = {
         Extent(form="baffles[].height", axis=_AXES["y"], positive=False, **_BAFFLE),
         Extent(form="baffles[].width", axis=_AXES["z"], positive=False, **_BAFFLE),
         Kind(form="masses[].k0", unit="-", digits=3),
+        Kind(form="masses[].initial_pore_pressure_ratio", unit="-", digits=3),
         Kind(form="masses[].height", unit="m", digits=4, attribute="size", axis=_AXES["y"], changes_volume=True),
         Kind(form="masses[].thickness", unit="m", digits=4, changes_volume=True),
         Kind(form="masses[].discharge_factor", unit="-", digits=3, changes_volume=True),

@@ -43,6 +43,7 @@ from mpm.arrays.properties import (
 )
 from mpm.initial.barriers import held_tables
 from mpm.initial.slope import begins_as_slope
+from mpm.initial.water import initial_water
 from mpm.output.recording import ALL, Recording, window_frames
 from mpm.solids.obstacles import initial_contacts, numbered, obstacles_of
 from mpm.solids.terrain_arrays import terrain_arrays, terrain_kept
@@ -147,8 +148,8 @@ class Batch:
     def make_record(self, positions: int, frames: int, impulses: int) -> None:
         """What a run keeps besides the state, with room for so many positions, frames and impulses of all scenes."""
         scenes, features, real = self.scenes, self.features, self.state.dtype
-        counts = [len(particles.positions) for particles in self.particles]
-        self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts if features.processor.gpu else 0)
+        counts = self.offsets[:, Offset.PARTICLES] * features.processor.gpu
+        self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
         kept = terrain_kept(scenes, self.offsets, self.workers, features, real)
         self.column_heights, self.kept_columns, self.kept_holds = kept
@@ -170,6 +171,7 @@ class Batch:
             raise InputError(f"expected a smaller run: {room.sum()} nodes in use, of at most {2**31 // NODE}")
         self.workers[:, Worker.NODE] = np.cumsum(room) - room
         self.grid = aligned((int(room.sum()), NODE), self.state.dtype)
+        self.cells = aligned((2 * len(self.grid) if self.features.wet else 1, NODE), self.state.dtype)
 
     def grow_grid(self) -> bool:
         """Give the workers whose columns need more nodes than they have room for more room; whether there were any."""
@@ -233,11 +235,14 @@ class Batch:
             put_vectors(portion, features.state.contacts, contacts)
         if particles.velocity_gradients.any():
             put(features.state.affine, particles.velocity_gradients.reshape(count, -1))
-        if any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
+        if features.wet or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.
             from mpm.initial.stress import initial_tractions
 
-            stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype))
+            water = initial_water(scene, particles) if features.wet else None
+            if water is not None:
+                put(features.state.pore_pressure, water[:, :2])
+            stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype), water)
             put(features.state.stress, stress)
             if features.contact:
                 put(features.state.contacts + Contact.NORMAL + features.dimension, shear)
@@ -272,13 +277,14 @@ class Batch:
         shapes: dict[str, tuple[int, ...]] = {"positions": (features.dimension,)}
         if self.recording.fields:
             shapes |= {"velocities": (features.dimension,), "stress": (features.stresses,), "plastic_strain": ()}
+            shapes |= {"pore_pressure": ()} if features.wet else {}
         return {name: np.zeros((kept, count, *shape), np.float32) for name, shape in shapes.items()}
 
     def store(self, index: int, slot: int) -> None:
         """Record the present state of one scene as kept frame `slot`, or as the next one of the file."""
         features, order = self.features, self.order_of(index)
         first = {"positions": 0, "velocities": features.state.velocity, "stress": features.state.stress}
-        first["plastic_strain"] = features.state.plastic_strain
+        first |= {"plastic_strain": features.state.plastic_strain, "pore_pressure": features.state.pore_pressure}
         for name, array in self.record[index].items():
             numbers = self.numbers(index, first[name], math.prod(array.shape[2:]))
             array[0 if self.file is not None else slot, order] = numbers.T.reshape(array.shape[1:])

@@ -104,6 +104,8 @@ class Features:
     """A side of the box lets particles out, or particles have not entered yet."""
     inflow: bool = False
     """Particles enter over time (`mpm.physics.inflow`)."""
+    wet: bool = False
+    """Water fills the pores of a material (`mpm.physics.water`)."""
     barriers: bool = False
     """Masses stand behind barriers until their release."""
     gates: bool = False
@@ -176,6 +178,9 @@ class Features:
             remainder=size if self.compensated else 0,  # what rounding has kept from the position [m]
             before=size if self.recorded.until_rest else 0,  # the velocity at the end of the frame before
             entry=(1 + size) * int(self.inflow),  # frames to wait, 0 of what has entered; the velocity then
+            pore_pressure=int(self.wet),  # [Pa]
+            saturated=int(self.wet),  # 1 where water fills the pores, else 0
+            volume_strain=int(self.wet),  # of a step [-]
         )
 
     @cached_property
@@ -230,13 +235,15 @@ def features_of(
     require(law.OPENS or not asked, "volume_correction", "false or none beside a law without gaps", "true")
     stages = [stage for scene in scenes for stage in scene.stages]
     inflow = any(mass.kind == INFLOW for scene in scenes for mass in scene.masses)
+    wet = any(material.saturated for material in materials)
+    require(not (wet and gpu), "material.saturated", "false on a GPU, which knows no pore water yet", "true")
     return Features(
         dimension=scenes[0].dimension,
         precision=precision,
         damped=any(scene.damping > 0.0 for scene in scenes),
         law_name=materials[0].law,
         **law.features(materials, stages),
-        volume_correction=law.OPENS and any(remembers_gaps(scene) for scene in scenes),
+        volume_correction=law.OPENS and (wet or any(remembers_gaps(scene) for scene in scenes)),
         heterogeneous=any(varies(scene) for scene in scenes),
         contact=any(scene.baffles or scene.solids for scene in scenes),
         listed=any(has_faces(scene) for scene in scenes),
@@ -245,6 +252,7 @@ def features_of(
         channel=any(scene.channel is not None for scene in scenes),
         outflow=any(scene.open_sides for scene in scenes) or inflow,
         inflow=inflow,
+        wet=wet,
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
         recorded=Recorded(strain=record.fields, walls=record.wall_forces, until_rest=record.until_rest),

@@ -34,7 +34,7 @@ def named(**groups: str) -> dict[str, ArrayKind]:
 STEP = named(
     BLOCKS="state scratch impulse",
     LANES="lanes scratch_lanes impulse_lanes",
-    NODES="grid",
+    NODES="grid cells",
     REAL="cell_distance terrain terrain_tilts column_heights drag_posts",
     REAL_TABLE="settings properties faces holds kept_holds drags inflows",
     INTEGER="cell_faces near_faces node_holds covered terrain_cells kept_columns arrivals bases",

@@ -54,6 +54,10 @@ class Setting(TableColumn):
     RELAXATION_RATE = auto()  # of the velocity that the grid cannot represent [1/s]
     WEIGHT = auto()  # of all particles [N, per metre of width in 2D]
     REST_ENERGY = auto()  # kinetic energy that counts as none [J, per metre of width in 2D]
+    WATER_MODULUS = auto()  # Q (`mpm.physics.water`) [Pa]
+    WATER_DIFFUSION = auto()  # Q kappa [m^2/s]
+    WATER_WAVE = auto()  # Q over the density of the mixture [m^2/s^2]
+    DRAINED = auto()  # 1 where floor and solids let water out, else 0
 
 
 class Property(TableColumn):
@@ -201,6 +205,31 @@ class Energy(TableColumn):
     POTENTIAL = auto()
     ELASTIC = auto()
     UNBALANCED = auto()  # mean over a frame of sum m |a| over the weight [-], where `rests`; else 0
+
+
+class Pore(TableColumn):
+    """Numbers of a cell in `cells`, those of two nodes: what its particles give, then what becomes of their water."""
+
+    VOLUME = auto()  # of saturated particles [m^D]; from here on means over it
+    STRAIN = auto()  # volume strain of a step [-]
+    PRESSURE = auto()  # [Pa]
+    CLOSED = auto()  # bit f: a solid is beyond face f, x-, x+, y-, ...
+    CENTRE_X, CENTRE_Y, CENTRE_Z = auto(), auto(), auto()  # from the middle of the cell [cells]
+    CHANGE = 8  # of the pressure in a step [Pa]
+    SOURCE = 9  # of it, explicit in time [Pa]
+    SHARE = 10  # of the cell that is full [-]
+    FACES = 11  # base 8, the digit of face f: a `Face`
+    SLOPE_X, SLOPE_Y, SLOPE_Z = 12, 13, 14  # of the pressure [Pa per cell]
+
+
+class Face(TableColumn):
+    """What lies beyond a face of a cell with saturated material."""
+
+    TIGHT = auto()
+    CELL = auto()  # another one
+    SURFACE = auto()
+    DRAIN = auto()  # a solid that lets water out
+    GAP = auto()  # a cell without water, and another one behind it
 
 
 class Barrier(TableColumn):

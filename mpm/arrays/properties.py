@@ -22,6 +22,7 @@ from datasets.geometry.placement import remembers_gaps
 from datasets.scene import NO_SLIP, Scene, coefficient
 from datasets.scene.material import Material
 from datasets.scene.particles import Particles
+from datasets.scene.water import pore_numbers
 from mpm.arrays.features import drags_of, features_of
 from mpm.arrays.layout import Property, Setting
 from mpm.laws import law_named
@@ -69,6 +70,7 @@ def substeps_per_frame(scene: Scene, materials: Sequence[Material]) -> int:
 def settings_row(scene: Scene, particles: Particles) -> list[float]:
     """One line of `settings`, in the order of `Setting`."""
     weight = float((particles.density * particles.volume).sum()) * scene.gravity
+    pores = pore_numbers(scene)
     values = {
         Setting.CELL: scene.domain.cell,
         Setting.FRAME_DT: scene.frame_dt,
@@ -80,13 +82,15 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.SEARCH_DISTANCE: search_distance(scene),
         Setting.DAMPING: scene.damping,
         Setting.GRIP: scene.channel.grip if scene.channel else 0.0,
-        Setting.CORRECTED: float(remembers_gaps(scene)),
-        Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),
+        Setting.CORRECTED: float(remembers_gaps(scene) or pores[0] > 0.0),
+        Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell) * (pores[0] == 0.0),
         Setting.SLOW_AFFINE: 2.0 * scene.gravity / scene.domain.cell,
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
         Setting.WEIGHT: weight,
         Setting.REST_ENERGY: REST_ENERGY * weight * scene_height(scene),
+        Setting.DRAINED: float(scene.water is not None and scene.water.drained),
+        **dict(zip((Setting.WATER_MODULUS, Setting.WATER_DIFFUSION, Setting.WATER_WAVE), pores, strict=True)),
     }
     return [values[column] for column in Setting]
 

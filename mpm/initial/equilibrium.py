@@ -82,6 +82,11 @@ class Equilibrium:
         self.level = [axis for axis in range(self.dimension) if axis != 1]
         self.slip, self.slid = np.zeros((2, *self.nodes.shape))
 
+    def carry(self, pressure: Floats) -> None:
+        """Let water with the pore `pressure` [Pa], shape [N], bear its part: stresses are then those of the grains."""
+        push = self.contact.force(-pressure[self.contact.touching], self.contact.traction)
+        self.gravity = self.gravity + push + self.divergence(pressure[:, None, None] * np.eye(3))
+
     def hold(self, scene: Scene, weights: Any, mass: NDArray[np.int32]) -> None:
         """Find which components of nodes are free, [n, D]; where the box's walls push, 1 towards + and -1 towards -,
         and barriers hold, [n, D]; and which nodes a rough floor holds altogether, [n].

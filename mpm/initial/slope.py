@@ -33,6 +33,8 @@ NEAR, MOST = 0.05, 0.9
 """Distance from the ground, in cells, within which this share of a polygon's lower side lies where it is a sheet."""
 SAMPLES = 33
 """Most places along an axis at which the ground beneath a box is looked at."""
+LEAST = 1.0e-6
+"""Share of the normal stress that grains bear at least."""
 MARGIN = 0.1
 """Share by which sin(phi) is reduced for K."""
 
@@ -151,9 +153,13 @@ def above(other: Mass, mass: Mass, scene: Scene) -> bool:
     )
 
 
-def slope_stress(scene: Scene, particles: Particles, positions: Floats) -> tuple[Floats, Floats]:
+def slope_stress(
+    scene: Scene, particles: Particles, positions: Floats, share: Floats | None = None
+) -> tuple[Floats, Floats]:
     """Of particles at `positions` [m], [N, D]: their stress [Pa], [N, 3, 3], and the shear traction of the ground on
     them [Pa], [N, D]; 0 in masses that do not begin so. A field of friction does not enter.
+
+    share: of the normal stress that grains bear beside water, [N]; all where absent.
     """
     stress, traction = np.zeros((len(positions), 3, 3)), np.zeros(positions.shape)
     for number, mass in enumerate(scene.masses):
@@ -172,8 +178,10 @@ def slope_stress(scene: Scene, particles: Particles, positions: Floats) -> tuple
         load = np.abs(across) * mass_above(scene, mass, positions[own])
         foot = np.maximum(weight * height(scene, mass) * up + load, 1.0e-9)
         strength = material.friction + material.cohesion / foot
-        ratio = np.minimum(np.minimum(steep / np.abs(across), friction), strength)
+        borne = 1.0 if share is None else np.maximum(share[own], LEAST)
+        ratio = np.minimum(np.minimum(steep / np.abs(across) / borne, friction), strength)
         across_stress = -weight * depth_below_top(scene, mass, positions[own], particles.depth[own]) * up - load
+        across_stress *= borne
         square = (math.sin(math.radians(material.phi_deg)) * (1.0 - MARGIN)) ** 2
         half = 2.0 * np.sqrt(np.maximum(square - (1.0 - square) * ratio**2, 0.0))
         least, most = ((1.0 + square + sign * half) / (1.0 - square) for sign in (-1.0, 1.0))

@@ -11,6 +11,7 @@ from datasets.flow.caveats import caveats
 from datasets.flow.measures import extents
 from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.scene import DOMAIN_SIDES
+from datasets.scene.water import drainage
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Energy, Offset, Retained
 from mpm.initial.barriers import retained_masses
@@ -76,6 +77,9 @@ def fields_of(batch: Batch, index: int) -> dict[str, Any]:
     if fields:
         volume, scene = batch.particles[index].volume, batch.scenes[index]
         fields["stress"] = smoothed(fields["stress"], batch.recorded(index), volume, scene)
+        if "pore_pressure" in fields:
+            # Below zero it says how far water has to go before it presses again.
+            fields["pore_pressure"] = np.maximum(fields["pore_pressure"], 0.0)
         fields["pressure"] = -fields["stress"][:, :, :3].sum(axis=2) / 3.0
     return fields
 
@@ -89,7 +93,8 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     it was computed; `release_time` [s], when each mass was let go, where barriers hold one, None where it still is;
     `stage_time` [s], when each stage began, None where it did not; where asked for the momentum that the sides of the
     box and the barriers have taken up to each frame [N s], `side_impulse` of each and their sum `wall_impulse`;
-    `outflow` [kg] through each open side; `wall_s` of all scenes that ran together, compilation apart.
+    `outflow` [kg] through each open side; `drainage`, in words, where water fills pores; `wall_s` of all scenes that
+    ran together, compilation apart.
     """
     if (failed := failure(batch, index)) is not None:
         return failed
@@ -136,6 +141,8 @@ def trajectory(batch: Batch, index: int, *, arch: Arch, wall_s: float, compile_s
     end_time = summary["end_time"]
     kinetic = energies[:, Energy.KINETIC]
     summary["remarks"] = caveats(scene, particles, deposit, kinetic=kinetic, end_time=end_time, outflow=left)
+    if water := drainage(scene, end_time):
+        summary["drainage"] = water
     if scene.stages:
         begun = batch.staged[index, : len(scene.stages)]
         summary["stage_time"] = [frame * scene.frame_dt or None for frame in begun.tolist()]

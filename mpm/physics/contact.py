@@ -57,7 +57,7 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_numbers, maximum, minimum, over_lanes, vectors
+from mpm.arrays.access import add, lane_numbers, maximum, minimum, no_overflow, over_lanes, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.solids.face_lookup import TINY, entry_of, face_number, list_of, normal_of, solid_of
@@ -252,12 +252,24 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
 
 
 @ti.func
+def total_stress(block, arrays: ti.template()):
+    """Stress [Pa] of the particles of a block, that of the grains less the pore pressure; a list of vectors."""
+    features = arrays.features
+    first = no_overflow(block * features.state.size)
+    stress = vectors(arrays.state, first + features.state.stress, features.stresses)
+    if ti.static(features.wet):
+        held = arrays.state[first + features.state.pore_pressure]
+        p = maximum(held + arrays.state[first + features.state.volume_strain], 0.0)
+        return [stress[k] - p if k < 3 else stress[k] for k in ti.static(range(features.stresses))]
+    else:
+        return stress
+
+
+@ti.func
 def push(block, scratch, arrays: ti.template()):
     """Leave the `surface_force` of each particle of a block in `scratch`: the force, then its arm; D vectors each."""
     features = arrays.features
-    first = block * features.state.size + features.state.stress
-    stress = vectors(arrays.state, first, features.stresses)
-    pushed = surface_force(stress, contact_of(block, arrays), features.dimension)
+    pushed = surface_force(total_stress(block, arrays), contact_of(block, arrays), features.dimension)
     for k in ti.static(range(2 * features.dimension)):
         arrays.scratch[scratch + features.scratch.push + k] = pushed[k]
 

@@ -27,10 +27,12 @@ SLOW = 1.0e-3
 
 @ti.func
 def clear(worker, arrays: ti.template()):
-    """Set the nodes of `worker` to zero."""
+    """Set the nodes of `worker`, and their cells, to zero."""
     zero, first = zero_node(), arrays.workers[worker, Worker.NODE]
     for n in range(first, first + arrays.workers[worker, Worker.USED]):
         arrays.grid[n] = zero
+        if ti.static(arrays.features.wet):
+            arrays.cells[2 * n], arrays.cells[2 * n + 1] = zero, zero
 
 
 @ti.func

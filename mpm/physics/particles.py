@@ -8,10 +8,12 @@ from mpm.physics.boundary import is_wall
 from mpm.physics.contact import (
     contact_at,
     contact_of,
+    foot_velocity,
     jump_at_contact,
     motion_and_stress,
     record_traction,
     shear_traction_step,
+    total_stress,
     touches,
     with_jump,
 )
@@ -20,6 +22,7 @@ from mpm.physics.inflow import let_in, waits
 from mpm.physics.stress import midpoint_increment, stress_step
 from mpm.physics.transfer import grid_to_block, property_of
 from mpm.physics.volume_correction import grid_gap, is_loose, kept_gap, updated_gap
+from mpm.physics.water import give_to_cells
 
 
 @ti.func
@@ -64,6 +67,8 @@ def update_block(worker, table, scene, block, scratch, dt, kappa, arrays: ti.tem
     if ti.static(features.contact):
         mass = volume * property_of(scene, block, Property.DENSITY, arrays)
         find_contacts(block, scratch, mass, worker, scene, arrays)
+    if ti.static(features.wet):
+        give_to_cells(scene, table, block, scratch, arrays)
 
 
 @ti.func
@@ -137,6 +142,11 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     if ti.static(features.volume_correction):
         if is_loose(block, arrays):
             opened = opened_of(scene, block, scratch, strengths[3], lame + shear * (2.0 / 3.0), dt, arrays)
+    if ti.static(features.wet):
+        volumetric = increment[0] + increment[features.dimension + 1]
+        if ti.static(features.dimension == 3):
+            volumetric += increment[8]
+        arrays.state[first + features.state.volume_strain] = volumetric
     new = stress_step(stress, increment, opened, strengths, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.state.stress + k] = new[k]
@@ -176,8 +186,14 @@ def strain_increment(block, scratch, near, modulus, dt, arrays: ti.template()):
     increment = midpoint_increment(gradient, features.dimension)
     if ti.static(features.contact):
         if near:
-            motion, stress = motion_and_stress(block, scratch, arrays)
+            motion, _grains = motion_and_stress(block, scratch, arrays)
+            stress = total_stress(block, arrays)
             jump = jump_at_contact(motion, stress, modulus, dt, features.dimension)
+            if ti.static(features.wet):
+                # Water and grains remember what opens.
+                _foot, opening = foot_velocity(motion, features.dimension)
+                wet = arrays.state[first + features.state.saturated] > 0.0
+                jump = ti.select(wet, dt * motion[2][Contact.DELTA] * opening, jump)
             strained = with_jump(increment, jump, motion[2], features.dimension)
             for k in ti.static(range(features.dimension**2)):
                 increment[k] = strained[k]

@@ -35,7 +35,7 @@ from mpm.arrays.features import NODE, REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.columns import node_at
-from mpm.physics.contact import distance_in_widths, push, touches
+from mpm.physics.contact import distance_in_widths, push, total_stress, touches
 from mpm.physics.inflow import waits
 from mpm.physics.volume_correction import held_affine, is_loose, looseness
 
@@ -209,7 +209,7 @@ def leave_contributions(
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
     velocity = vectors(arrays.state, first + features.state.velocity, features.dimension)
     affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
-    stress = vectors(arrays.state, first + features.state.stress, features.stresses)
+    stress = total_stress(block, arrays)
     momentum, slopes, pull, forces = contributions((velocity, affine, stress), mass, volume, pushed, f, dx, features)
     for i in ti.static(range(features.dimension)):
         arrays.scratch[values + i] = momentum[i]
@@ -221,7 +221,8 @@ def leave_contributions(
     arrays.scratch[values + features.dimension] = mass
     if ti.static(features.channel):
         grip = arrays.settings[scene, Setting.GRIP]
-        arrays.scratch[values + features.node.side_friction] = side_friction(stress, volume, grip)
+        grains = vectors(arrays.state, first + features.state.stress, features.stresses)
+        arrays.scratch[values + features.node.side_friction] = side_friction(grains, volume, grip)
     if ti.static(features.turbulent):
         arrays.scratch[values + features.node.distance] = mass * distance_in_widths(scene, block, arrays)
 

@@ -22,7 +22,7 @@ def flow(trajectory: Trajectory) -> Trajectory:
     frames, count = 37, 2000
     steps = stream.normal(0.0, 0.002, (frames, count, 2))
     shapes = {"volume": (count,), "velocities": (frames, count, 2), "stress": (frames, count, 4)}
-    shapes |= dict.fromkeys(("pressure", "plastic_strain"), (frames, count))
+    shapes |= dict.fromkeys(("pressure", "plastic_strain", "pore_pressure"), (frames, count))
     shapes |= {"solid_impulse": (frames, 0, 2), "entry_time": (count,)}
     return dataclasses.replace(
         trajectory,

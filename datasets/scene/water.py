@@ -1,0 +1,78 @@
+"""Pore water of a saturated material: what a scene says of it, and the numbers that the solver takes of that.
+
+The pore pressure p of a mixture whose grains and water move together follows
+
+    dp/dt = Q (div(kappa (grad p - rho_w g)) - div v),    kappa = k / (rho_w g)
+
+with the permeability k [m/s] and a bulk modulus Q of the water per volume of the mixture. Q is numerical: `STIFFER`
+times the constrained modulus M of the skeleton, far below that of water, of which a flow does not take notice as long
+as Q >> M. The coefficient of consolidation is that of the mixture as it is computed,
+
+    c_v = kappa M Q / (M + Q)    (Terzaghi 1923; k M / (rho_w g) for stiff water),
+
+so that a `consolidation` given as c_v is met whatever Q is.
+"""
+
+from datasets.errors import require
+from datasets.scene.material import Material
+from datasets.scene.parts import SceneLayout
+
+DENSITY = 1000.0
+"""Of water [kg/m^3]."""
+NO_GRAVITY = 1.0e-9
+"""Less than any [m/s^2]."""
+STIFFER = 20.0
+"""Q / M [-]."""
+DRAINED, UNDRAINED = 3.0, 0.01
+"""c_v t / h^2 from which on a layer of thickness h has consolidated by 99.9 %, and up to which by a ninth at most."""
+
+
+def saturated(scene: SceneLayout) -> Material | None:
+    """The saturated material of a scene; None where it is dry. Raises InputError for several that differ."""
+    found = {each for mass in scene.masses if (each := scene.material_of(mass)).saturated}
+    require(len(found) < 2, "masses", "one saturated material, beside dry ones", f"{len(found)}")
+    return next(iter(found), None)
+
+
+def constrained_modulus(material: Material) -> float:
+    """M = lambda + 2 G of the skeleton [Pa]."""
+    return material.lame + 2.0 * material.shear_modulus
+
+
+def consolidation(material: Material, gravity: float) -> float:
+    """c_v [m^2/s], 0 of an undrained material."""
+    if material.consolidation is not None:
+        return material.consolidation
+    return (material.permeability or 0.0) * constrained_modulus(material) / (DENSITY * max(gravity, NO_GRAVITY))
+
+
+def mobility(material: Material, gravity: float) -> float:
+    """kappa [m^2/(Pa s)] with which the mixture consolidates as `consolidation` says."""
+    modulus = constrained_modulus(material)
+    return consolidation(material, gravity) * (1.0 + STIFFER) / (STIFFER * modulus)
+
+
+def drainage(scene: SceneLayout, time: float) -> str:
+    """Whether the water of a flow of so much `time` [s] stays, leaves or does something between; empty where dry."""
+    material = saturated(scene)
+    if material is None:
+        return ""
+    from datasets.geometry.bodies import height
+
+    tall = max(height(scene, mass) for mass in scene.masses if scene.material_of(mass) is material)
+    rate = consolidation(material, scene.gravity)
+    if rate == 0.0:
+        return "undrained: the saturated material has no permeability"
+    needed = tall**2 / rate
+    kind = "drained" if time > DRAINED * needed else "undrained" if time < UNDRAINED * needed else "partly drained"
+    figures = f"consolidation over {tall:.3g} m takes {needed:.3g} s"
+    return f"{kind}: {figures}, {float(f'{needed / time:.2g}'):g} times the {time:.3g} s of the run"
+
+
+def pore_numbers(scene: SceneLayout) -> tuple[float, float, float]:
+    """Q [Pa], Q kappa [m^2/s] and Q over the density of the mixture [m^2/s^2]; 0 where a scene is dry."""
+    material = saturated(scene)
+    if material is None:
+        return 0.0, 0.0, 0.0
+    modulus = STIFFER * constrained_modulus(material)
+    return modulus, modulus * mobility(material, scene.gravity), modulus / material.density

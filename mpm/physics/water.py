@@ -1,0 +1,330 @@
+"""Pore water of saturated material: the pressure p beside the effective stress sigma' of the grains.
+
+The stress of the mixture is sigma' - p I; strength is that of sigma'. Grains and water move together but for Darcy's
+flow (Terzaghi 1923; Biot 1941, of grains that cannot be compressed):
+
+    dp/dt = Q [div(kappa (grad p - rho_w g)) - div v]
+
+with Q and kappa of `datasets.scene.water`. p is a field of the cells of the grid, constant volume strain over each:
+that of each particle times Q would make of the scatter of particles, which no node feels, a scatter of p that opens and
+slides grains at random (the locking of Nagtegaal, Parks & Rice 1974, cured as by Hughes 1980). A step is
+
+    p_c = sum_p V_p p_p / sum_p V_p,    e_c = sum_p V_p tr(D_p) / sum_p V_p        over the particles p in cell c
+    (1 + L) delta = -Q e_c + dt Q kappa div(grad p_c - rho_w g)
+    p_p = p_c + delta_c + s_c . (x_p - x_c)
+
+with the slope s_c of p_c between the neighbours of a cell and its centre of mass x_c: so a linear pressure stays as it
+is, and what particles keep of other cells is gone. L = -(dt Q kappa + (dt c)^2) Laplace, c^2 = Q / rho: backward in
+time for the flow of water, and for its pressure waves as much, so that these do not shorten the step. At a wave number
+k 1 / Q + (dt k)^2 / rho then stands for 1 / Q, which over M is (step_fraction k dx)^2 more.
+
+Gauss-Seidel sweeps over red and black cells solve the system, from delta without L on: a few keep it stable, and a
+uniform strain is exact before the first.
+
+Where a cell has no saturated neighbour is a surface, with p = 0, through which water leaves and does not enter; or
+something solid, which is tight or a drain: a wall of the box or what particles in the cell touch. A gap of one cell
+between two others is neither.
+
+**Opening.** Water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes before
+it presses again. Grains do the same with their gap (`mpm.physics.volume_correction`), which here follows the volume
+strain of the cell alone: one that grew with the grid's density could never close while water fills it, and the grains
+would have lost their friction for good. For the same reason all that opens at a solid is strain.
+"""
+
+import taichi as ti
+
+from datasets.scene.water import DENSITY
+from mpm.arrays.access import clamp, columns_deep, maximum, minimum, no_overflow
+from mpm.arrays.features import NODE
+from mpm.arrays.layout import PADDING, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
+from mpm.physics.boundary import is_wall
+from mpm.physics.columns import node_at
+from mpm.physics.contact import contact_at
+from mpm.physics.transfer import particles_in, property_of, volume_of
+
+MOST = 10.0
+"""Diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice."""
+FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12
+"""Sweeps: so many, more by the coefficient of the Laplacian over dx^2, at most."""
+DAMPING = 0.5
+"""Part of its last change by which the pressure in the forces is ahead: it damps the water's pressure waves."""
+LEANING = 0.05
+"""Least component of a solid's normal along an axis by which it closes the cells' faces across that."""
+
+
+@ti.func
+def number(array: ti.template(), cell, which: ti.template()):
+    """One of the numbers of a cell."""
+    return array[2 * cell + which // NODE][which % NODE]
+
+
+@ti.func
+def find_cells(scene, block, scratch, arrays: ti.template()):
+    """Leave in `scratch` the cells of a block, D vectors, and its places from their middles [cells], D more."""
+    features = arrays.features
+    first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
+    for k in ti.static(range(features.dimension)):
+        f = arrays.state[first + k] / arrays.settings[scene, Setting.CELL] + PADDING
+        last = ti.cast(arrays.offsets[scene, Offset.CELLS_X + k] + (PADDING - 1), float)
+        cell = clamp(ti.floor(f), 1.0 * PADDING, last)
+        arrays.scratch[values + k] = cell
+        arrays.scratch[values + features.dimension + k] = f - cell - 0.5
+
+
+@ti.func
+def cell_of(scratch, lane, table, deep, arrays: ti.template()):
+    """The cell of the particle in `lane`, after `find_cells`."""
+    features = arrays.features
+    at = no_overflow(scratch * features.lanes + lane) + features.scratch.values * features.lanes
+    column = table + ti.cast(arrays.scratch_lanes[at], ti.i32) * deep
+    if ti.static(features.dimension == 3):
+        column += ti.cast(arrays.scratch_lanes[at + 2 * features.lanes], ti.i32)
+    return node_at(column, ti.cast(arrays.scratch_lanes[at + features.lanes], ti.i32), arrays)
+
+
+@ti.func
+def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
+    """Add the volume, volume strain, pressure and place of the saturated particles of a block to their cells."""
+    features, lanes, deep = arrays.features, arrays.features.lanes, columns_deep(scene, arrays)
+    first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
+    find_cells(scene, block, scratch, arrays)
+    weight = volume_of(scene, block, arrays) * arrays.state[first + features.state.saturated]
+    none, one = 0.0 * weight, 0.0 * weight + 1.0
+    closed = none
+    if ti.static(features.contact):
+        near = arrays.state[contact_at(block, Contact.DELTA, arrays)] > 0.0
+        for k in ti.static(range(features.dimension)):
+            normal = arrays.state[contact_at(block, Contact.NORMAL + k, arrays)]
+            closed = closed + ti.select(near & (normal > LEANING), one * 4**k, none)
+            closed = closed + ti.select(near & (normal < 0.0 - LEANING), one * (2 * 4**k), none)
+    free = ti.static(2 * features.dimension)
+    arrays.scratch[values + free], arrays.scratch[values + free + 1] = weight, closed
+    for lane in range(particles_in(scene, block, arrays)):
+        own = no_overflow(scratch * lanes + lane) + features.scratch.values * lanes
+        volume = arrays.scratch_lanes[own + free * lanes]
+        if volume > 0.0:
+            at = cell_of(scratch, lane, table, deep, arrays)
+            state = no_overflow(first * lanes + lane)
+            sums = arrays.cells[2 * at]
+            sums[Pore.VOLUME] += volume
+            sums[Pore.STRAIN] += volume * arrays.lanes[state + features.state.volume_strain * lanes]
+            sums[Pore.PRESSURE] += volume * arrays.lanes[state + features.state.pore_pressure * lanes]
+            bits = ti.cast(sums[Pore.CLOSED], ti.i32) | ti.cast(arrays.scratch_lanes[own + (free + 1) * lanes], ti.i32)
+            sums[Pore.CLOSED] = ti.cast(bits, float)
+            for k in ti.static(range(features.dimension)):
+                sums[Pore.CENTRE_X + k] += volume * arrays.scratch_lanes[own + (features.dimension + k) * lanes]
+            arrays.cells[2 * at] = sums
+
+
+@ti.func
+def update_water(worker, scene, dt, arrays: ti.template()):
+    """Bring the pore pressure of a worker's particles forward by a step, after their new places and strains."""
+    square = arrays.settings[scene, Setting.CELL] ** 2
+    diffusion = ti.min(dt * arrays.settings[scene, Setting.WATER_DIFFUSION] / square, MOST)
+    stiffness = diffusion + dt * dt * arrays.settings[scene, Setting.WATER_WAVE] / square
+    over_cells(worker, scene, mean_of_cell, diffusion, arrays)
+    over_cells(worker, scene, source_of_cell, diffusion, arrays)
+    sweeps = ti.min(FEWEST_SWEEPS + ti.cast(SWEEPS * stiffness, ti.i32), MOST_SWEEPS)
+    for half in range(2 * sweeps + 1):
+        relax(worker, scene, stiffness, diffusion, half % 2, arrays)
+    table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
+    for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
+        take_from_cells(scene, table, block, scratch, arrays)
+
+
+@ti.func
+def over_cells(worker, scene, operation: ti.template(), diffusion, arrays: ti.template()):
+    """Call operation(cell, place, table, scene, diffusion, arrays) for each cell with water; place: column, j."""
+    first = arrays.workers[worker, Worker.COLUMN]
+    for n in range(arrays.workers[worker, Worker.ACTIVE]):
+        column = arrays.spans[first + n, Span.ACTIVE]
+        for j in range(arrays.spans[column, Span.LOW], arrays.spans[column, Span.HIGH]):
+            cell = node_at(column, j, arrays)
+            if number(arrays.cells, cell, Pore.VOLUME) > 0.0:
+                operation(cell, ti.Vector([column, j]), first, scene, diffusion, arrays)
+
+
+@ti.func
+def mean_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
+    """Means of a cell in place of its sums."""
+    sums = arrays.cells[2 * cell]
+    per_volume = 1.0 / sums[Pore.VOLUME]
+    for k in ti.static((Pore.STRAIN, Pore.PRESSURE, Pore.CENTRE_X, Pore.CENTRE_Y, Pore.CENTRE_Z)):
+        if ti.static(k < Pore.CENTRE_X + arrays.features.dimension):
+            sums[k] *= per_volume
+    arrays.cells[2 * cell] = sums
+
+
+@ti.func
+def neighbour(place, face: ti.template(), steps: ti.template(), table, scene, arrays: ti.template()):
+    """The cell so many steps beyond a face of the one at `place`, -1 where none with water is."""
+    axis = ti.static(face // 2)
+    towards = ti.static(steps * (2 * (face % 2) - 1))
+    column, j, result = place[0], place[1], -1
+    if ti.static(axis == 0):
+        column += towards * columns_deep(scene, arrays)
+    elif ti.static(axis == 1):
+        j += towards
+    else:
+        column += towards
+    if arrays.spans[column, Span.LOW] <= j and j < arrays.spans[column, Span.HIGH]:
+        cell = node_at(column, j, arrays)
+        if number(arrays.cells, cell, Pore.VOLUME) > 0.0:
+            result = cell
+    return result
+
+
+@ti.func
+def beyond_face(cell, place, face: ti.template(), table, scene, arrays: ti.template()):
+    """What lies beyond a face of a cell, a `Face`."""
+    axis = ti.static(face // 2)
+    kind = ti.cast(Face.SURFACE, ti.i32)
+    deep = columns_deep(scene, arrays)
+    index = ti.Vector([(place[0] - table) // deep, place[1], (place[0] - table) % deep])
+    solid = (ti.cast(number(arrays.cells, cell, Pore.CLOSED), ti.i32) >> face) & 1
+    edge = index[axis] == (PADDING if face % 2 == 0 else PADDING - 1 + arrays.offsets[scene, Offset.CELLS_X + axis])
+    if neighbour(place, face, 1, table, scene, arrays) >= 0:
+        kind = Face.CELL
+    elif solid == 1 or (edge and is_wall(face, scene, arrays) == 1):
+        kind = Face.TIGHT
+        if (solid == 1 or face == 2) and arrays.settings[scene, Setting.DRAINED] > 0.0:
+            kind = Face.DRAIN
+    elif neighbour(place, face, 2, table, scene, arrays) >= 0:
+        kind = Face.GAP
+    return kind
+
+
+@ti.func
+def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
+    """The change of the pressure of a cell explicit in time, its slope, and what lies around it."""
+    features, dx = arrays.features, arrays.settings[scene, Setting.CELL]
+    sums, code, surfaces = arrays.cells[2 * cell], 0, 0
+    own, inflow, given = sums[Pore.PRESSURE], 0.0 * sums[Pore.PRESSURE], arrays.cells[2 * cell + 1]
+    pull = ti.Vector([arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0 * dx])
+    full = ti.min(sums[Pore.VOLUME] / dx**features.dimension, 1.0)
+    gap = ti.max(0.5 * full, 0.25)
+    for axis in ti.static(range(features.dimension)):
+        rise, run = 0.0 * own, 0.0 * own
+        for side in ti.static(range(2)):
+            face = ti.static(2 * axis + side)
+            away = ti.static(2 * side - 1)
+            kind = beyond_face(cell, place, face, table, scene, arrays)
+            code += kind << (3 * face)
+            if kind == Face.CELL:
+                other = arrays.cells[2 * neighbour(place, face, 1, table, scene, arrays)]
+                apart = ti.max(1.0 + away * (other[Pore.CENTRE_X + axis] - sums[Pore.CENTRE_X + axis]), 0.25)
+                weight = 0.0 * own
+                for k in ti.static(range(features.dimension)):
+                    part = other[Pore.CENTRE_X + k] - sums[Pore.CENTRE_X + k]
+                    if ti.static(k == axis):
+                        part += away
+                    weight += DENSITY * dx * pull[k] * part
+                step = ti.max(other[Pore.PRESSURE], 0.0) - ti.max(own, 0.0)
+                flow = (step - weight) / apart
+                # Nothing flows out of pores that are not full.
+                if (flow > 0.0 and other[Pore.PRESSURE] > 0.0) or (flow < 0.0 and own > 0.0):
+                    inflow += flow
+                rise += away * (other[Pore.PRESSURE] - own)
+                run += apart
+            elif kind == Face.SURFACE or kind == Face.DRAIN:
+                distance = 0.5 + 0.0 * gap
+                if kind == Face.SURFACE:
+                    distance, surfaces = gap, surfaces + 1
+                if own > 0.0:
+                    inflow -= ti.max(own / distance + DENSITY * dx * pull[axis] * away, 0.0)
+        if run > 0.0:
+            given[Pore.SLOPE_X + axis - NODE] = rise / run
+    if surfaces == 0:
+        full = 1.0 + 0.0 * full
+    source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
+    given[Pore.CHANGE - NODE], given[Pore.SOURCE - NODE] = source / full, source
+    given[Pore.SHARE - NODE], given[Pore.FACES - NODE] = full, ti.cast(code, float)
+    arrays.cells[2 * cell + 1] = given
+
+
+@ti.func
+def relax(worker, scene, stiffness, diffusion, colour, arrays: ti.template()):
+    """One step of Gauss and Seidel for the changes of the pressure in the cells of a colour, every other one."""
+    first, deep = arrays.workers[worker, Worker.COLUMN], columns_deep(scene, arrays)
+    for n in range(arrays.workers[worker, Worker.ACTIVE]):
+        column = arrays.spans[first + n, Span.ACTIVE]
+        start = arrays.spans[column, Span.LOW]
+        start += (start + (column - first) // deep + (column - first) % deep + colour) % 2
+        for pair in range((arrays.spans[column, Span.HIGH] - start + 1) // 2):
+            cell = node_at(column, start + 2 * pair, arrays)
+            if number(arrays.cells, cell, Pore.SHARE) > 0.0:
+                relax_cell(cell, column, start + 2 * pair, deep, stiffness, diffusion, arrays)
+
+
+@ti.func
+def relax_cell(cell, column, j, deep, stiffness, diffusion, arrays: ti.template()):
+    """The same for one of them; j: its place in a column of nodes."""
+    given = arrays.cells[2 * cell + 1]
+    code, total, diagonal = (
+        ti.cast(given[Pore.FACES - NODE], ti.i32),
+        given[Pore.SOURCE - NODE],
+        given[Pore.SHARE - NODE],
+    )
+    gap = ti.max(0.5 * diagonal, 0.25)
+    for face in ti.static(range(2 * arrays.features.dimension)):
+        kind = (code >> (3 * face)) & 7
+        if kind == Face.CELL:
+            other = cell + ti.static(2 * (face % 2) - 1)
+            if ti.static(face // 2 == 0):
+                other = node_at(column + ti.static(2 * (face % 2) - 1) * deep, j, arrays)
+            if ti.static(face // 2 == 2):
+                other = node_at(column + ti.static(2 * (face % 2) - 1), j, arrays)
+            total += stiffness * number(arrays.cells, other, Pore.CHANGE)
+            diagonal += stiffness
+        elif kind == Face.SURFACE:
+            diagonal += stiffness / gap
+        elif kind == Face.DRAIN:
+            diagonal += diffusion / 0.5
+        elif kind == Face.GAP:
+            # Water does not pass it, but what is beside it gives way.
+            diagonal += (stiffness - diffusion) / gap
+    given[Pore.CHANGE - NODE] = total / diagonal
+    arrays.cells[2 * cell + 1] = given
+
+
+@ti.func
+def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
+    """Pore pressure of the particles of a block from that of their cells; their grains get the strain of these."""
+    features, lanes, deep = arrays.features, arrays.features.lanes, columns_deep(scene, arrays)
+    first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
+    find_cells(scene, block, scratch, arrays)
+    free = ti.static(2 * features.dimension)
+    arrays.scratch[values + free] = volume_of(scene, block, arrays) * arrays.state[first + features.state.saturated]
+    arrays.scratch[values + free + 1] = 0.0 * arrays.state[first]
+    for lane in range(particles_in(scene, block, arrays)):
+        own = no_overflow(scratch * lanes + lane) + features.scratch.values * lanes
+        if arrays.scratch_lanes[own + free * lanes] > 0.0:
+            at, state = cell_of(scratch, lane, table, deep, arrays), no_overflow(first * lanes + lane)
+            means, given = arrays.cells[2 * at], arrays.cells[2 * at + 1]
+            p = means[Pore.PRESSURE] + given[Pore.CHANGE - NODE]
+            for k in ti.static(range(features.dimension)):
+                apart = arrays.scratch_lanes[own + (features.dimension + k) * lanes] - means[Pore.CENTRE_X + k]
+                p += given[Pore.SLOPE_X + k - NODE] * apart
+            arrays.lanes[state + features.state.pore_pressure * lanes] = p
+            strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
+            arrays.scratch_lanes[own + (free + 1) * lanes] = strain
+            arrays.lanes[state + features.state.volume_strain * lanes] = DAMPING * given[Pore.CHANGE - NODE]
+    share_strain(scene, block, arrays.scratch[values + free + 1], arrays)
+
+
+@ti.func
+def share_strain(scene, block, strain, arrays: ti.template()):
+    """Give the grains of a block `strain` [-], by which the volume strain of their cells exceeds their own."""
+    features, first = arrays.features, no_overflow(block * arrays.features.state.size)
+    lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
+    stress, gap = first + features.state.stress, first + features.state.gap
+    opened, change = arrays.state[gap], (lame + shear * (2.0 / 3.0)) * strain
+    # What is open closes first, what would be pulled opens in the next step; cracks, in cohesive material, close alone.
+    level = opened + change
+    arrays.state[gap] = ti.select(opened > 0.0, maximum(level, 0.0), opened)
+    part = ti.select(opened > 0.0, minimum(level, 0.0), change)
+    if ti.static(features.cohesive):
+        part = ti.select(opened > 0.0, 0.0, change)
+        arrays.state[gap] = opened
+    for k in ti.static(range(3)):
+        arrays.state[stress + k] = arrays.state[stress + k] + part

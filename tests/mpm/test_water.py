@@ -1,0 +1,258 @@
+"""Pore water: consolidation, undrained strain, rest, sheets on inclines, and what is refused."""
+
+import dataclasses
+import json
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from datasets import Mass, Material, Scene, Solid, Trajectory
+from datasets.scene import water
+from datasets.scene.grid_field import Field
+from datasets.scene.library import scene_from
+from datasets.scene.parts import Water
+from datasets.scene.water import constrained_modulus, drainage
+from gns.settings import ModelSettings
+from gns.surroundings.initial import check
+from inverse.parameters.kind import KINDS
+from mpm import simulate
+from mpm.adjoint.tape import check as known_to_adjoint
+from mpm.arrays.features import features_of
+from mpm.output.recording import Recording
+from tests.refusals import refused
+from tests.scenes import scene_of
+
+GRAVITY, DENSITY, HEIGHT = 9.81, 2000.0, 0.4
+WET = Material(friction_deg=30.0, density=DENSITY, saturated=True)
+FIELDS = Recording(fields=True)
+MODES = (2.0 * np.arange(60) + 1.0) * math.pi / 2.0
+EVEN: dict[str, Any] = {"jitter": 0.0}
+
+
+def pressures(flow: Trajectory) -> np.ndarray[Any, Any]:
+    """Pore pressure of a flow [Pa], [T, N]."""
+    assert flow.pore_pressure is not None
+    return flow.pore_pressure
+
+
+def layer(
+    ratio: float | None, *, width: float = 0.08, cell: float = 0.02, c_v: float | None = None, **changes: Any
+) -> Scene:
+    """A layer of HEIGHT between smooth walls on a tight floor."""
+    material = dataclasses.replace(WET, consolidation=c_v)
+    body = Mass(lower=(0.0, 0.0), size=(width, HEIGHT), k0=0.5, initial_pore_pressure_ratio=ratio)
+    given = {"duration": 1.0, "frame_dt": 0.05} | changes
+    return scene_of(body, size=(width, 0.48), material=material, **given)
+
+
+def consolidated(time_factor: float) -> float:
+    """Degree of consolidation of a layer with one drain, of an excess that grows linearly from it (Terzaghi 1943)."""
+    return 1.0 - float(np.sum(4.0 * (-1.0) ** np.arange(60) / MODES**3 * np.exp(-(MODES**2) * time_factor)))
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.4])
+def test_consolidation_is_that_of_terzaghi(jitter: float) -> None:
+    c_v, ratio = 0.16, 0.7
+    flow = simulate(layer(ratio, c_v=c_v, jitter=jitter), record=FIELDS)
+    at_rest = water.DENSITY * GRAVITY * (HEIGHT - flow.positions[:, :, 1])
+    first = (ratio * DENSITY - water.DENSITY) * GRAVITY * (HEIGHT - flow.positions[0, :, 1]).mean()
+    degree = 1.0 - (pressures(flow) - at_rest).mean(axis=1) / first
+    exact = np.array([consolidated(c_v * time / HEIGHT**2) for time in flow.time])
+    error = np.abs(degree - exact)[flow.time * c_v >= 0.049 * HEIGHT**2]
+    assert error.max() < (0.01 if jitter == 0.0 else 0.02)
+
+
+def test_water_at_rest_moves_nothing() -> None:
+    scene = layer(None, width=0.4, duration=1.0, frame_dt=0.1, c_v=0.01)
+    flow = simulate(scene, record=FIELDS)
+    moved = np.linalg.norm(flow.positions[-1] - flow.positions[0], axis=1).max()
+    assert moved < 1.0e-3 * scene.domain.cell
+    assert np.allclose(pressures(flow)[-1].mean(), 0.5 * water.DENSITY * GRAVITY * HEIGHT, rtol=0.02)
+
+
+def squeezed(rate_x: float, rate_y: float) -> tuple[Trajectory, float, float]:
+    """A saturated body of hardly any weight in a corner, that begins with v = (rate_x x, rate_y y), after a step.
+
+    Returns its flow, the numerical modulus of the water [Pa] and the time [s].
+    """
+    time, size = 2.0e-5, (1.2, 1.2)
+    places = {"origin": (0.0, 0.0), "spacing": size, "nodes": (2, 2)}
+    fields = (
+        Field(quantity="velocity_x", values=(0.0, 0.0, rate_x * size[0], rate_x * size[0]), **places),
+        Field(quantity="velocity_y", values=(0.0, rate_y * size[1], 0.0, rate_y * size[1]), **places),
+    )
+    body = Mass(lower=(0.0, 0.0), size=size, k0=0.5, initial_pore_pressure_ratio=0.0)
+    changes: dict[str, Any] = {"gravity": 1.0e-6, "duration": time, "frame_dt": time, "fields": fields, **EVEN}
+    scene = scene_of(
+        body, size=(1.4, 1.4), particles_per_axis=1, material=dataclasses.replace(WET, young=2.0e6), **changes
+    )
+    flow = simulate(scene, record=FIELDS, precision="f64")
+    return flow, water.STIFFER * constrained_modulus(scene.material), time
+
+
+def inside(flow: Trajectory) -> np.ndarray[Any, Any]:
+    """Which particles of it are far from walls and surfaces, whose strain of the first step is another, [N]."""
+    return np.asarray((np.abs(flow.positions[0] - 0.6) < 0.05).all(axis=1))
+
+
+@pytest.mark.double
+def test_an_undrained_oedometer_gives_the_modulus_of_the_water() -> None:
+    rate = -1.0e-3
+    flow, modulus, time = squeezed(0.0, rate)
+    assert pressures(flow)[-1, inside(flow)] == pytest.approx(-modulus * rate * time, rel=1.0e-6)
+
+
+@pytest.mark.double
+def test_undrained_shear_makes_no_pressure() -> None:
+    rate = 1.0e-3
+    flow, modulus, time = squeezed(rate, -rate)
+    assert np.abs(pressures(flow)[-1, inside(flow)]).max() < 1.0e-6 * modulus * rate * time
+
+
+def sheet(
+    ratio: float, *, slope_deg: float, friction: float, c_v: float | None = None, width: float = 0.0, **changes: Any
+) -> Scene:
+    """A sheet of five cells on an incline, in a tilted box; in 3D with a width [m]."""
+    material = dataclasses.replace(WET, friction_deg=35.0, consolidation=c_v)
+    bed = Solid(kind="terrain", points=((0.0, 0.0), (3.0, 0.0)), friction=friction)
+    across = (width,) if width else ()
+    if width:
+        level = ((0.0, 0.0), (0.0, 0.0))
+        bed = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(3.0, width), heights=level, friction=friction)
+    body = Mass(lower=(0.1, 0.0, 0.0)[: 2 + len(across)], size=(2.0, 0.1, *across), initial_pore_pressure_ratio=ratio)
+    given = {"solids": (bed,), "slope_deg": slope_deg, "duration": 0.3, "frame_dt": 0.03} | EVEN | changes
+    return scene_of(body, size=(3.0, 0.3, *across), material=material, **given)
+
+
+def travelled(flow: Trajectory) -> np.ndarray[Any, Any]:
+    """Displacement of the middle of a sheet along its bed [m], [T]."""
+    x = flow.positions[:, :, 0]
+    middle = np.abs(x[0] - 1.1) < 0.2
+    return np.asarray((x[:, middle] - x[0, middle]).mean(axis=1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.5, 0.8])
+@pytest.mark.parametrize("changes", [{"particles_per_axis": 1}, {}, {"jitter": 0.4}, {"width": 0.12, "duration": 0.21}])
+def test_a_sheet_slides_by_its_effective_stress(ratio: float, changes: dict[str, Any]) -> None:
+    slope_deg, friction = 25.0, 0.3
+    flow = simulate(sheet(ratio, slope_deg=slope_deg, friction=friction, **changes))
+    steep = math.radians(slope_deg)
+    acceleration = GRAVITY * (math.sin(steep) - (1.0 - ratio) * friction * math.cos(steep))
+    assert travelled(flow)[-1] == pytest.approx(0.5 * acceleration * flow.time[-1] ** 2, rel=0.025)
+
+
+@pytest.mark.slow
+def test_a_sheet_stops_as_its_water_drains() -> None:
+    slope_deg, friction, ratio, c_v, thickness = 12.0, 0.5, 0.9, 0.02, 0.1
+    scene = sheet(ratio, slope_deg=slope_deg, friction=friction, c_v=c_v, duration=1.0, frame_dt=0.05)
+    # So strong that its grains stay elastic: c_v is less where they yield.
+    flow = simulate(dataclasses.replace(scene, material=dataclasses.replace(scene.material, friction_deg=50.0)))
+    steep, step = math.radians(slope_deg), 5.0e-4
+    time = step * np.arange(1001)
+    excess = (2.0 / MODES**2 * np.exp(-(MODES**2) * c_v / thickness**2 * time[:, None])).sum(axis=1)
+    share = 0.5 + (ratio - 0.5) * excess
+    acceleration = GRAVITY * (math.sin(steep) - (1.0 - share) * friction * math.cos(steep))
+    exact = np.sum(np.cumsum(acceleration)) * step**2
+    moved = travelled(flow)
+    assert moved[10] == pytest.approx(exact, rel=0.05)
+    assert moved[-1] - moved[-3] < 0.01 * moved[10]
+
+
+@pytest.mark.slow
+def test_the_modulus_of_the_water_is_numerical(monkeypatch: pytest.MonkeyPatch) -> None:
+    fronts = {}
+    for stiffer in (20.0, 200.0):
+        monkeypatch.setattr(water, "STIFFER", stiffer)
+        scene = sheet(0.5, slope_deg=25.0, friction=0.3)
+        fronts[stiffer] = travelled(simulate(scene))[-1]
+    assert fronts[200.0] == pytest.approx(fronts[20.0], rel=0.02)
+
+
+def front(ratio: float | None, *, cell: float = 0.01, young: float = 2.0e5, **changes: Any) -> float:
+    """Mean front of a column of 0.2 m over three jitters [m]; dry without a ratio."""
+    material = dataclasses.replace(WET, saturated=ratio is not None, young=young)
+    bed = Solid(kind="terrain", points=((0.0, 0.0), (1.6, 0.0)), friction=0.4)
+    body = Mass(lower=(0.0, 0.0), size=(0.2, 0.2), k0=0.5, initial_pore_pressure_ratio=ratio)
+    given: dict[str, Any] = {"solids": (bed,), "duration": 1.2, "frame_dt": 0.02, "material": material} | changes
+    with warnings.catch_warnings():
+        # That no stress within yield balances gravity on a jittered grid; the column falls at once.
+        warnings.simplefilter("ignore")
+        flows = [simulate(scene_of(body, size=(1.6, 0.3), cell=cell, seed=seed, **given)) for seed in range(3)]
+    return float(np.mean([flow.summary["front"] for flow in flows]))
+
+
+@pytest.mark.slow
+def test_columns_run_farther_the_more_water_bears(monkeypatch: pytest.MonkeyPatch) -> None:
+    fronts = [front(ratio) for ratio in (None, 0.2, 0.5, 0.8, 1.0)]
+    assert fronts == sorted(fronts)
+    assert fronts[1] > 1.05 * fronts[0]
+    assert fronts[-1] > 1.7 * fronts[0]
+    assert front(0.5, cell=0.02) == pytest.approx(fronts[2], rel=0.08)
+    assert front(0.5, step_fraction=0.2) == pytest.approx(fronts[2], rel=0.08)
+    assert front(0.5, young=2.0e6) == pytest.approx(fronts[2], rel=0.12)
+    monkeypatch.setattr(water, "STIFFER", 80.0)
+    assert front(0.5) == pytest.approx(fronts[2], rel=0.08)
+
+
+def test_a_water_table_fills_what_lies_below_it() -> None:
+    scene = layer(None, duration=0.01, frame_dt=0.01, water=Water(level=0.2))
+    flow = simulate(scene, record=FIELDS)
+    y, p = flow.positions[0, :, 1], pressures(flow)[0]
+    assert p == pytest.approx(water.DENSITY * GRAVITY * np.maximum(0.2 - y, 0.0), rel=1.0e-5)
+
+
+def test_a_water_table_counts_from_the_origin_of_a_map() -> None:
+    table = json.loads(layer(None, water=Water(level=0.2)).to_json())
+    table["domain"]["origin"] = [2600000.0, 1200.0]
+    table["masses"][0]["lower"] = [2600000.0, 1200.0]
+    table["water"]["level"] = 1200.2
+    read = scene_from(table, Path()).water
+    assert read is not None
+    assert read.level == 0.2
+
+
+def test_reports_say_whether_water_drains() -> None:
+    assert drainage(layer(None), 1.0).startswith("undrained")
+    kinds = [drainage(layer(None, c_v=c_v), 1.0).split(":")[0] for c_v in (1.0e-4, 0.1, 10.0)]
+    assert kinds == ["undrained", "partly drained", "drained"]
+    assert drainage(scene_of(), 1.0) == ""
+
+
+def test_scenes_that_water_cannot_be_in_are_refused() -> None:
+    body = Mass(lower=(0.0, 0.0), size=(0.2, 0.4))
+    assert refused(simulate, scene_of(body, material=WET)).key == "masses[0].k0"
+    for key, value in {"floor_friction": 0.4, "wall_friction": 0.4, "volume_correction": False}.items():
+        assert refused(layer, None, **{key: value}).key == key
+    dense = dataclasses.replace(WET, dilation_deg=5.0)
+    assert refused(scene_of, dataclasses.replace(body, k0=0.5), material=dense).key == "material.dilation_deg"
+    assert refused(scene_of, water=Water(level=0.1)).key == "water"
+    ratio = dataclasses.replace(body, initial_pore_pressure_ratio=0.5)
+    assert refused(scene_of, ratio).key == "masses[0].initial_pore_pressure_ratio"
+    wet = dataclasses.replace(WET, friction_deg=29.0)
+    assert refused(scene_of, dataclasses.replace(body, k0=0.5, material=wet), ratio, material=WET).key == "masses"
+    assert refused(Material, friction_deg=30.0, saturated=True, permeability=1.0e-4).key == "material.permeability"
+    assert refused(Material, friction_deg=30.0, consolidation=1.0e-4).key == "material.consolidation"
+
+
+def test_what_knows_no_water_says_so() -> None:
+    scene = layer(None)
+    features = features_of([scene], "f32")
+    found = (
+        refused(check, scene, ModelSettings(dimension=2)),
+        refused(features_of, [scene], "f32", gpu=True),
+        refused(known_to_adjoint, features),
+    )
+    assert {each.key for each in found} == {"material.saturated"}
+
+
+def test_an_inversion_sets_the_water() -> None:
+    scene = layer(0.5, c_v=0.01)
+    ratio = dataclasses.replace(KINDS["masses[].initial_pore_pressure_ratio"], index=0)
+    assert ratio.read(scene) == 0.5
+    KINDS["consolidation"].check(scene)
+    refused(KINDS["permeability"].check, scene, said="its water does not flow")
