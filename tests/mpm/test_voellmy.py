@@ -123,6 +123,23 @@ def test_thin_layers_in_3d_feel_all_of_the_drag(cells: float) -> None:
     check_thin_layer(cells, 0.3, (4 * CELL,))
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.4])
+def test_a_row_of_sand_that_has_sunk_to_the_bed_feels_the_drag_of_its_thickness(offset: float) -> None:
+    """It spreads a little, too. By its distance from the bed alone the speed would be 0.63 of the block's."""
+    top, exact = (4.0 + offset) * CELL, VoellmyBlock(SLOPE_DEG, 0.25 * CELL)
+    bed = Solid(lower=(0.0, 0.0), size=(1.6, top), **BED)
+    body = Mass(lower=(0.1, top), size=(0.6, 0.25 * CELL))
+    settings: dict[str, Any] = {"size": (1.6, 0.2), "slope_deg": SLOPE_DEG, "duration": 4.0, "frame_dt": 0.1}
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r".*hardly resolves it")
+        scene = scene_of(body, material=Material(friction_deg=38.0, young=2.0e6), solids=(bed,), **settings)
+        flow = simulate(scene, record=WITH_FIELDS)
+    assert flow.velocities is not None
+    middle = (flow.positions[0, :, 0] > 0.25) & (flow.positions[0, :, 0] < 0.55)
+    assert np.median(flow.positions[-1, middle, 1]) < top + 0.05 * CELL
+    assert 0.82 < flow.velocities[-1, middle, 0].mean() / exact.terminal_speed < 1.05
+
+
 @pytest.mark.slow
 def test_a_block_on_a_raster_reaches_the_terminal_speed() -> None:
     length, cell, width = 1.4, 0.04, 0.24

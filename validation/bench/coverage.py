@@ -287,7 +287,7 @@ def row(family: Family, found: Sequence[Twin]) -> Row:
         "truths in the " + " / ".join(f"{level:.0%}" for level in REGIONS) + " region": " / ".join(within),
         "p, regions / ranks": f"{uniformity(found):.2g} / {ranks(found):.2g}",
         "numbers in their intervals": f"{inside:.0%}",
-        "numbers in the 95 % intervals of a forecast": forecast(found),
+        **({"numbers in the 95 % intervals of a forecast": forecast(found)} if found[0].forecast else {}),
         "confirmed": f"{sum(each.verdict == 'confirmed' for each in found)} of {len(found)}",
         "MPM runs": f"{np.median([each.runs for each in found]):.0f}",
         "seconds": f"{np.median([each.seconds for each in found]):.0f}",
