@@ -62,12 +62,13 @@ def site(
     bed: dict[str, Any],
     slope: float,
     cell: float | None,
+    internal_friction: float = 30.0,
 ) -> dict[str, Any]:
-    """The tables of a scene file without its terrain's path, its material and its times; lengths in m on the map.
+    """The tables of a scene file without its terrain's path and its times; lengths in m on the map.
 
     thickness: of all polygons, at the posts of the raster [X, Z], or as each polygon says; bed: `friction` of the
-    ground, and perhaps its `turbulence`; slope: of the energy line. Raises InputError for a release that does not lie
-    on the raster or has no thickness.
+    ground, and perhaps its `turbulence`; slope: of the energy line; internal_friction: of the material [deg]. Raises
+    InputError for a release that does not lie on the raster or has no thickness.
     """
     field = thickness if isinstance(thickness, np.ndarray) else None
     given = thickness if isinstance(thickness, float) else None
@@ -85,6 +86,14 @@ def site(
     if twice > OVERLAP * taken.area:
         said = f"polygons of the release share {twice:.3g} m^2, which count once, by the first of them"
         warnings.warn(said, stacklevel=2)
+    steep = math.degrees(math.atan(np.median(np.hypot(*np.gradient(raster.values, *raster.spacing))[covered])))
+    if "turbulence" in bed and steep > internal_friction + 1.0:
+        said = (
+            f"--internal-friction: {internal_friction:g} degrees are less than the {steep:.0f} degrees of the slope"
+            " under the release, so the layer shears inside and its upper part outruns Voellmy's law; 45 degrees hold it"
+            " together"
+        )
+        warnings.warn(said, stacklevel=2)
     lower, upper = reached(raster, covered, top, slope)
     volume = float(covered.sum()) * math.prod(raster.spacing) * max(thick)
     plan = float(np.prod((upper - lower)[::2]))
@@ -96,6 +105,7 @@ def site(
     ends = [(float(axis[0]), float(axis[-1])) for axis in (raster.x, raster.z)]
     domain = whole_cells(lower - beside, upper + beside, edge, ends, "--cell")
     return {
+        "material": {"friction_deg": internal_friction},
         "open_sides": ["x-", "x+", "z-", "z+"],
         "domain": domain | ({} if raster.crs is None else {"crs": raster.crs}),
         "masses": masses,
@@ -257,8 +267,8 @@ def command(
         features = read_polygons(release, raster.crs)
         bed = {"friction": friction} | ({} if turbulence is None else {"turbulence": turbulence})
         options: dict[str, Any] = {"thickness": thick, "vertical": vertical, "cell": cell}
+        options["internal_friction"] = internal_friction
         table = site(raster, features, bed=bed, slope=REACH * least, **options)
-        table = {"material": {"friction_deg": internal_friction}, **table}
     whole, terrain = without_holes(raster, table["domain"]), table["solids"][0]
     if whole is not None:
         dem = out.with_suffix(".dem.tif")

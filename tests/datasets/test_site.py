@@ -70,6 +70,11 @@ def test_what_the_flags_say(tmp_path: Path) -> None:
     assert found.domain.origin[0] + found.domain.size[0] < EAST + 450.0
 
 
+def test_turbulence_on_a_slope_steeper_than_the_internal_friction_is_said(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="25 degrees are less than the 30 degrees of the slope under the release"):
+        made(tmp_path, "--turbulence", "2000", "--internal-friction", "25")
+
+
 def test_several_polygons_and_holes_of_the_raster(tmp_path: Path) -> None:
     """A corner without data is filled in a raster of its own, which the scene names."""
     pair = shapely.MultiPolygon([FIELD, shapely.box(EAST + 90.0, NORTH + 90.0, EAST + 110.0, NORTH + 110.0)])

@@ -52,13 +52,15 @@ class Slide:
     """Coordinates of the cross-sections [m]."""
     cells: tuple[float, ...] = (4.0, 2.0)
     """Edges of the grid's cells [m] that are affordable, coarse ones first."""
+    internal_friction: float = 45.0
+    """[deg]. Voellmy's law is that of a layer that does not shear inside: it has to be steeper than the slope."""
 
 
 OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")
 CASES = {
     "CoulombOnly": Slide(
         ("com1DFA", "samosat", "MPM", "RAMMSUSER", "TITAN2D", "TRENT2D"), 0, 1,
-        (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0),
+        (1500.0, 2000.0, 2500.0, 3000.0, 3250.0, 3500.0, 3750.0, 4000.0), internal_friction=30.0,
     ),
     "IdealizedTopo": Slide(OTHERS, 0, 1, (1500.0, 1750.0, 2000.0, 2250.0, 2500.0, 2750.0, 3000.0, 3200.0)),
     "RealTopo": Slide(
@@ -80,7 +82,7 @@ def written_scene(data: Path, cell: float, folder: Path) -> Path:
         thickness=float(values["releaseThickness"]),
         friction=float(values["mu"]),
         turbulence=float(values["xi"]) if values["xi"] else None,
-        internal_friction=30.0,
+        internal_friction=CASES[data.name].internal_friction,
         cell=cell,
     )
     return folder / f"{cell:g}.toml"
