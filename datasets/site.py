@@ -90,8 +90,8 @@ def site(
     if "turbulence" in bed and steep > internal_friction + 1.0:
         said = (
             f"--internal-friction: {internal_friction:g} degrees are less than the {steep:.0f} degrees of the slope"
-            " under the release, so the layer shears inside and its upper part outruns Voellmy's law; 45 degrees hold it"
-            " together"
+            " under the release, so the layer shears inside and its upper part outruns Voellmy's law; 45 degrees hold"
+            " it together"
         )
         warnings.warn(said, stacklevel=2)
     lower, upper = reached(raster, covered, top, slope)
