@@ -140,8 +140,7 @@ def predicted(
     # One of each of as many equal parts of the posterior, in the order of its first number.
     ordered = samples[np.argsort(samples[:, 0], kind="stable")]
     chosen = ordered[((np.arange(draws) + rng.random(draws)) * len(ordered) / draws).astype(int)]
-    moves = scene.dimension == 3 or len(solid_names(scene)) > 0
-    record = Recording(frames=max(1, math.ceil((scene.frames - 1) / FRAMES))) if moves else LAST
+    record = recording_of(scene)
     flows = store(
         [at(scene, names, row, jitter_seed(scene.seed, number)) for number, row in enumerate(chosen)], record=record
     )
@@ -160,6 +159,12 @@ def predicted(
         remarks=(*remarks, *caveats(flows)),
     )
     return found if scene.dimension == 2 else with_maps(found, flows, threshold, pressure)
+
+
+def recording_of(scene: Scene) -> Recording:
+    """What of a flow its numbers and maps need: a force is a mean from frame to frame."""
+    moves = scene.dimension == 3 or len(solid_names(scene)) > 0
+    return Recording(frames=max(1, math.ceil((scene.frames - 1) / FRAMES))) if moves else LAST
 
 
 def at(scene: Scene, names: Sequence[str], values: Floats, seed: int) -> Scene:
