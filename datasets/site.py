@@ -86,8 +86,8 @@ def site(
     if twice > OVERLAP * taken.area:
         said = f"polygons of the release share {twice:.3g} m^2, which count once, by the first of them"
         warnings.warn(said, stacklevel=2)
-    steep = math.degrees(math.atan(np.median(np.hypot(*np.gradient(raster.values, *raster.spacing))[covered])))
-    if "turbulence" in bed and steep > internal_friction + 1.0:
+    steep = math.degrees(math.acos(1.0 / np.median(steepness(raster)[covered]))) if "turbulence" in bed else 0.0
+    if steep > internal_friction + 1.0:
         said = (
             f"--internal-friction: {internal_friction:g} degrees are less than the {steep:.0f} degrees of the slope"
             " under the release, so the layer shears inside and its upper part outruns Voellmy's law; 45 degrees hold"
