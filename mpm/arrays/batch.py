@@ -53,6 +53,10 @@ PORTION = 2**18
 """Particles whose nearest faces are found together at the start: some 250 bytes each."""
 
 
+TILE = 4
+"""Cells along each side of the squares in plan by which particles in 3D are sorted."""
+
+
 class Batch:
     """The state of several scenes and what is recorded of it.
 
@@ -300,12 +304,13 @@ class Batch:
                     self.store(index, slot)
 
     def sort(self, index: int) -> None:
-        """Put the particles of one scene in the order of their cells, as nodes lie: near in space, near in memory."""
-        state, features, scene = self.state_of(index), self.features, self.scenes[index]
-        key = np.zeros(state.shape[0] * features.lanes, np.int64)
-        for axis in (0, 2, 1) if features.dimension == 3 else (0, 1):
-            cells = np.floor(state[:, axis].ravel() / scene.domain.cell).astype(np.int64)
-            key = key * (round(scene.domain.size[axis] / scene.domain.cell) + 1) + cells
+        """Put the particles of one scene in the order of their cells, in 3D square by square: close in memory."""
+        state, features, cell = self.state_of(index), self.features, self.scenes[index].domain.cell
+        cells = [np.floor(state[:, axis].ravel() / cell).astype(np.int64) for axis in range(features.dimension)]
+        x, y, *z = cells
+        key = np.zeros_like(x)
+        for number in (x // TILE, z[0] // TILE, x, z[0], y) if z else (x, y):
+            key = key * (number.max() + 1) + number
         count = len(self.particles[index].positions)
         key[count:] = np.iinfo(np.int64).max
         order = np.argsort(key, kind="stable")

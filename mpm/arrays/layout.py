@@ -187,7 +187,8 @@ class Look(TableColumn):
     FACE = 13  # its number, less FIRST_FACE
     LIMIT = 14  # the distance within which nothing is but those around it [m]
     FRICTION = 15  # at its corners [-]
-    SIZE = 18
+    EDGE = 18  # the distance of the foot from its edges, negative outside [m]
+    SIZE = 19
 
 
 class StepControl(TableColumn):

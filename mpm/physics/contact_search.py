@@ -115,21 +115,23 @@ def find_terrain(block, scratch, moved, path, nearby, worker, scene, arrays: ti.
     seen, push = scratch + features.scratch.look, scratch + features.scratch.push
     for k in ti.static(range(3)):
         arrays.scratch[seen + k] = position[k]
-    # Over the foot there may be another triangle than over the particle.
     for look in range(2):
         for lane in range(features.lanes):
             if arrays.scratch_lanes[push * features.lanes + lane] < nearby:
-                look_at_terrain(seen * features.lanes + lane, look, scene, arrays)
-        across, size = plane_of(seen, arrays)
+                # Over the foot there may be another triangle than over the particle.
+                if look == 0 or arrays.scratch_lanes[(seen + Look.EDGE) * features.lanes + lane] <= 0.0:
+                    look_at_terrain(seen * features.lanes + lane, look, scene, arrays)
+        facing, square = plane_of(seen, arrays)
         apart = [position[k] - arrays.scratch[seen + Look.CORNERS + k] for k in ti.static(range(3))]
-        scaled = dot(apart, across) / size
+        scaled = dot(apart, facing) / square
         for k in ti.static(range(3)):
-            arrays.scratch[seen + k] = position[k] - scaled * across[k]
+            arrays.scratch[seen + k] = position[k] - scaled * facing[k]
+        _, arrays.scratch[seen + Look.EDGE] = foot_weights(seen, facing, square, arrays)
     across, size = plane_of(seen, arrays)
+    weights, edge = foot_weights(seen, across, size, arrays)
     length = ti.sqrt(size)
     d = dot([position[k] - arrays.scratch[seen + Look.CORNERS + k] for k in ti.static(range(3))], across) / length
     normal = [across[k] / length for k in ti.static(range(3))]
-    weights, edge = foot_weights(seen, across, size, arrays)
     tilt, bound = arrays.scratch[seen + Look.TILT], arrays.scratch[push]
     limit = arrays.scratch[seen + Look.LIMIT]
     depth, before = maximum(d, 0.0 - d), d - dot(moved, normal)
@@ -161,16 +163,15 @@ def look_at_terrain(at, look, scene, arrays: ti.template()):
                 limit = 0.0 * limit
         arrays.scratch_lanes[at + Look.LIMIT * lanes] = limit
     if look == 0 or number != arrays.scratch_lanes[at + Look.FACE * lanes]:
+        arrays.scratch_lanes[at + Look.TILT * lanes] = tilt_around(i, k, half, scene, arrays)
+        first, second, third = corner_frictions(i, k, half, code, scene, arrays)
+        friction = ti.Vector([arrays.terrain[first], arrays.terrain[second], arrays.terrain[third]])
+        put_lane_numbers(arrays.scratch_lanes, at + Look.FRICTION * lanes, friction, arrays)
         a, b, c = triangle_corners(i, k, half, code, scene, arrays)
         put_lane_numbers(arrays.scratch_lanes, at + Look.CORNERS * lanes, a, arrays)
         put_lane_numbers(arrays.scratch_lanes, at + (Look.CORNERS + 3) * lanes, b, arrays)
         put_lane_numbers(arrays.scratch_lanes, at + (Look.CORNERS + 6) * lanes, c, arrays)
         arrays.scratch_lanes[at + Look.FACE * lanes] = number
-    if look == 1:
-        arrays.scratch_lanes[at + Look.TILT * lanes] = tilt_around(i, k, half, scene, arrays)
-        first, second, third = corner_frictions(i, k, half, code, scene, arrays)
-        friction = ti.Vector([arrays.terrain[first], arrays.terrain[second], arrays.terrain[third]])
-        put_lane_numbers(arrays.scratch_lanes, at + Look.FRICTION * lanes, friction, arrays)
 
 
 @ti.func

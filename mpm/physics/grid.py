@@ -42,12 +42,31 @@ def update_grid(worker, scene, dt, kappa, arrays: ti.template()):
     for n in range(arrays.workers[worker, Worker.ACTIVE]):
         column = arrays.spans[first + n, Span.ACTIVE] - first
         i, k = column // deep, column % deep
+        alone = has_alone(column, worker, arrays)
         for j in range(arrays.spans[first + column, Span.LOW], arrays.spans[first + column, Span.HIGH]):
-            if owns(column, j, worker, arrays):
-                node = node_of(arrays.grid, column, j, worker, arrays)
+            if alone or owns(column, j, worker, arrays):
+                node = zero_node()
+                if alone:
+                    node = arrays.grid[own_node(column, j, worker, arrays)]
+                else:
+                    node = node_of(arrays.grid, column, j, worker, arrays)
                 if node[arrays.features.dimension] > 0.0:
                     node = moved_node(node, [i, j, k], worker, scene, dt, kappa, arrays)
-                    put_node(arrays.grid, node, column, j, worker, arrays)
+                    if alone:
+                        arrays.grid[own_node(column, j, worker, arrays)] = node
+                    else:
+                        put_node(arrays.grid, node, column, j, worker, arrays)
+
+
+@ti.func
+def has_alone(column, worker, arrays: ti.template()):
+    """Whether no other worker has nodes of a column of the box."""
+    alone = True
+    if ti.static(arrays.features.processor.shared):
+        for other in range(arrays.workers.shape[0]):
+            empty = arrays.spans[arrays.workers[other, Worker.COLUMN] + column, Span.HIGH] == 0
+            alone = alone and (empty or other == worker)
+    return alone
 
 
 @ti.func
