@@ -26,7 +26,7 @@ SPACING = 0.02
 AROUND, LEAST, FLAT = 2.0, 0.05, 1.0e-3
 """Half width over which a gauge takes a pressure [cells], share of it that is filled below which it is no flow, and
 variance of heights over the square of that width that does not count as a slope."""
-PRESSURE_SCATTER = 0.1
+PRESSURE_SCATTER = 0.05
 """Standard deviation of a pore pressure from flow to flow over its value, until an ensemble has measured it."""
 IMPULSE_SCATTER = 0.05
 """Standard deviation of an impulse from flow to flow over its value, until an ensemble has measured it."""
@@ -235,29 +235,27 @@ class PorePressure(SmoothObservation):
         require(x is not None, "x", "the x [m] of the gauges", "none")
         require(times is not None, "times", "the times [s] at which the gauges are read", "none")
         require((z is None) == (scene.dimension == 2), "z", "the z [m] of the gauges in 3D, none in 2D", z)
-        plan = [each for each in (x, z) if each is not None]
-        alike = len({len(each) for each in (*plan, *([] if y is None else [y]))}) == 1
-        require(alike, "x", "as many x, y and z as gauges", "others")
-        level = elevation(scene.solids, scene.domain, np.array(plan, np.float64).T)
-        columns = [x, level if y is None else y, *([] if z is None else [z])]
-        for key, column, length in zip("xyz", columns, scene.domain.size, strict=False):
-            held = all(0.0 <= each <= length for each in column or ()) if key != "y" else True
-            require(held, key, f"lengths between 0 and {length:g} m", [] if column is None else list(column))
-        self.gauges = np.array(columns, np.float64).T
+        columns = {key: np.array(each, np.float64) for key, each in (("x", x), ("y", y), ("z", z)) if each is not None}
+        require(len({*map(len, columns.values())}) == 1, "x", "as many x, y and z as gauges", "others")
+        for key, places in columns.items():
+            length = scene.domain.size["xyz".index(key)]
+            held = bool(((places >= 0.0) & (places <= length)).all())
+            require(held, key, f"lengths between 0 and {length:g} m", places.tolist())
+        if y is None:
+            plan = np.stack([columns[key] for key in "xz" if key in columns], axis=1)
+            columns["y"] = elevation(scene.solids, scene.domain, plan)
+        self.gauges = np.stack([columns[key] for key in "xyz" if key in columns], axis=1)
         self.spacing = AROUND * scene.domain.cell if spacing is None else spacing
-        if len(self.gauges) != len(self.times):
-            # Every gauge at every time, one gauge after the other.
-            self.gauges, self.times = (
-                np.repeat(self.gauges, len(self.times), axis=0),
-                np.tile(self.times, len(self.gauges)),
-            )
-        self.count = len(self.times)
+        # Every gauge at every time, one gauge after the other, unless each has its own.
+        own = np.array(times)
+        repeats = 1 if len(own) == len(self.gauges) else len(own)
+        self.times = own if repeats == 1 else np.tile(own, len(self.gauges))
+        self.gauges, self.count = np.repeat(self.gauges, repeats, axis=0), len(self.times)
 
     @property
     def places(self) -> tuple[str, Values]:
-        return (
-            super().places if len(np.unique(self.gauges, axis=0)) == 1 else ("number", np.arange(1.0, self.count + 1.0))
-        )
+        alone = len(np.unique(self.gauges, axis=0)) == 1
+        return super().places if alone else ("number", np.arange(1.0, self.count + 1.0))
 
     def gathered(self, rows: Any) -> Any:
         return rows.diagonal()
