@@ -19,7 +19,8 @@ creeps by some u, the more the coarser the cells; each of its halves is the shor
 than its nodes can give, and the slope seems stronger the coarser it is (Nagtegaal, Parks & Rice 1974). Stiffness, on
 which no limit load depends, such that u = SETTLEMENT H, so that what moves is seen early. Tension cutoff and residual
 strength are reduced as c is, dilation stays below phi; friction of floor and solids is theirs; initial velocities,
-stages, barriers and the growth of friction with the rate of shear are left out.
+stages, barriers and the growth of friction with the rate of shear are left out. Water exerts the force -grad p of the
+pore pressure at the start (`mpm.initial.water`) and no other: the long term, drained.
 
 The error over cells across the height is on the page of stability (`python -m validation.bench stability`). A crest
 shorter than 1.5 H behind the edge takes some of the factor away, for the wall of the box is smooth; so does terrain,

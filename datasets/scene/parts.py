@@ -193,11 +193,9 @@ class Water(Record):
     """Where the ground water stands at the start of a scene with saturated material (`mpm.initial.water`)."""
 
     level: Annotated[float | None, Bounds("an elevation in m", ge=-FARTHEST)] = None
-    """Elevation of a level water table [m]: saturated material is so below it and moist, without pore pressure, above.
-    Without it and a `table` water stands at the `pool`, else to the top of the masses."""
+    """Elevation of a level water table [m]; without it and a `table` that of the `pool`, else the top of the masses."""
     table: Rows | None = None
-    """Elevation of another water table [m]: in 2D points x, y from small to large x, linear in between; in 3D rows
-    along x of columns along z. Beyond its ends it goes on level."""
+    """Another one [m]: in 2D points x, y from small to large x, in 3D rows along x of columns along z."""
     origin: Vector | None = None
     """x and z of the first elevation of a table in 3D [m]."""
     spacing: Size | None = None
