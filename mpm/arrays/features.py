@@ -185,10 +185,10 @@ class Features:
             remainder=size if self.compensated else 0,  # what rounding has kept from the position [m]
             before=size if self.recorded.until_rest else 0,  # the velocity at the end of the frame before
             entry=(1 + size) * int(self.inflow),  # frames to wait, 0 of what has entered; the velocity then
+            seepage=size * int(self.seeps),  # force of water per volume [N/m^3]
             pore_pressure=int(self.pores),  # [Pa]
             saturated=int(self.wet),  # 1 where water fills the pores, else 0
             volume_strain=int(self.wet),  # of a step [-]
-            seepage=size * int(self.seeps),  # force of water per volume [N/m^3]
         )
 
     @cached_property
