@@ -114,7 +114,7 @@ def test_tables_that_are_none_are_refused() -> None:
 def with_water(slope: KnownSlope, cells: int, *, ratio: float | None = None, **water: Any) -> Scene:
     dry = slope.scene(cells)
     body = dataclasses.replace(dry.masses[0], initial_pore_pressure_ratio=ratio)
-    soil = dataclasses.replace(dry.material, saturated=True)
+    soil = dataclasses.replace(dry.material, saturated=True, softening_length=1.0e6)
     return dataclasses.replace(dry, masses=(body,), material=soil, water=Water(fixed=True, **water))
 
 
