@@ -242,11 +242,16 @@ def section(label: str, experiment: Experiment, found: Sequence[Predicted], out:
             row[f"front at {at:g} m [s]"] = "-" if math.isnan(arrival) else f"{arrival:.2f}"
             row[f"thickest at {at:g} m [m]"] = f"{series.max():.3f} at {each.time[series.argmax()]:.1f} s"
         rows.append({**row, "farthest front [m]": f"{each.front.max():.1f}"})
+    half = len(found) // 2
+    moved = [
+        abs(fine.arrivals / coarse.arrivals - 1.0) for coarse, fine in zip(found[:half], found[half:], strict=True)
+    ]
+    said = f"Half the cell moves the arrivals by at most {percent(float(np.max(moved)))}."
     choices = [f"- {each['what']}: {each['choice']}; {each['reason']}." for each in experiment.assumptions]
     variants = [
         f"- {each.name}: {each.source}." for prediction in experiment.predictions for each in prediction.variants
     ]
-    parts = [f"### {label}", f"{experiment.title}. {experiment.what}", tables([rows]), f"![{label}]({picture})"]
+    parts = [f"### {label}", f"{experiment.title}. {experiment.what}", tables([rows]), said, f"![{label}]({picture})"]
     return "\n\n".join([*parts, "\n".join([*variants, *choices])])
 
 
