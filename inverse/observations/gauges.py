@@ -244,21 +244,20 @@ class PorePressure(SmoothObservation):
         if y is None:
             plan = np.stack([columns[key] for key in "xz" if key in columns], axis=1)
             columns["y"] = elevation(scene.solids, scene.domain, plan)
-        self.gauges = np.stack([columns[key] for key in "xyz" if key in columns], axis=1)
+        gauges, own = np.stack([columns[key] for key in "xyz" if key in columns], axis=1), np.array(times)
+        if len(own) != len(gauges):
+            # Every gauge at every time, one gauge after the other.
+            gauges, own = np.repeat(gauges, len(own), axis=0), np.tile(own, len(gauges))
+        self.gauges, self.which = np.unique(gauges, axis=0, return_inverse=True)
         self.spacing = AROUND * scene.domain.cell if spacing is None else spacing
-        # Every gauge at every time, one gauge after the other, unless each has its own.
-        own = np.array(times)
-        repeats = 1 if len(own) == len(self.gauges) else len(own)
-        self.times = own if repeats == 1 else np.tile(own, len(self.gauges))
-        self.gauges, self.count = np.repeat(self.gauges, repeats, axis=0), len(self.times)
+        self.times, self.count = own, len(own)
 
     @property
     def places(self) -> tuple[str, Values]:
-        alone = len(np.unique(self.gauges, axis=0)) == 1
-        return super().places if alone else ("number", np.arange(1.0, self.count + 1.0))
+        return super().places if len(self.gauges) == 1 else ("number", np.arange(1.0, self.count + 1.0))
 
     def gathered(self, rows: Any) -> Any:
-        return rows.diagonal()
+        return rows[np.arange(self.count), self.which]
 
     def predict(self, rollout: Rollout) -> Tensor:
         water = rollout.pore_pressure
@@ -270,7 +269,7 @@ class PorePressure(SmoothObservation):
         return numbers
 
     def at(self, volumes: Tensor, state: Tensor) -> Tensor:
-        """At every gauge, shape [M], of positions and p of the particles [N, D + 1]."""
+        """At every place of a gauge, shape [G], of positions and p of the particles [N, D + 1]."""
         places, p = state[:, :-1], state[:, -1]
         apart = (places[:, None] - torch.from_numpy(self.gauges)) / self.spacing
         weight = (1.0 - apart.abs()).clamp(min=0.0).prod(dim=2) * volumes.double()[:, None]
