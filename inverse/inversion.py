@@ -2,6 +2,7 @@
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 from datasets.errors import InputError
@@ -11,6 +12,7 @@ from gns.library import model_path, shipped
 from inverse.answer import Answer, Verdict
 from inverse.forward.gns import GnsForward, band_of, require_predicted
 from inverse.forward.mpm import MpmForward
+from inverse.observations.observation import recording
 from inverse.observations.target import Target
 from inverse.problem import Problem
 from inverse.result import Result
@@ -46,7 +48,7 @@ def invert(
 
         result = of_fields(problem)
     else:
-        target = read_target(problem, simulate)
+        target = read_target(problem, partial(simulate, record=recording(problem.operators)))
         result = of_numbers(problem, target, forward_model(problem, target, forward, model))
     if out is not None:
         save(result, out)

@@ -121,9 +121,10 @@ class Result:
 
     @property
     def remarks(self) -> list[str]:
-        """What a user must know of the flow at the first answer (`datasets.flow.caveats`)."""
+        """What a user must know of the flow at the first answer (`datasets.flow.caveats`), and whether it drains."""
         checks = self.answers[0].checks
-        return list(checks[0].trajectory.summary.get("remarks", [])) if checks else []
+        known = checks[0].trajectory.summary if checks else {}
+        return [*known.get("remarks", []), *filter(None, [known.get("drainage")])]
 
     @property
     def scene(self) -> Scene:

@@ -118,7 +118,7 @@ def footprint(
     kept = len(record.kept(scene.frames))
     solids = len(scene.baffles) + len(scene.solids) + (2 * dimension + 1 if record.wall_forces else 0)
     # What is smoothed is there twice.
-    numbers = dimension + (2 * (dimension + features.stresses + 2) if record.fields else 0)
+    numbers = dimension + (2 * (dimension + features.stresses + 2) if record.fields else 0) + int(record.pore_pressure)
     recorded = 4 * count * kept * numbers + 8 * scene.frames * (len(Energy) + 2 * solids * dimension)
     size = int(sum(sizes)) + (0 if in_file else recorded)
     return Footprint(particles=count, nodes=nodes, frames=scene.frames, steps=steps, bytes=size)

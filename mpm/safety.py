@@ -19,7 +19,8 @@ creeps by some u, the more the coarser the cells; each of its halves is the shor
 than its nodes can give, and the slope seems stronger the coarser it is (Nagtegaal, Parks & Rice 1974). Stiffness, on
 which no limit load depends, such that u = SETTLEMENT H, so that what moves is seen early. Tension cutoff and residual
 strength are reduced as c is, dilation stays below phi; friction of floor and solids is theirs; initial velocities,
-stages, barriers and the growth of friction with the rate of shear are left out.
+stages, barriers and the growth of friction with the rate of shear are left out. Water exerts the force -grad p of the
+pore pressure at the start (`mpm.initial.water`) and no other: the long term, drained.
 
 The error over cells across the height is on the page of stability (`python -m validation.bench stability`). A crest
 shorter than 1.5 H behind the edge takes some of the factor away, for the wall of the box is smooth; so does terrain,
@@ -36,11 +37,12 @@ from typing import Any, Unpack, cast
 
 import numpy as np
 
-from datasets.errors import InputError, require
+from datasets.errors import InputError
 from datasets.geometry.bodies import scene_height
 from datasets.scene import Mass, Scene
 from datasets.scene.grid_field import FRICTION, Field
 from datasets.scene.material import Material
+from datasets.scene.parts import Water
 from datasets.scene.water import saturated
 from mpm.laws import law_named
 from mpm.laws.mohr_coulomb import flatter
@@ -85,13 +87,11 @@ class Safety:
 def safety_factor(scene: Scene, *, tolerance: float = 0.01, **options: Unpack[Options]) -> Safety:
     """The factor of safety of a scene, to a relative `tolerance`; runs of len(FIRST) factors side by side.
 
-    options: those of `mpm.simulate_many`, `record` apart. Raises InputError for a scene without gravity, with
-    saturated material, or that
+    options: those of `mpm.simulate_many`, `record` apart. Raises InputError for a scene without gravity, or that
     stands, or moves, whatever its strength.
     """
     if scene.gravity <= 0.0:
         raise InputError("expected gravity above 0, nothing moves without", key="gravity")
-    require(saturated(scene) is None, "material.saturated", "false: no factor of safety knows water yet", "true")
     tall = scene_height(scene)
     begin, options["record"] = time.perf_counter(), Recording(frames=FRAMES // 2)
     found: dict[float, float] = {}
@@ -160,6 +160,7 @@ def reduced(scene: Scene, factor: float) -> Scene:
         masses=tuple(standing(mass) for mass in scene.masses),
         fields=tuple(flat(field) for field in scene.fields if field.quantity == FRICTION),
         stages=(),
+        water=None if saturated(scene) is None else dataclasses.replace(scene.water or Water(), fixed=True),
         particles_per_axis=1,
         jitter=0.0,
         damping=0.0,

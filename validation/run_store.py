@@ -32,6 +32,9 @@ from mpm.simulation import LARGE
 SHARE = "share_s"
 """In the summary of a stored run: its share of the wall time of all that ran beside it, compilation left out [s]."""
 
+WATER = "pore_pressure"
+"""A key of recordings that was not there from the start."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
@@ -52,7 +55,9 @@ class Run:
         ]
         record = [(each.name, getattr(self.record, each.name)) for each in dataclasses.fields(self.record)]
         # Runs without fields keep the names under which they are on disk.
-        record = [(name, value or [] if name == "fields" else value) for name, value in record]
+        record = [
+            (name, value or [] if name == "fields" else value) for name, value in record if name != WATER or value
+        ]
         text = repr((__version__, sorted(scene), record, self.precision))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -25,7 +25,9 @@ BED = ("friction", "turbulence")
 """Keys of a terrain in 3D that may name rasters."""
 NEARLY = 1.0e-6
 """Part of a raster's cell that counts as none."""
-FILES = {"terrain": "file", "layer": "thickness", "mesh": "file", INFLOW: "file"}
+WATER = "water table"
+"""What the reader calls `water`, a table without a kind."""
+FILES = {"terrain": "file", "layer": "thickness", "mesh": "file", INFLOW: "file", WATER: "table"}
 """The key that names the file of a kind."""
 
 
@@ -44,6 +46,9 @@ def with_files(data: Entry, folder: Path) -> Entry:
     for group in ("solids", "masses"):
         if isinstance(data.get(group), list):
             new[group] = [reader.complete(entry, f"{group}[{index}]") for index, entry in enumerate(data[group])]
+    if isinstance(data.get("water"), dict):
+        new["water"] = reader.complete({"kind": WATER} | data["water"], "water")
+        new["water"].pop("kind")
     if "around" in data["domain"]:
         with keyed("domain"):
             new["domain"] = with_elevations(domain, new)
@@ -89,10 +94,10 @@ class Reader:
                     found = {"hydrograph": np.stack(rows, axis=1).tolist()}
                 elif len(self.size) == 3:
                     found = self.field(path, at, "heights" if kind == "terrain" else name)
-                elif kind == "terrain":
+                elif kind in ("terrain", WATER):
                     columns = read_columns(path, ("x", "y"), ("friction",))
                     points = np.stack([columns["x"], columns["y"]], axis=1) + np.array(at or (0.0, 0.0))
-                    found = {"points": points.tolist()}
+                    found = {"points" if kind == "terrain" else name: points.tolist()}
                     if "friction" in columns:
                         found["friction"] = columns["friction"].tolist()
                 else:
@@ -152,7 +157,7 @@ class Reader:
         from datasets.exchange.rasters import read_raster, same_system
 
         raster = read_raster(path)
-        terrain, offset = name == "heights", self.offset
+        terrain, surface, offset = name == "heights", name != "thickness", self.offset
         self.crs = self.crs or raster.crs
         same = same_system(self.crs, raster)
         require(same, "", f"the reference system of the scene's other raster, {self.crs}", raster.crs)
@@ -161,9 +166,9 @@ class Reader:
             offset = float(x) - raster.corner[0], float(z) - raster.corner[1]
         axes = [axis + shift for axis, shift in zip((raster.x, raster.z), offset, strict=True)]
         values = raster.values
-        if terrain:
+        if surface:
             axes, values = self.around_box(axes, values)
-            self.offset = offset if self.lower is None else self.offset
+            self.offset = offset if terrain and self.lower is None else self.offset
         else:
             # A cell without data, or without material, is no layer.
             values = np.nan_to_num(values, nan=0.0)

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Sequence
 
 from datasets.errors import require
-from datasets.scene.parts import INFLOW, Mass, Rows, Solid
+from datasets.scene.parts import INFLOW, Mass, Rows, Solid, Water
 from datasets.schema import FARTHEST
 
 KEYS: dict[tuple[type, str, int], tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -67,9 +67,9 @@ def check_rows(rows: Rows, key: str, width: int, *, least: int = 1) -> None:
         check_vector(row, f"{key}[{index}]", width)
 
 
-def check_grid(shape: Solid | Mass, values: Rows, key: str, name: str) -> None:
-    """Raise InputError unless `values`, of the key `name`, are numbers on a grid in x and z, of a terrain 2 x 2."""
-    least = 2 if name == "heights" else 1
+def check_grid(shape: Solid | Mass | Water, values: Rows, key: str, name: str) -> None:
+    """Raise InputError unless `values`, of the key `name`, are numbers on a grid in x and z, of a surface 2 x 2."""
+    least = 1 if name == "thickness" else 2
     check_vector(shape.origin or (), f"{key}.origin", 2)
     check_vector(shape.spacing or (), f"{key}.spacing", 2)
     enough = len(values) > 0 and len(values[0]) >= least

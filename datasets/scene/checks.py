@@ -1,6 +1,7 @@
 """What the parts of a scene must fulfil together to be simulated; each key with what is expected of it."""
 
 import dataclasses
+import itertools
 import math
 import warnings
 from typing import Any
@@ -8,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError, require
-from datasets.geometry.shapes import check_rows, check_solid, check_vector, usual
+from datasets.geometry.shapes import check_grid, check_rows, check_solid, check_vector, usual
 from datasets.scene.grid_field import FRICTION, VELOCITIES
 from datasets.scene.material import ANGLES, MOHR_COULOMB
-from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, SceneLayout, keyed
+from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, SceneLayout, Water, keyed
 from datasets.scene.water import saturated
 from datasets.schema import FARTHEST
 
@@ -170,9 +171,10 @@ def check_k0(scene: SceneLayout) -> None:
 
 def check_water(scene: SceneLayout) -> None:
     """Raise InputError for water that nothing in the scene holds, and for what its solver does not know."""
+    water = scene.water or Water()
     if saturated(scene) is None:
         require(scene.water is None, "water", "a saturated material beside it", "none")
-    else:
+    elif not water.fixed:
         # The box takes friction of a node's whole impulse, of water and grains together.
         ground = any(solid.kind == "terrain" for solid in scene.solids) or "y-" in scene.open_sides
         floor = scene.floor_friction if not ground else 0.0
@@ -187,6 +189,18 @@ def check_water(scene: SceneLayout) -> None:
         require(not enters, "masses", "no inflow in a scene with saturated material", "one")
         keeps = scene.volume_correction is not False
         require(keeps, "volume_correction", "true or none beside saturated material", "false")
+    alone = water.level is None or water.table is None
+    require(alone, "water.table", "none beside a level", "one")
+    for name in ("origin", "spacing"):
+        gridded = water.table is not None and scene.dimension == 3
+        expected = "x and z of a table in 3D, and only of that"
+        require((getattr(water, name) is not None) == gridded, f"water.{name}", expected, "others")
+    if water.table is not None and scene.dimension == 3:
+        check_grid(water, water.table, "water", "table")
+    elif water.table is not None:
+        check_rows(water.table, "water.table", 2, least=2)
+        rises = all(second[0] > first[0] for first, second in itertools.pairwise(water.table))
+        require(rises, "water.table", "points from small to large x", "others")
     for key, mass in keyed(scene, "masses").items():
         ratio = mass.initial_pore_pressure_ratio
         holds = ratio is None or scene.material_of(mass).saturated

@@ -32,6 +32,7 @@ PLACES: dict[str, dict[str, slice]] = {
     "solids": {"lower": WHOLE, "vertices": WHOLE, "points": WHOLE, "origin": PLAN, "heights": UP},
     "fields": {"origin": WHOLE},
     "stages": {"lower": WHOLE, "outline": PLAN},
+    "water": {"level": UP, "pool": UP, "table": WHOLE, "origin": PLAN},
 }
 """The keys of a scene that say where something is, and which components of an origin they count from."""
 DIGITS = 7
@@ -82,8 +83,8 @@ def moved(data: dict[str, Any], by: NDArray[np.float64]) -> dict[str, Any]:
     for group, keys in PLACES.items():
         if isinstance(data.get(group), list | tuple):
             new[group] = [moved_entry(entry, keys, by) for entry in data[group]]
-    if isinstance(water := data.get("water"), dict) and isinstance(level := water.get("level"), int | float):
-        new["water"] = {**water, "level": round(level + float(by[1]), DIGITS)}
+        elif isinstance(data.get(group), dict):
+            new[group] = moved_entry(data[group], keys | ({"table": UP} if len(by) == 3 else {}), by)
     return new
 
 
@@ -97,9 +98,9 @@ def moved_entry(entry: Any, keys: dict[str, slice], by: NDArray[np.float64]) -> 
             places = np.asarray(entry.get(key))
             # The foot of a section may have an elevation.
             step = by if axes == PLAN and places.shape[-1:] == by.shape else by[axes]
-            is_place = places.dtype.kind in "if" and places.ndim > 0
+            is_place = places.dtype.kind in "if" and (places.ndim > 0 or key in ("level", "pool"))
             if is_place and (axes == UP or places.shape[-1] == len(step)):
-                entry[key] = np.round(places + step, DIGITS).tolist()
+                entry[key] = np.round(places + (step if places.ndim else step[0]), DIGITS).tolist()
     return entry
 
 

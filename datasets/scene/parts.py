@@ -190,13 +190,22 @@ class Channel(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class Water(Record):
-    """Where the ground water stands at the start of a scene with saturated material."""
+    """Where the ground water stands at the start of a scene with saturated material (`mpm.initial.water`)."""
 
     level: Annotated[float | None, Bounds("an elevation in m", ge=-FARTHEST)] = None
-    """Elevation of the water table [m]: saturated material is so below it and moist, without pore pressure, above; the
-    top of each mass where absent."""
+    """Elevation of a level water table [m]; without it and a `table` that of the `pool`, else the top of the masses."""
+    table: Rows | None = None
+    """Another one [m]: in 2D points x, y from small to large x, in 3D rows along x of columns along z."""
+    origin: Vector | None = None
+    """x and z of the first elevation of a table in 3D [m]."""
+    spacing: Size | None = None
+    """Distance between its elevations along x and z [m]."""
+    pool: Annotated[float | None, Bounds("an elevation in m", ge=-FARTHEST)] = None
+    """Elevation of standing water [m], which presses on the ground below it; of a slope at rest alone (`fixed`)."""
     drained: bool = False
     """Whether floor and solids let water out; they are tight where absent."""
+    fixed: bool = False
+    """Whether pore pressure acts on each particle as at the start: the slope at rest of a factor of safety."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,6 +57,8 @@ def drainage(scene: SceneLayout, time: float) -> str:
     material = saturated(scene)
     if material is None:
         return ""
+    if scene.water is not None and scene.water.fixed:
+        return "the pore pressure stays as it is at the start"
     from datasets.geometry.bodies import height
 
     tall = max(height(scene, mass) for mass in scene.masses if scene.material_of(mass) is material)

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from datasets.scene.particles import particle_count
 from inverse.forward import Simulate
 from inverse.observations import Observation, Values
+from inverse.observations.observation import recording
 from inverse.parameters import Vector
 from inverse.problem import Problem
-from mpm import ALL, LAST
+from mpm import LAST
 
 PARTICLES = 400
 """Of a whole deposit, at most: their covariance is a dense matrix."""
@@ -31,8 +32,8 @@ class MpmForward:
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The exact observation [m] of an MPM run at each vector of parameters [U]."""
-        record = ALL if self.observation.over_time else LAST
-        trajectories = self.simulate([self.problem.scene_at(values) for values in parameters], record=record)
+        scenes = [self.problem.scene_at(values) for values in parameters]
+        trajectories = self.simulate(scenes, record=recording([self.observation]))
         flows = [self.problem.clocked(*each) for each in zip(trajectories, parameters, strict=True)]
         return [self.select(self.observation.observe(flow)) for flow in flows]
 

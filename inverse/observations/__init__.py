@@ -13,6 +13,7 @@ from inverse.observations.deposit import ToeSettings as ToeSettings
 from inverse.observations.gauges import GaugesSettings as GaugesSettings
 from inverse.observations.gauges import ImpulseSettings as ImpulseSettings
 from inverse.observations.gauges import PeakForceSettings as PeakForceSettings
+from inverse.observations.gauges import PorePressureSettings as PorePressureSettings
 from inverse.observations.motion import ArrivalSettings as ArrivalSettings
 from inverse.observations.motion import SpeedSettings as SpeedSettings
 from inverse.observations.observation import Observation as Observation
@@ -24,7 +25,14 @@ from inverse.observations.profile import ProfileSettings as ProfileSettings
 from inverse.observations.settings import ObservationSettings as ObservationSettings
 
 _DEPOSIT = (FrontSettings, RunoutSettings, ToeSettings, DepositSettings, PassedSettings, OutlineSettings)
-_INSTRUMENTS = (GaugesSettings, ImpulseSettings, PeakForceSettings, ArrivalSettings, SpeedSettings)
+_INSTRUMENTS = (
+    GaugesSettings,
+    ImpulseSettings,
+    PeakForceSettings,
+    ArrivalSettings,
+    SpeedSettings,
+    PorePressureSettings,
+)
 KINDS: dict[str, type[ObservationSettings]] = {
     settings.operator_type.kind: settings for settings in (*_DEPOSIT, ProfileSettings, ThicknessSettings, *_INSTRUMENTS)
 }

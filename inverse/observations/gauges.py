@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,14 +13,21 @@ from torch import Tensor
 
 from datasets.errors import InputError, require
 from datasets.flow.trajectory import solid_names
+from datasets.geometry.ground import elevation
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
+from datasets.scene.water import saturated
 from inverse.observations.measured_profile import require_inside
 from inverse.observations.observation import Numbers, Rollout, SmoothObservation, Values, at_times, relative_scatter
 from inverse.observations.settings import LengthsSettings, ObservationSettings, TabulatedSettings
 
 SPACING = 0.02
 """Half width over which a gauge takes the mean height [m]."""
+AROUND, LEAST, FLAT = 2.0, 0.05, 1.0e-3
+"""Half width over which a gauge takes a pressure [cells], share of it that is filled below which it is no flow, and
+variance of heights over the square of that width that does not count as a slope."""
+PRESSURE_SCATTER = 0.05
+"""Standard deviation of a pore pressure from flow to flow over its value, until an ensemble has measured it."""
 IMPULSE_SCATTER = 0.05
 """Standard deviation of an impulse from flow to flow over its value, until an ensemble has measured it."""
 
@@ -194,6 +202,109 @@ class PeakForceSettings(ObservationSettings):
     """Along which axis of the scene: 0 for x, 1 for y, 2 for z."""
 
     operator_type, options = PeakForce, ("window", "solid", "axis")
+
+
+class PorePressure(SmoothObservation):
+    """The pressure of the water in pores at gauges over time [Pa], each gauge at every time: M numbers.
+
+        p_g = share (p - b (y - y_g))_+,   share = min(1, sum_i w_i V_i / V_0)
+
+    p and y are means over the particles around a gauge, of the weights w_i V_i with w a product of hats along the axes
+    as that of `Gauges`, and b the slope of their regression line of p over y: a gauge on the ground reads the pressure
+    there. V_0 is a twentieth of what fills these hats: where the flow is not, there is no pressure.
+    """
+
+    kind = "pore-pressure"
+    label = "the pore pressure at gauges"
+    unit = "Pa"
+    limits = (0.0, math.inf)
+    over_time, of_positions, of_water = True, False, True
+
+    def __init__(
+        self,
+        scene: Scene,
+        x: Numbers,
+        *,
+        y: Numbers = None,
+        z: Numbers = None,
+        times: Numbers,
+        spacing: float | None = None,
+    ) -> None:
+        super().__init__(scene, times)
+        require(saturated(scene) is not None, "kind", "a scene with saturated material", "a dry one")
+        require(x is not None, "x", "the x [m] of the gauges", "none")
+        require(times is not None, "times", "the times [s] at which the gauges are read", "none")
+        require((z is None) == (scene.dimension == 2), "z", "the z [m] of the gauges in 3D, none in 2D", z)
+        columns = {key: np.array(each, np.float64) for key, each in (("x", x), ("y", y), ("z", z)) if each is not None}
+        require(len({*map(len, columns.values())}) == 1, "x", "as many x, y and z as gauges", "others")
+        for key, places in columns.items():
+            length = scene.domain.size["xyz".index(key)]
+            held = bool(((places >= 0.0) & (places <= length)).all())
+            require(held, key, f"lengths between 0 and {length:g} m", places.tolist())
+        if y is None:
+            plan = np.stack([columns[key] for key in "xz" if key in columns], axis=1)
+            columns["y"] = elevation(scene.solids, scene.domain, plan)
+        gauges, own = np.stack([columns[key] for key in "xyz" if key in columns], axis=1), np.array(times)
+        if len(own) != len(gauges):
+            # Every gauge at every time, one gauge after the other.
+            gauges, own = np.repeat(gauges, len(own), axis=0), np.tile(own, len(gauges))
+        self.gauges, self.which = np.unique(gauges, axis=0, return_inverse=True)
+        self.spacing = AROUND * scene.domain.cell if spacing is None else spacing
+        self.times, self.count = own, len(own)
+
+    @property
+    def places(self) -> tuple[str, Values]:
+        return super().places if len(self.gauges) == 1 else ("number", np.arange(1.0, self.count + 1.0))
+
+    def gathered(self, rows: Any) -> Any:
+        return rows[np.arange(self.count), self.which]
+
+    def predict(self, rollout: Rollout) -> Tensor:
+        water = rollout.pore_pressure
+        if water is None:
+            raise InputError("expected a run that recorded the pore pressure, it did not")
+        state = torch.cat([rollout.positions.double(), water.double()[:, :, None]], dim=2)
+        assert self.times is not None, "it has times"
+        numbers: Tensor = self.gathered(at_times(partial(self.at, rollout.volumes), state, rollout.times, self.times))
+        return numbers
+
+    def at(self, volumes: Tensor, state: Tensor) -> Tensor:
+        """At every place of a gauge, shape [G], of positions and p of the particles [N, D + 1]."""
+        places, p = state[:, :-1], state[:, -1]
+        apart = (places[:, None] - torch.from_numpy(self.gauges)) / self.spacing
+        weight = (1.0 - apart.abs()).clamp(min=0.0).prod(dim=2) * volumes.double()[:, None]
+        total = weight.sum(dim=0)
+        share, per = total / (LEAST * self.spacing**self.scene.dimension), 1.0 / total.clamp(min=1.0e-30)
+        mean, middle = (weight * p[:, None]).sum(dim=0) * per, (weight * apart[:, :, 1]).sum(dim=0) * per
+        across = apart[:, :, 1] - middle
+        slope = (weight * across * p[:, None]).sum(dim=0) / ((weight * across**2).sum(dim=0) + FLAT * total + 1.0e-30)
+        return share.clamp(max=1.0) * (mean - slope * middle).clamp(min=0.0)
+
+    def prior_scatter(self, values: Values) -> Values:
+        return relative_scatter(values, PRESSURE_SCATTER)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PorePressureSettings(LengthsSettings):
+    """Of `PorePressure`; the table has time and pressure, and of several gauges x, maybe y and z."""
+
+    values: tuple[float, ...] | None = None
+    """One [Pa] for each gauge at each of `times`, one gauge after the other."""
+    x: tuple[float, ...] | None = None
+    """Of the gauges [m]."""
+    y: tuple[float, ...] | None = None
+    """Their elevations [m]; where absent they stand on the ground."""
+    z: tuple[float, ...] | None = None
+    """In 3D [m]."""
+    times: tuple[float, ...] | None = None
+    """When [s] after the start."""
+    spacing: float | None = None
+    """Half width over which a gauge takes the mean [m]; two cells where absent."""
+
+    operator_type, options = PorePressure, ("x", "y", "z", "times", "spacing")
+    places: ClassVar = {"x": 0, "y": 1, "z": 2}
+    columns: ClassVar = {"time": "times", "pressure": "values", "x": "x", "y": "y", "z": "z"}
+    optional = ("x", "y", "z")
 
 
 def hat_area(x: Values, spacing: float, length: float) -> Values:

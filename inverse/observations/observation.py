@@ -18,6 +18,7 @@ from datasets.errors import require
 from datasets.flow import measures
 from datasets.flow.trajectory import Trajectory, brackets
 from datasets.scene import Scene
+from mpm.output.recording import Recording
 
 Values = NDArray[np.float64]
 """An observation: M numbers in their unit, shape [M]."""
@@ -43,6 +44,8 @@ class Rollout:
     """[m^D], shape [N]."""
     impulses: Tensor | None = None
     """Momentum that solids have taken [N s], in 2D per metre of width, shape [T, solids, D]; no surrogate has it."""
+    pore_pressure: Tensor | None = None
+    """Of the particles where it was recorded [Pa], shape [T, N]; no surrogate has it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +84,8 @@ class Observation:
     """Whether it needs more of a trajectory than its last frame."""
     of_positions: bool = True
     """Whether it follows from positions alone: what the surrogate predicts."""
+    of_water: bool = False
+    """Whether it needs the pore pressure of the particles."""
     dense: ClassVar[bool] = False
     """Whether it follows from positions all the same, of more particles than a surrogate has."""
 
@@ -165,12 +170,13 @@ class SmoothObservation(Observation):
     """One whose smooth form is the exact one too: a run is observed as a rollout is, by its own volumes."""
 
     def observe(self, trajectory: Trajectory) -> Values:
-        impulse = trajectory.solid_impulse
+        impulse, water = trajectory.solid_impulse, trajectory.pore_pressure
         rollout = Rollout(
             positions=torch.from_numpy(np.asarray(trajectory.positions)),
             times=trajectory.time,
             volumes=torch.from_numpy(trajectory.volumes),
             impulses=None if impulse is None else torch.from_numpy(impulse),
+            pore_pressure=None if water is None else torch.from_numpy(np.asarray(water)),
         )
         return np.asarray(self.predict(rollout).numpy())
 
@@ -194,6 +200,7 @@ class Joint(Observation):
         self.parts, self.scale, self.prior = tuple(parts), scale, prior
         self.of_positions = all(part.observation.of_positions for part in parts)
         self.over_time = any(part.observation.over_time for part in parts)
+        self.of_water = any(part.observation.of_water for part in parts)
 
     def observe(self, trajectory: Trajectory) -> Values:
         return np.concatenate([part.observation.observe(trajectory) for part in self.parts]) / self.scale
@@ -204,6 +211,12 @@ class Joint(Observation):
 
     def prior_scatter(self, values: Values) -> Values:
         return np.asarray(self.prior / self.scale)
+
+
+def recording(observations: Sequence[Observation]) -> Recording:
+    """What a run of the MPM has to record for these."""
+    moving, wet = (any(getattr(each, key) for each in observations) for key in ("over_time", "of_water"))
+    return Recording(frames="all" if moving else "last", pore_pressure=wet)
 
 
 def at_times(operator: Callable[[Any], Any], series: Any, time: Values, times: Values) -> Any:

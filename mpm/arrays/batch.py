@@ -95,7 +95,7 @@ class Batch:
         tables = held_tables(scenes, self.particles, self.offsets, real)
         self.barriers, self.retained, self.settling, self.inflows = tables
         self.workers = np.zeros((len(scenes) * workers, len(Worker)), np.int32)
-        self.in_kernel = record.every == 1 and not record.fields and file is None
+        self.in_kernel = record.every == 1 and not record.state and file is None
         block = column = impulse = line = recorded = recorded_impulse = 0
         for index, (scene, own, offset) in enumerate(zip(scenes, self.particles, self.offsets, strict=True)):
             count = len(own.positions)
@@ -239,14 +239,17 @@ class Batch:
             put_vectors(portion, features.state.contacts, contacts)
         if particles.velocity_gradients.any():
             put(features.state.affine, particles.velocity_gradients.reshape(count, -1))
-        if features.wet or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
+        if features.pores or any(mass.k0 is not None or begins_as_slope(scene, mass) for mass in scene.masses):
             # Imported here: most runs begin without stress and need no sparse solver.
             from mpm.initial.stress import initial_tractions
 
-            water = initial_water(scene, particles) if features.wet else None
-            if water is not None:
-                put(features.state.pore_pressure, water[:, :2])
-            stress, shear = initial_tractions(scene, particles, particles.positions.astype(state.dtype), water)
+            water, seepage = initial_water(scene, particles) if features.pores else (None, None)
+            if water is not None and seepage is not None:
+                put(features.state.pore_pressure, water[:, : 1 + features.wet])
+                if features.seeps:
+                    put(features.state.seepage, seepage)
+            rounded = particles.positions.astype(state.dtype)
+            stress, shear = initial_tractions(scene, particles, rounded, water, seepage if features.seeps else None)
             put(features.state.stress, stress)
             if features.contact:
                 put(features.state.contacts + Contact.NORMAL + features.dimension, shear)
@@ -281,7 +284,7 @@ class Batch:
         shapes: dict[str, tuple[int, ...]] = {"positions": (features.dimension,)}
         if self.recording.fields:
             shapes |= {"velocities": (features.dimension,), "stress": (features.stresses,), "plastic_strain": ()}
-            shapes |= {"pore_pressure": ()} if features.wet else {}
+        shapes |= {"pore_pressure": ()} if self.recording.state and features.pores else {}
         return {name: np.zeros((kept, count, *shape), np.float32) for name, shape in shapes.items()}
 
     def store(self, index: int, slot: int) -> None:

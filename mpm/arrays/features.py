@@ -106,6 +106,8 @@ class Features:
     """Particles enter over time (`mpm.physics.inflow`)."""
     wet: bool = False
     """Water fills the pores of a material (`mpm.physics.water`)."""
+    seeps: bool = False
+    """Water exerts a given force on each particle (`mpm.initial.water`)."""
     barriers: bool = False
     """Masses stand behind barriers until their release."""
     gates: bool = False
@@ -147,6 +149,11 @@ class Features:
         return len(Contact) + 2 * self.dimension - 1 if self.contact else 0
 
     @property
+    def pores(self) -> bool:
+        """Pore pressure is part of the state."""
+        return self.wet or self.seeps
+
+    @property
     def columns(self) -> int:
         """How many properties a particle of its own material carries: up to the last that the law reads."""
         return 1 + int(max(self.law.columns(self)))
@@ -178,7 +185,8 @@ class Features:
             remainder=size if self.compensated else 0,  # what rounding has kept from the position [m]
             before=size if self.recorded.until_rest else 0,  # the velocity at the end of the frame before
             entry=(1 + size) * int(self.inflow),  # frames to wait, 0 of what has entered; the velocity then
-            pore_pressure=int(self.wet),  # [Pa]
+            seepage=size * int(self.seeps),  # force of water per volume [N/m^3]
+            pore_pressure=int(self.pores),  # [Pa]
             saturated=int(self.wet),  # 1 where water fills the pores, else 0
             volume_strain=int(self.wet),  # of a step [-]
         )
@@ -235,7 +243,10 @@ def features_of(
     require(law.OPENS or not asked, "volume_correction", "false or none beside a law without gaps", "true")
     stages = [stage for scene in scenes for stage in scene.stages]
     inflow = any(mass.kind == INFLOW for scene in scenes for mass in scene.masses)
-    wet = any(material.saturated for material in materials)
+    seeps = any(scene.water is not None and scene.water.fixed for scene in scenes)
+    wet = any(material.saturated for material in materials) and not seeps
+    pool = any(scene.water is not None and scene.water.pool is not None for scene in scenes)
+    require(seeps or not pool, "water.pool", "none of a flow: --safety alone knows water above the ground", "one")
     require(not (wet and gpu), "material.saturated", "false on a GPU, which knows no pore water yet", "true")
     return Features(
         dimension=scenes[0].dimension,
@@ -253,6 +264,7 @@ def features_of(
         outflow=any(scene.open_sides for scene in scenes) or inflow,
         inflow=inflow,
         wet=wet,
+        seeps=seeps,
         barriers=any(mass.release is not None for scene in scenes for mass in scene.masses),
         gates=any(mass.gate is not None for scene in scenes for mass in scene.masses),
         recorded=Recorded(strain=record.fields, walls=record.wall_forces, until_rest=record.until_rest),

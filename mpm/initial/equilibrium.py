@@ -64,7 +64,7 @@ class Equilibrium:
         self.limit = self.law.limit(self.properties)
         weights, self.slopes, self.nodes = gradient_matrices(scene, positions[chosen])
         self.slopes_t = self.slopes.T.tocsr()
-        self.mass: Floats = weights.T @ (self.volume * density)
+        self.weights, self.mass = weights, np.asarray(weights.T @ (self.volume * density))
         self.weight = float(self.mass.sum() * np.linalg.norm(scene.gravity_vector))
         self.gravity: Floats = self.mass[:, None] * np.array(scene.gravity_vector)
         self.friction = coefficient(scene.floor_friction)
@@ -82,8 +82,14 @@ class Equilibrium:
         self.level = [axis for axis in range(self.dimension) if axis != 1]
         self.slip, self.slid = np.zeros((2, *self.nodes.shape))
 
-    def carry(self, pressure: Floats) -> None:
-        """Let water with the pore `pressure` [Pa], shape [N], bear its part: stresses are then those of the grains."""
+    def carry(self, pressure: Floats, seepage: Floats | None = None) -> None:
+        """Let water with the pore `pressure` [Pa], shape [N], bear its part: stresses are then those of the grains.
+
+        seepage: the force per volume [N/m^3], [N, D], that it is known to exert instead.
+        """
+        if seepage is not None:
+            self.gravity = self.gravity + self.weights.T @ (self.volume[:, None] * seepage)
+            return
         push = self.contact.force(-pressure[self.contact.touching], self.contact.traction)
         self.gravity = self.gravity + push + self.divergence(pressure[:, None, None] * np.eye(3))
 

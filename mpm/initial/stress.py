@@ -50,14 +50,19 @@ NEAR = 0.01
 
 
 def initial_tractions(
-    scene: Scene, particles: Particles, positions: Floats | None = None, water: Floats | None = None
+    scene: Scene,
+    particles: Particles,
+    positions: Floats | None = None,
+    water: Floats | None = None,
+    seepage: Floats | None = None,
 ) -> tuple[Floats, Floats]:
     """Stress of every particle at time 0 [Pa], shape [N, 4] (xx, yy, zz, xy) or, in 3D, [N, 6] (..., xy, yz, zx), and
     the shear traction of the solid that it touches [Pa], shape [N, D]. In masses without `k0` that of
     `mpm.initial.slope`, or zero. `positions` [m],
     shape [N, D]: those of the particles as the solver rounds them, where that matters. Warns in one line where no
     equilibrium within the yield surface was found. water: what `mpm.initial.water` gives, where
-    there is any; the stress is that of the grains alone.
+    there is any; the stress is that of the grains alone. seepage: force of water per volume [N/m^3], shape [N, D],
+    in place of its pressure.
     """
     dimension = scene.dimension
     rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
@@ -67,7 +72,7 @@ def initial_tractions(
         guess, numbers = geostatic(scene, particles, rounded), np.flatnonzero(chosen)
         problem = Equilibrium(scene, particles, rounded, numbers)
         if water is not None:
-            problem.carry(water[chosen, 0])
+            problem.carry(water[chosen, 0], None if seepage is None else seepage[chosen])
             guess = guess * water[:, 2, None, None]
         stress[chosen] = guess[chosen]
         boxes = [mass.k0 is not None and not clings(mass) for mass in scene.masses]
@@ -134,7 +139,7 @@ def overburden(scene: Scene, mass: Mass, positions: Floats, depth: Floats) -> Fl
     nothing.
     """
     gravity = -scene.gravity_vector[1]
-    top = positions[:, 1] + depth if mass.kind == "layer" else np.full(len(positions), mass.lower[1] + mass.size[1])
+    top = positions[:, 1] + depth if mass.kind != "box" else np.full(len(positions), mass.lower[1] + mass.size[1])
     load = scene.material_of(mass).density * (top - positions[:, 1])
     level = [axis for axis in range(scene.dimension) if axis != 1]
     for above in sorted(scene.masses, key=lambda each: each.lower[1]):

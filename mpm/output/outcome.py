@@ -74,12 +74,12 @@ def outflow(batch: Batch, index: int) -> dict[str, float]:
 def fields_of(batch: Batch, index: int) -> dict[str, Any]:
     """The fields of scene `index` where they were asked for, by the names of `datasets.flow.trajectory.Trajectory`."""
     fields: dict[str, Any] = {name: each for name, each in batch.record[index].items() if name != "positions"}
-    if fields:
+    if "pore_pressure" in fields:
+        # Below zero it says how far water has to go before it presses again.
+        fields["pore_pressure"] = np.maximum(fields["pore_pressure"], 0.0)
+    if "stress" in fields:
         volume, scene = batch.particles[index].volume, batch.scenes[index]
         fields["stress"] = smoothed(fields["stress"], batch.recorded(index), volume, scene)
-        if "pore_pressure" in fields:
-            # Below zero it says how far water has to go before it presses again.
-            fields["pore_pressure"] = np.maximum(fields["pore_pressure"], 0.0)
         fields["pressure"] = -fields["stress"][:, :, :3].sum(axis=2) / 3.0
     return fields
 

@@ -54,11 +54,18 @@ class Recording(Record):
     fields: bool = False
     """Whether velocity, stress, pressure and plastic strain of every particle are recorded besides its position; stress
     and pressure are smoothed through the grid (`mpm.output.smoothing`)."""
+    pore_pressure: bool = False
+    """Whether the pressure of water in pores is recorded without the other fields, as with them."""
     wall_forces: bool = False
     """Whether the momentum that each side of the box has taken is recorded."""
     until_rest: bool = False
     """End a scene when its deposit has come to rest (above), and fill the frames that are left with the
     last one; the summary says when it came to rest, `rest_time` [s], and until when it was computed, `end_time` [s]."""
+
+    @property
+    def state(self) -> bool:
+        """Whether more of the particles is recorded than their positions."""
+        return self.fields or self.pore_pressure
 
     @property
     def every(self) -> int:

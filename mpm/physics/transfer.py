@@ -211,6 +211,9 @@ def leave_contributions(
     affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
     stress = total_stress(block, arrays)
     momentum, slopes, pull, forces = contributions((velocity, affine, stress), mass, volume, pushed, f, dx, features)
+    if ti.static(features.seeps):
+        for i in ti.static(range(features.dimension)):
+            pull[i] = pull[i] + volume * arrays.state[first + features.state.seepage + i]
     for i in ti.static(range(features.dimension)):
         arrays.scratch[values + i] = momentum[i]
         arrays.scratch[values + features.node.force + i] = pull[i]

@@ -221,6 +221,7 @@ def test_reports_say_whether_water_drains() -> None:
     kinds = [drainage(layer(None, c_v=c_v), 1.0).split(":")[0] for c_v in (1.0e-4, 0.1, 10.0)]
     assert kinds == ["undrained", "partly drained", "drained"]
     assert drainage(scene_of(), 1.0) == ""
+    assert "stays" in drainage(layer(None, water=Water(fixed=True)), 1.0)
 
 
 def test_scenes_that_water_cannot_be_in_are_refused() -> None:

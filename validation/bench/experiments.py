@@ -9,20 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from datasets.flow.trajectory import Trajectory
-from mpm import AT_REST
-from validation.bench.page import Keep, Out, Row, emphasised, percent, signed, write_page
+from inverse.observations import ArrivalSettings, FrontSettings, GaugesSettings
+from mpm import ALL, AT_REST
+from validation.bench.page import Keep, Out, Row, emphasised, percent, signed, tables, write_page
 from validation.experiments.experiment import (
     FOLDER,
     Angle,
     Case,
     Experiment,
+    Floats,
     Measured,
+    Prediction,
     Quantity,
     Reading,
     quantity,
     read_experiments,
 )
-from validation.plots import BLUE, INK, LIGHT_BLUE, figure
+from validation.plots import BLUE, INK, LIGHT_BLUE, ORANGE, figure
 from validation.run_store import Run, RunStore, kept
 
 CLOSE = 2.0
@@ -88,6 +91,25 @@ class Inferred:
         return self.own is not None and abs(self.difference_deg) <= self.half_width_deg + self.own.half_width_deg
 
 
+@dataclass(frozen=True, kw_only=True)
+class Predicted:
+    """What a prediction says on one grid."""
+
+    variant: str
+    cell: float
+    """[m]."""
+    gauges: tuple[float, ...]
+    """Distances [m]."""
+    time: Floats
+    """Of the frames [s], shape [T]."""
+    front: Floats
+    """Its distance [m], shape [T]."""
+    thickness: Floats
+    """At the gauges [m], shape [G, T]."""
+    arrivals: Floats
+    """At the gauges [s], shape [G]; nan where the front does not get there."""
+
+
 def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     """Compute all measured experiments, and infer their angles from their fronts.
 
@@ -102,6 +124,11 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
     with kept(keep) as folder:
         store = RunStore(folder)
         found = [compute(each, case, store.run) for each in read for case in each.cases]
+        predicted = {
+            f"{each.name}, {prediction.name}": (each, forecast(each, prediction, store.run))
+            for each in read
+            for prediction in each.predictions
+        }
     scores = [row for rows, _ in found for row in rows]
     inferred = [each for _, each in found if each is not None]
     firsts = [first for first, *_ in scores]
@@ -117,6 +144,7 @@ def bench(*, out: Out, keep: Keep = None, experiments: Path = FOLDER) -> str:
         scores=[score_row(*each) for each in scores],
         reasons="\n".join(reasons),
         inferred=[inferred_row(each) for each in inferred],
+        predictions="\n\n".join(section(label, *each, out) for label, each in predicted.items()),
         sources="\n".join(sources),
     )
 
@@ -169,6 +197,62 @@ def compute(experiment: Experiment, case: Case, simulate: Simulate) -> tuple[lis
 
     numbers = case.measured if readings else case.measured[1:]
     return [[score(each, reading) for reading in readings or (again,)] for each in numbers], inferred
+
+
+def forecast(experiment: Experiment, prediction: Prediction, simulate: Simulate) -> list[Predicted]:
+    """Every variant on the coarse cells, then on the fine ones."""
+    found = []
+    for number, variant in itertools.product((0, 1), prediction.variants):
+        scene = experiment.predicted(prediction, number, variant)
+        (flow,) = simulate([Run(scene=scene, record=ALL)])
+        x, time = tuple(prediction.start + each for each in prediction.gauges), tuple(flow.time.tolist())
+        heights = GaugesSettings(x=x, times=time, spacing=prediction.spacing).operator(scene).observe(flow)
+        arrivals = ArrivalSettings(x=x).operator(scene).observe(flow)
+        found.append(
+            Predicted(
+                variant=variant.name,
+                cell=scene.domain.cell,
+                gauges=prediction.gauges,
+                time=flow.time,
+                front=FrontSettings(times=time).operator(scene).observe(flow) - prediction.start,
+                thickness=heights.reshape(len(x), len(time)),
+                arrivals=np.where(arrivals < time[-1], arrivals, math.nan),
+            )
+        )
+    return found
+
+
+def section(label: str, experiment: Experiment, found: Sequence[Predicted], out: Path) -> str:
+    """A prediction on the page, and its picture beside it."""
+    picture = f"experiments-{experiment.name}.png"
+    with figure(out / picture, size=(4.8, 3.4), columns=2) as axes:
+        finest = [each for each in found if each.cell == found[-1].cell]
+        for each, colour in zip(finest, (BLUE, ORANGE, INK, LIGHT_BLUE), strict=False):
+            axes[0, 0].plot(each.time, each.front, color=colour, label=each.variant)
+            for at, series, style in zip(each.gauges, each.thickness, ("-", "--", ":", "-."), strict=False):
+                axes[0, 1].plot(each.time, series, style, color=colour, label=f"{at:g} m, {each.variant}")
+        axes[0, 0].set(xlabel="time [s]", ylabel="front from the gate [m]")
+        axes[0, 1].set(xlabel="time [s]", ylabel="thickness [m]")
+        for axis in axes.flat:
+            axis.legend()
+    rows: list[Row] = []
+    for each in found:
+        row = {"with": each.variant, "cell [m]": f"{each.cell:g}"}
+        for at, arrival, series in zip(each.gauges, each.arrivals, each.thickness, strict=True):
+            row[f"front at {at:g} m [s]"] = "-" if math.isnan(arrival) else f"{arrival:.2f}"
+            row[f"thickest at {at:g} m [m]"] = f"{series.max():.3f} at {each.time[series.argmax()]:.1f} s"
+        rows.append({**row, "farthest front [m]": f"{each.front.max():.1f}"})
+    half = len(found) // 2
+    moved = [
+        abs(fine.arrivals / coarse.arrivals - 1.0) for coarse, fine in zip(found[:half], found[half:], strict=True)
+    ]
+    said = f"Half the cell moves the arrivals by at most {percent(float(np.max(moved)))}."
+    choices = [f"- {each['what']}: {each['choice']}; {each['reason']}." for each in experiment.assumptions]
+    variants = [
+        f"- {each.name}: {each.source}." for prediction in experiment.predictions for each in prediction.variants
+    ]
+    parts = [f"### {label}", f"{experiment.title}. {experiment.what}", tables([rows]), said, f"![{label}]({picture})"]
+    return "\n\n".join([*parts, "\n".join([*variants, *choices])])
 
 
 def crossing(fronts: Mapping[float, float], target: float) -> tuple[float, float]:

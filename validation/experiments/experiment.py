@@ -181,6 +181,32 @@ class Case(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Variant(Record):
+    """What a prediction is computed with, where sources differ."""
+
+    name: str
+    consolidation: Annotated[float, Bounds("a positive coefficient in m^2/s", gt=0.0)]
+    """c_v [m^2/s]."""
+    source: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction(Record):
+    """A scene with no measured number beside it: when its flow arrives at gauges, and how thick it is there."""
+
+    name: str
+    scene: str
+    """File of the scene, beside the experiment."""
+    start: float
+    """The x of the scene from which distances count [m]."""
+    gauges: tuple[float, ...]
+    """Their distances [m]."""
+    spacing: Annotated[float, Bounds("a positive length in m", gt=0.0)]
+    """Half width over which they take the mean thickness [m]."""
+    variants: tuple[Variant, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Experiment(Record):
     """The contents of an `experiment.toml`."""
 
@@ -194,7 +220,8 @@ class Experiment(Record):
     """How their friction grows with the rate; nothing is known of it where absent."""
     cells: tuple[float, float]
     """Grid cells, the coarse and the fine one [m]."""
-    cases: tuple[Case, ...]
+    cases: tuple[Case, ...] = ()
+    predictions: tuple[Prediction, ...] = ()
     assumptions: tuple[dict[Literal["what", "choice", "reason"], str], ...] = ()
     """The choices for what the authors do not state."""
     folder: Path = FOLDER
@@ -234,6 +261,11 @@ class Experiment(Record):
             )
         cell = (case.cells or self.cells)[number]
         return replace(scene, domain=Domain(size=scene.domain.size, cell=cell), material=material)
+
+    def predicted(self, prediction: Prediction, number: int, variant: Variant) -> Scene:
+        """The scene of a prediction on the coarse (0) or fine (1) cells."""
+        scene = read_scene(str(self.folder / prediction.scene)).with_cell(self.cells[number])
+        return replace(scene, material=replace(scene.material, consolidation=variant.consolidation))
 
 
 def read_experiment(folder: Path) -> Experiment:

@@ -156,7 +156,7 @@ def predicted(
         profiles=np.stack([profile_of(flow, stations) for flow in flows]),
         cells=cells_error(scene, names, np.median(samples, axis=0), store, record),
         model_error=model_error,
-        remarks=(*remarks, *caveats(flows)),
+        remarks=(*remarks, *caveats(flows), *filter(None, [flows[0].summary.get("drainage")])),
     )
     return found if scene.dimension == 2 else with_maps(found, flows, threshold, pressure)
 

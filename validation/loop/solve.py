@@ -17,6 +17,7 @@ from inverse.adaptation import deposits as adapted_runs
 from inverse.answer import MpmRun, Purpose, Verdict
 from inverse.forward import Simulate
 from inverse.forward.mpm import MpmForward
+from inverse.observations.observation import recording
 from inverse.parameters import Vector
 from inverse.posterior.emulator import linear
 from inverse.posterior.information import information, measurements
@@ -28,7 +29,7 @@ from inverse.saving import save
 from inverse.search.descent import ROUGH, inverted
 from inverse.search.inference import Inversion, begun, left_out, searched
 from inverse.target import read_target
-from mpm import ALL, LAST, simulate_many
+from mpm import simulate_many
 from validation.loop import surrogate
 from validation.loop.task import Loop, Task
 from validation.loop.verdict import Conclusion, concluded, judged, nearer
@@ -74,8 +75,7 @@ def solve(
             result = invert(asked)
         else:
             store = RunStore(folder / RUNS, simulate, label=TWIN)
-            recorded = ALL if any(each.over_time for each in asked.operators) else LAST
-            target = read_target(asked, lambda scene: store([scene], record=recorded)[0])
+            target = read_target(asked, lambda scene: store([scene], record=recording(asked.operators))[0])
             made = [] if model is None or target.observation.over_time else adapted_runs(model, asked)
             task = Task(problem=asked, target=target, folder=folder / RUNS, simulate=simulate)
             result = run(task, model=model, known=(*made, *known))

@@ -13,13 +13,14 @@ from datasets.scene import Scene
 from inverse.answer import MpmRun, Purpose
 from inverse.forward import Simulate
 from inverse.observations import Values
+from inverse.observations.observation import recording
 from inverse.observations.target import Target
 from inverse.parameters import Vector
 from inverse.posterior import Matrix
 from inverse.problem import Problem
 from inverse.search.inference import Inference
 from inverse.search.waves import WaveSearch, jitter_seed
-from mpm import ALL, LAST, simulate_many
+from mpm import simulate_many
 from validation.run_store import SHARE, Run, RunStore
 
 Loop = WaveSearch[MpmRun, Inference]
@@ -58,8 +59,7 @@ class Task:
     def compared(self, locations: Sequence[Vector], scenes: Sequence[Scene], purpose: Purpose) -> tuple[MpmRun, ...]:
         """Runs of `scenes`, which have the parameters `locations`, compared with the target."""
         store = RunStore(self.folder, self.simulate, label=f"{purpose}-")
-        # The last frame, unless the observation is one over time.
-        record = ALL if self.target.observation.over_time else LAST
+        record = recording([self.target.observation])
         flows = store(scenes, record=record)
         files = [f"{self.folder.name}/{store.path(Run(scene=each, record=record)).name}" for each in scenes]
         return tuple(self.run(*each, purpose) for each in zip(locations, flows, files, strict=True))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from datasets import Mass, Trajectory, write_scene
+from datasets import Mass, Material, Trajectory, write_scene
 from datasets.scene.particles import initial_particles, particle_count
 from tests.refusals import refused
 from tests.scenes import flow_of, scene_of
-from validation.bench.experiments import compute, crossing
+from validation.bench.experiments import compute, crossing, forecast, section
 from validation.experiments.experiment import (
     Experiment,
     Measured,
@@ -200,3 +200,34 @@ def test_height_front_and_profile_of_a_block() -> None:
     assert quantity(measured, flow(AT_START)) == pytest.approx(0.01, rel=1e-3)
     for x, heights in (((0.1,), (0.1,)), ((0.1, 0.2), (0.1,)), ((0.2, 0.1), (0.1, 0.1))):
         refused(number, Quantity.PROFILE, x=x, heights=heights)
+
+
+def sliding(runs: Sequence[Run]) -> list[Trajectory]:
+    """Blocks a tenth of a metre thick that slide at 1 m/s, on coarse cells at half of it."""
+    found = []
+    for scene in [each.scene for each in runs]:
+        time = np.arange(scene.frames) * scene.frame_dt
+        speed = 1.0 if scene.domain.cell < 0.015 else 0.5
+        moved = np.zeros((len(time), 1, 2))
+        moved[:, 0, 0] = speed * time
+        found.append(flow_of(scene, AT_START + moved))
+    return found
+
+
+def test_a_prediction_says_when_and_how_thick_a_flow_passes(shelf: Path, tmp_path: Path) -> None:
+    path = shelf / "wedge" / "experiment.toml"
+    variants = "variants = [{ name = 'tight', consolidation = 0.01, source = 'this test' }]"
+    text = "[[predictions]]\nname = 'slide'\nscene = 'wedge.toml'\nstart = 0.1\ngauges = [0.5]\nspacing = 0.05\n"
+    path.write_text(EXPERIMENT.split("[[cases]]")[0] + text + variants)
+    soil = Material(friction_deg=25.0, saturated=True)
+    wedge = Mass(lower=(0.0, 0.0), size=(0.4, 0.1), k0="elastic")
+    write_scene(scene_of(wedge, size=(2.0, 0.2), material=soil, duration=1.0, frame_dt=0.1), path.parent / "wedge.toml")
+    (experiment,) = read_experiments(shelf)
+    coarse, fine = forecast(experiment, experiment.predictions[0], sliding)
+    # The front is 0.2 m from the gauge, which stands 0.6 m from the wall.
+    assert fine.arrivals[0] == pytest.approx(0.2, abs=0.01)
+    assert coarse.arrivals[0] == pytest.approx(0.4, abs=0.02)
+    assert fine.thickness[0].max() == pytest.approx(0.1, rel=0.02)
+    said = section("wedge, slide", experiment, [coarse, fine], tmp_path)
+    assert "| tight  | 0.01       | 0.20 " in said
+    assert (tmp_path / "experiments-wedge.png").exists()

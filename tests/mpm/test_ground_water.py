@@ -1,0 +1,243 @@
+"""Where the water stands: tables of every form, the pressure below them, and slopes at rest with water."""
+
+import dataclasses
+import math
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from datasets import Mass, Material, Scene, Solid
+from datasets.scene.particles import initial_particles
+from datasets.scene.parts import Water
+from datasets.scene.water import DENSITY
+from mpm import Recording, safety_factor, simulate
+from mpm.initial.stress import initial_tractions
+from mpm.initial.water import initial_water
+from mpm.safety import reduced
+from tests.datasets.exchange.test_scene_files import SPACE, scene, tilted, write_raster
+from tests.mpm.test_water import sheet, travelled
+from tests.refusals import refused
+from tests.scenes import scene_of
+from validation.bench.stability.slopes import BISHOP, HEIGHT, WEIGHT, KnownSlope
+from validation.bench.stability.slopes import DENSITY as SOIL
+
+GRAVITY = 9.81
+WET = Material(friction_deg=30.0, density=SOIL, saturated=True)
+BED = Mass(lower=(0.0, 0.0), size=(1.0, 0.4), k0=0.5)
+HILL = ((0.0, 0.0), (1.0, 0.0), (0.6, 0.2), (0.3, 0.4), (0.0, 0.4))
+
+Floats = NDArray[np.float64]
+
+
+def wet_scene(*masses: Mass, water: Water | None = None, **changes: Any) -> Scene:
+    return scene_of(*(masses or (BED,)), **{"material": WET, "water": water} | changes)
+
+
+def pressures(of: Scene) -> tuple[Floats, Floats, Floats]:
+    """Positions [m], [N, D], p [Pa] and 1 where water fills the pores, each [N], of the particles of a scene."""
+    particles = initial_particles(of)
+    found, _ = initial_water(of, particles)
+    return particles.positions, found[:, 0], found[:, 1]
+
+
+def test_pressure_grows_from_a_line_with_the_vertical_depth() -> None:
+    positions, p, wet = pressures(wet_scene(water=Water(table=((0.2, 0.3), (0.8, 0.1)))))
+    below = np.interp(positions[:, 0], (0.2, 0.8), (0.3, 0.1)) - positions[:, 1]
+    assert p == pytest.approx(DENSITY * GRAVITY * np.maximum(below, 0.0))
+    assert (wet == (below > 0.0)).all()
+
+
+@pytest.mark.parametrize("corner", [(), (5e5, 0.0, 5e6)])
+def test_a_table_is_a_raster_or_a_spreadsheet(tmp_path: Path, corner: tuple[float, ...]) -> None:
+    write_raster(tmp_path / "table.tif", tilted() - 0.05)
+    (tmp_path / "table.csv").write_text("x,y\n0.2,0.3\n0.8,0.1\n")
+    body = "[[masses]]\nkind = 'box'\nlower = {0}\nsize = [1.6, 0.4, 0.6]\nk0 = 0.5\n"
+    place = [0.2, 0.0, 0.2] if not corner else [corner[0] + 0.2, 0.0, corner[2] + 0.2]
+    text = SPACE.replace("= 30.0", "= 30.0, saturated = true") + "[water]\ntable = 'table.tif'\n" + body.format(place)
+    if corner:
+        text = text.replace("domain = {", f"domain = {{ origin = {list(corner)},")
+    positions, p, _ = pressures(scene(tmp_path, text))
+    elevation = 0.05 + 0.1 * positions[:, 0] + 0.2 * positions[:, 2]
+    inside = (positions[:, ::2] > 0.1).all(axis=1) & (positions[:, 2] < 0.9) & (positions[:, 0] < 1.9)
+    exact = DENSITY * GRAVITY * np.maximum(np.minimum(elevation, 0.4) - positions[:, 1], 0.0)
+    assert p[inside] == pytest.approx(exact[inside], abs=1.0)
+    flat = text.replace("table.tif", "table.csv").replace("[2.0, 1.0, 1.0]", "[2.0, 1.0]").replace(", 0.6]", "]")
+    if not corner:
+        found = scene(tmp_path, flat.replace("[0.2, 0.0, 0.2]", "[0.2, 0.0]")).water
+        assert found == Water(table=((0.2, 0.3), (0.8, 0.1)))
+
+
+def test_water_stands_in_all_that_is_stacked() -> None:
+    low = dataclasses.replace(BED, size=(1.0, 0.2))
+    high = dataclasses.replace(low, lower=(0.0, 0.2))
+    for water, top in ((None, 0.4), (Water(level=0.3), 0.3), (Water(level=0.9), 0.4)):
+        positions, p, _ = pressures(wet_scene(low, high, water=water))
+        assert p == pytest.approx(DENSITY * GRAVITY * np.maximum(top - positions[:, 1], 0.0))
+
+
+def test_a_pressure_ratio_is_one_of_the_weight_above() -> None:
+    hill = Mass(kind="polygon", vertices=HILL, k0="elastic", initial_pore_pressure_ratio=0.3)
+    positions, p, _ = pressures(wet_scene(hill))
+    top = np.interp(positions[:, 0], (0.3, 0.6, 1.0), (0.4, 0.2, 0.0))
+    assert p == pytest.approx(0.3 * SOIL * GRAVITY * (top - positions[:, 1]))
+
+
+def test_water_at_rest_buoys_and_water_along_a_slope_drags() -> None:
+    def force(of: Scene) -> Floats:
+        return initial_water(of, initial_particles(of))[1]
+
+    hill = Mass(kind="polygon", vertices=HILL, k0="elastic")
+    buoyancy = [0.0, DENSITY * GRAVITY]
+    assert force(wet_scene(hill, water=Water(pool=0.5, fixed=True))) == pytest.approx(
+        np.tile(buoyancy, (len(initial_particles(wet_scene(hill)).positions), 1)), abs=1e-6
+    )
+    bed = Solid(kind="terrain", points=((0.0, 0.6), (1.0, 0.1)), friction=0.5)
+    sheet = Mass(kind="layer", thickness=0.1)
+    found = force(wet_scene(sheet, solids=(bed,), water=Water(fixed=True)))
+    # rho_w g cos^2, and this times the slope downhill.
+    assert found == pytest.approx(np.tile([0.5 * 0.8 * buoyancy[1], 0.8 * buoyancy[1]], (len(found), 1)), rel=1e-6)
+
+
+def test_tables_that_are_none_are_refused() -> None:
+    assert refused(wet_scene, water=Water(level=0.1, table=((0.0, 0.1), (1.0, 0.2)))).key == "water.table"
+    assert refused(wet_scene, water=Water(table=((1.0, 0.1), (0.0, 0.2)))).key == "water.table"
+    assert refused(wet_scene, water=Water(table=((0.0, 0.1),))).key == "water.table"
+    assert refused(wet_scene, water=Water(origin=(0.0, 0.0))).key == "water.origin"
+    assert refused(simulate, wet_scene(water=Water(pool=0.1))).key == "water.pool"
+
+
+def with_water(slope: KnownSlope, cells: int, *, ratio: float | None = None, **water: Any) -> Scene:
+    dry = slope.scene(cells)
+    body = dataclasses.replace(dry.masses[0], initial_pore_pressure_ratio=ratio)
+    soil = dataclasses.replace(dry.material, saturated=True, softening_length=1.0e6)
+    return dataclasses.replace(dry, masses=(body,), material=soil, water=Water(fixed=True, **water))
+
+
+def test_grains_of_a_submerged_slope_bear_its_buoyant_weight() -> None:
+    dry = BISHOP.scene(8)
+    light = dataclasses.replace(dry, material=dataclasses.replace(dry.material, density=SOIL - DENSITY))
+    wet = with_water(BISHOP, 8, pool=1.2 * HEIGHT)
+    exact, _ = initial_tractions(reduced(light, 1.0), initial_particles(reduced(light, 1.0)))
+    particles = initial_particles(reduced(wet, 1.0))
+    water, seepage = initial_water(reduced(wet, 1.0), particles)
+    found, _ = initial_tractions(reduced(wet, 1.0), particles, None, water, seepage)
+    assert found == pytest.approx(exact, abs=1.0e-3 * float(np.abs(exact).max()))
+
+
+@pytest.mark.slow
+def test_a_submerged_slope_is_as_safe_as_a_dry_one_of_buoyant_weight() -> None:
+    dry = BISHOP.scene(20)
+    light = dataclasses.replace(dry.material, density=SOIL - DENSITY)
+    exact = safety_factor(dataclasses.replace(dry, material=light)).factor
+    assert safety_factor(with_water(BISHOP, 20, pool=1.2 * HEIGHT)).factor == pytest.approx(exact, rel=0.011)
+
+
+def test_pore_pressure_is_recorded_alone_and_stays_where_it_is_fixed() -> None:
+    only, drained = Recording(pore_pressure=True), dataclasses.replace(WET, consolidation=0.1)
+    body = dataclasses.replace(BED, initial_pore_pressure_ratio=0.7)
+    given: dict[str, Any] = {"duration": 0.1, "frame_dt": 0.05, "jitter": 0.0}
+    flow, fixed = (
+        simulate(wet_scene(body, material=drained, **given), record=only),
+        simulate(wet_scene(body, water=Water(fixed=True), **given), record=only),
+    )
+    assert flow.stress is None
+    assert flow.pore_pressure is not None
+    assert fixed.pore_pressure is not None
+    assert (flow.pore_pressure[2] < flow.pore_pressure[0]).mean() > 0.9
+    assert (fixed.pore_pressure[2] == fixed.pore_pressure[0]).all()
+
+
+def bishop(slope: KnownSlope, *, ratio: float = 0.0, level: float = 0.0, pool: float = 0.0) -> float:
+    """The least factor over slip circles above the floor by the simplified method of Bishop (1955).
+
+        F sum W sin(a) = sum (c b + (W - u b) tan(phi)) / (cos(a) + sin(a) tan(phi) / F)
+
+    of slices of a width b. Below a pool W is the weight under buoyancy, and u the pressure in excess of the pool's.
+    """
+    cot, tan = 1.0 / math.tan(math.radians(slope.steepness_deg)), math.tan(math.radians(slope.friction_deg))
+    soil, water, cohesion = SOIL * GRAVITY, DENSITY * GRAVITY, slope.cohesion * WEIGHT
+
+    def ground(x: Any) -> Any:
+        return np.clip(HEIGHT - x / cot, 0.0, HEIGHT)
+
+    def factor(circle: Any) -> float:
+        """Of a circle that cuts the ground at two x [m]; its sagitta over the chord between them."""
+        left, right, bulge = circle
+        first, last = np.array([left, ground(left)]), np.array([right, ground(right)])
+        chord = float(np.linalg.norm(last - first))
+        if bulge < 0.01 or right - left < 0.1 * HEIGHT:
+            return math.inf
+        radius = chord * (0.25 + bulge**2) / (2.0 * bulge)
+        up = np.array([first[1] - last[1], last[0] - first[0]]) / chord
+        x0, y0 = 0.5 * (first + last) + up * (radius - bulge * chord)
+        width = (right - left) / 60
+        x = left + width * (np.arange(60) + 0.5)
+        sine = (x0 - x) / radius
+        base, top = y0 - np.sqrt(np.maximum(radius**2 - (x - x0) ** 2, 0.0)), ground(x)
+        if np.abs(sine).max() >= 1.0 or base.min() < -1.0e-3 * HEIGHT or (base > top).any():
+            return math.inf
+        weight = (soil * (top - base) - water * np.clip(pool - base, 0.0, top - base)) * width
+        table = np.maximum(np.minimum(level, top), base)
+        u = ratio * soil * (top - base) + water * (table - base)
+        u -= water * np.clip(pool - base, 0.0, top - base)
+        found, last_found = 1.0, 0.0
+        while abs(found - last_found) > 1.0e-6:
+            share = np.sqrt(1.0 - sine**2) + sine * tan / found
+            if share.min() < 0.1 or sine @ weight <= 0.0:
+                return math.inf
+            last_found, found = found, float(((cohesion * width + (weight - u * width) * tan) / share).sum())
+            found /= float(sine @ weight)
+        return found
+
+    toe = HEIGHT * cot
+    tried = product(
+        np.linspace(-1.2 * HEIGHT, 0.3 * toe, 10), np.linspace(0.5 * toe, toe, 6), np.linspace(0.02, 0.5, 10)
+    )
+    nearest = sorted(tried, key=factor)[:12]
+    options = {"xatol": 1e-4, "fatol": 1e-6, "maxiter": 500}
+    return min(float(minimize(factor, start, method="Nelder-Mead", options=options).fun) for start in nearest)
+
+
+STEEP = dataclasses.replace(BISHOP, friction_deg=30.0)
+LOW = dataclasses.replace(STEEP, steepness_deg=math.degrees(math.atan(1.0 / 3.0)))
+
+
+def test_slip_circles_give_published_factors() -> None:
+    """Dry of the chart of Bishop & Morgenstern (1960); submerged and half drawn down of Griffiths & Lane (1999)."""
+    assert bishop(BISHOP) == pytest.approx(BISHOP.factor, rel=0.005)
+    assert bishop(BISHOP, level=HEIGHT, pool=HEIGHT) == pytest.approx(1.85, rel=0.01)
+    assert bishop(BISHOP, level=0.3 * HEIGHT, pool=0.3 * HEIGHT) == pytest.approx(1.3, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("slope", "ratio"), [(BISHOP, 0.3), (BISHOP, 0.5), (STEEP, 0.3), (LOW, 0.5)])
+def test_factors_under_a_pressure_ratio(slope: KnownSlope, ratio: float) -> None:
+    """Of Bishop & Morgenstern (1960): F = m - n r_u, whose charts come from the same circles."""
+    assert safety_factor(with_water(slope, 20, ratio=ratio)).factor == pytest.approx(
+        bishop(slope, ratio=ratio), rel=0.03
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("level", "pool"), [(10.0, 10.0), (7.0, 7.0), (3.0, 3.0), (10.0, 5.0), (10.0, 0.0)])
+def test_factors_while_a_pool_is_drawn_down(level: float, pool: float) -> None:
+    """Slowly, so that the table follows, and rapidly, so that it stays."""
+    found = safety_factor(with_water(BISHOP, 20, level=level, pool=pool)).factor
+    assert found == pytest.approx(bishop(BISHOP, level=level, pool=pool), rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", [{}, {"width": 0.12, "duration": 0.21}])
+def test_a_sheet_slides_against_the_friction_that_water_leaves_it(changes: dict[str, Any]) -> None:
+    slope_deg, friction = 25.0, 0.3
+    slide = sheet(0.0, slope_deg=slope_deg, friction=friction, **changes)
+    masses = tuple(dataclasses.replace(each, initial_pore_pressure_ratio=None) for each in slide.masses)
+    flow = simulate(dataclasses.replace(slide, masses=masses, water=Water(fixed=True)))
+    steep = math.radians(slope_deg)
+    acceleration = GRAVITY * (math.sin(steep) - (1.0 - DENSITY / SOIL) * friction * math.cos(steep))
+    assert travelled(flow)[-1] == pytest.approx(0.5 * acceleration * flow.time[-1] ** 2, rel=0.025)
