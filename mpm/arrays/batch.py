@@ -51,8 +51,6 @@ from mpm.solids.terrain_arrays import terrain_arrays, terrain_kept
 Array = NDArray[Any]
 PORTION = 2**18
 """Particles whose nearest faces are found together at the start: some 250 bytes each."""
-
-
 TILE = 4
 """Cells along each side of the squares in plan by which particles in 3D are sorted."""
 
@@ -309,8 +307,7 @@ class Batch:
     def sort(self, index: int) -> None:
         """Put the particles of one scene in the order of their cells, in 3D square by square: close in memory."""
         state, features, cell = self.state_of(index), self.features, self.scenes[index].domain.cell
-        cells = [np.floor(state[:, axis].ravel() / cell).astype(np.int64) for axis in range(features.dimension)]
-        x, y, *z = cells
+        x, y, *z = (np.floor(state[:, axis].ravel() / cell).astype(np.int64) for axis in range(features.dimension))
         key = np.zeros_like(x)
         for number in (x // TILE, z[0] // TILE, x, z[0], y) if z else (x, y):
             key = key * (number.max() + 1) + number
