@@ -37,7 +37,6 @@ from datasets.flow.trajectory import brackets
 from datasets.processes import processors
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
-from datasets.scene.particles import initial_volumes
 from inverse.answer import Answer, MpmRun, Purpose, judge
 from inverse.field_posterior import FieldPosterior
 from inverse.forward.adjoint import derivatives
@@ -146,11 +145,8 @@ def of_fields(problem: Problem) -> Result:
 def field_posteriors(flow: "WhiteFlow", posterior: "Gaussian") -> list[FieldPosterior]:
     """Each field with its widths at the nodes."""
     problem, draws = flow.problem, posterior.draws(DRAWS)
-    truths = [None] * len(problem.fields) if not problem.target.twin else problem.true_fields
     posteriors = []
-    for unknown, part, latent, truth in zip(
-        problem.fields, flow.parts, flow.latents(posterior.mean), truths, strict=True
-    ):
+    for unknown, part, latent in zip(problem.fields, flow.parts, flow.latents(posterior.mean), strict=True):
         removed = (unknown.prior.field(posterior.removed[part]) ** 2).sum(axis=1)
         posteriors.append(
             FieldPosterior(
@@ -158,7 +154,7 @@ def field_posteriors(flow: "WhiteFlow", posterior: "Gaussian") -> list[FieldPost
                 latent=latent,
                 width=np.sqrt(np.maximum(unknown.prior.deviation**2 - removed, 0.0)),
                 draws=unknown.values(unknown.prior.field(draws[:, part].T).T),
-                truth=None if truth is None else truth.at(unknown.grid.positions),
+                truth=unknown.truth(problem.scene) if problem.target.twin else None,
             )
         )
     return posteriors
@@ -195,7 +191,7 @@ class WhiteFlow:
     def scene_at(self, white: Floats, seed: int) -> Scene:
         """The scene at white numbers [W] with a jitter seed."""
         latents = zip(self.problem.fields, self.latents(white), strict=True)
-        return self.problem.scene_at(self.values(white), seed, [each.field(latent) for each, latent in latents])
+        return self.problem.scene_at(self.values(white), seed, [each.values(latent) for each, latent in latents])
 
     def observe(self, points: Sequence[Floats], seeds: Sequence[int]) -> Floats:
         """The observed numbers [points, M] of runs at white numbers [W], each with its jitter seed."""
@@ -218,41 +214,49 @@ class WhiteFlow:
         for first in range(0, len(seeds), processors()):
             scenes = [steady(self.scene_at(white, seed)) for seed in seeds[first : first + processors()]]
             tape = Tape(scenes, self.frames, precision="f32", memory_mib=MEMORY_MIB, outputs=len(combinations))
-            adjoints = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
-            together = [[FlowAdjoints(flow[number]) for flow in adjoints] for number in range(len(combinations))]
+            seen = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
+            together = [[FlowAdjoints(by[number]) for by, _ in seen] for number in range(len(combinations))]
+            slopes: list[dict[str, Floats]] = [{} for _ in scenes]
             for row, gradients in enumerate(pull_back_all(tape, together)):
-                for gradient in gradients:
-                    jacobian[row] += self.pulled_back(gradient, white) / len(seeds)
+                for index, gradient in enumerate(gradients):
+                    explicit = seen[index][1][row]
+                    jacobian[row] += self.pulled_back(gradient, white, explicit, slopes[index]) / len(seeds)
             self.runs += len(scenes)
             self.reverses += len(scenes) * len(combinations)
             self.bar.update(len(scenes) * (1 + len(combinations)))
         return jacobian
 
-    def pulled_back(self, gradient: Gradient, white: Floats) -> Floats:
-        """Derivatives with respect to the white numbers [W] from those with respect to what a run begins with."""
+    def pulled_back(self, gradient: Gradient, white: Floats, explicit: Floats, known: dict[str, Floats]) -> Floats:
+        """Derivatives with respect to the white numbers [W] from those with respect to what a run begins with.
+
+        explicit: by the volumes that the observation sees itself, [N]; known: as `UnknownField.at_nodes`.
+        """
         adjoint = np.zeros(self.size)
         for unknown, latent, part in zip(self.problem.fields, self.latents(white), self.parts, strict=True):
-            adjoint[part] = unknown.prior.white(unknown.at_nodes(gradient, latent))
+            adjoint[part] = unknown.prior.white(unknown.at_nodes(gradient, latent, explicit, known))
         if self.problem.numbers:
             density = np.exp(-0.5 * white[self.of_numbers] ** 2) / np.sqrt(2.0 * np.pi)
             slopes = derivatives(gradient, self.problem.kinds, self.values(white), self.problem.scene)
             adjoint[self.of_numbers] = slopes * self.problem.box.range * density
         return adjoint
 
-    def adjoints(self, tape: Tape, index: int, combinations: Floats) -> Floats:
-        """Derivatives of the combinations [r, M] with respect to the observed positions, shape [r, T, N, D]."""
+    def adjoints(self, tape: Tape, index: int, combinations: Floats) -> tuple[Floats, Floats]:
+        """Derivatives of the combinations [r, M] with respect to the observed positions, shape [r, T, N, D], and to the
+        volumes of the particles, shape [r, N].
+        """
         positions = torch.from_numpy(tape.positions(index)).requires_grad_()
         rollout = Rollout(
             positions=positions,
             times=np.array(self.frames) * self.problem.scene.frame_dt,
-            volumes=torch.from_numpy(initial_volumes(self.problem.scene)),
+            volumes=torch.from_numpy(tape.batch.particles[index].volume).requires_grad_(),
         )
-        numbers = self.observation.predict(rollout)
+        numbers, seen = self.observation.predict(rollout), (positions, rollout.volumes)
         rows = [
-            torch.autograd.grad(numbers, positions, torch.from_numpy(each), retain_graph=True)[0].numpy()
+            torch.autograd.grad(numbers, seen, torch.from_numpy(each), retain_graph=True, materialize_grads=True)
             for each in combinations
         ]
-        return np.stack(rows)
+        by_positions, by_volumes = ([each.numpy() for each in column] for column in zip(*rows, strict=True))
+        return np.stack(by_positions), np.stack(by_volumes)
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ class Result:
     @property
     def scene(self) -> Scene:
         """The scene with what was found."""
-        return self.problem.scene_at(self.answer, fields=[each.unknown.field(each.latent) for each in self.fields])
+        return self.problem.scene_at(self.answer, fields=[each.arrays["mean"] for each in self.fields])
 
     @property
     def samples(self) -> NDArray[np.float64]:
