@@ -25,7 +25,7 @@ from datasets.geometry.ground import ground_raster
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.scene.particles import particle_volumes
-from inverse.field_posterior import FieldPosterior
+from inverse.fields.posterior import FieldPosterior
 from inverse.observations.deposit import Passed, Toe
 from inverse.observations.outline import Boundary
 from inverse.observations.profile import Profile

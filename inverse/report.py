@@ -10,7 +10,7 @@ import numpy as np
 from datasets.flow.measures import rms
 from datasets.markdown import markdown_table
 from inverse.answer import Answer, Combination, Purpose, Verdict, peak_memory_mib, unidentified
-from inverse.field_posterior import IDENTIFIED, FieldPosterior
+from inverse.fields.posterior import IDENTIFIED, FieldPosterior
 from inverse.noise import CONFIDENCE
 from inverse.observations.target import ALL_DATA
 from inverse.parameters import Parameter

@@ -208,6 +208,7 @@ def stretches(scene: Scene) -> list[Floats]:
         for index in range(len(found)) if field.mass is None else (field.mass,):
             if field.quantity == THICKNESS:
                 filled = filling(scene, scene.masses[index])
+                assert filled.thickness is not None, "a layer, by the checks of the scene"
                 found[index] = field.at(filled.lattice) / filled.thickness
     return found
 
@@ -216,7 +217,7 @@ def mass_volumes(scene: Scene) -> Floats:
     """Volume of each mass [m^D], that of its shape, of a layer with a field of thickness of its particles; [masses]."""
     volumes = (math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses)
     means = [float(each.mean()) for each in stretches(scene)]
-    return np.fromiter(volumes, np.float64) * means
+    return np.asarray(np.fromiter(volumes, np.float64) * means)
 
 
 def particle_count(scene: Scene) -> int:
@@ -251,7 +252,7 @@ def initial_volumes(scene: Scene) -> Floats:
     if all(field.quantity != THICKNESS for field in scene.fields):
         return volumes
     shares = zip(stretches(scene), mass_counts(scene), strict=True)
-    return volumes * np.concatenate([np.broadcast_to(each / each.mean(), count) for each, count in shares])
+    return np.asarray(volumes * np.concatenate([np.broadcast_to(each / each.mean(), count) for each, count in shares]))
 
 
 def particle_volumes(scene: Scene, count: int) -> Floats:

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
 from scipy.special import expit, logit
 
@@ -227,18 +228,18 @@ class UnknownField:
         weights = self.weights(posts := self.posts(scene))
         return np.asarray(weights.T @ interpolated(axes, friction, posts) / weights.sum(axis=0))
 
-    def at_nodes(self, gradient: "Gradient", latent: Floats, explicit: Floats, known: dict[str, Floats]) -> Floats:
-        """dJ/du [K] from the gradient with respect to what a run begins with.
+    def at_nodes(self, gradient: "Gradient", values: Floats, explicit: Floats, known: dict[str, Floats]) -> Floats:
+        """dJ/df [K] at `values` [K] from the gradient with respect to what a run begins with.
 
         explicit: derivatives of J with respect to the volumes of the particles where it sees them itself, [N]; known:
         slopes of this run by the names of fields, which are the same for every J.
         """
-        scene, values, own, particles = gradient.scene, self.values(latent), self.settings, gradient.particles
+        scene, own, particles = gradient.scene, self.settings, gradient.particles
         if not self.in_plan:
             friction = own.quantity == FRICTION
             each = gradient.material(FRICTION) if friction else gradient.velocities[:, VELOCITIES.index(own.quantity)]
             each = np.where(self.of(particles.mass), each, 0.0)
-            return np.asarray((self.grid.weights(particles.positions).T @ each) * self.slope(latent))
+            return np.asarray(self.grid.weights(particles.positions).T @ each)
         relative, places = own.quantity == THICKNESS, self.places(scene)
         if own.name not in known:
 
@@ -255,7 +256,7 @@ class UnknownField:
             nodes = self.at_posts(scene).reshape(-1, self.grid.count).T @ posts
             if shares.any():
                 nodes = nodes + self.on_bed(scene, places).T @ shares
-        return np.asarray(nodes * self.slope(latent))
+        return np.asarray(nodes)
 
     def at_posts(self, scene: Scene) -> Floats:
         """Shares of the values in the friction at each post of the ground, beyond the box too, shape [X, Z, K]."""
@@ -266,9 +267,9 @@ class UnknownField:
         return np.asarray(weights[ground_grid(numbered, "solids", scene.domain)[2].astype(int)])
 
     def on_bed(self, scene: Scene, plan: Floats) -> Floats:
-        """Shares of the values in the friction at places in plan [m], [N, 2], which is linear in them; [N, K]."""
+        """Shares of the values in the friction at places in plan [m], [N, 2], bilinear between the posts; [N, K]."""
         axes = ground_grid(scene.solids[self.settings.solid or 0], "solids", scene.domain)[0]
-        return np.stack([interpolated(axes, each, plan) for each in np.moveaxis(self.at_posts(scene), 2, 0)], axis=1)
+        return np.asarray(RegularGridInterpolator(axes, self.at_posts(scene))(plan))
 
 
 class Zones:
