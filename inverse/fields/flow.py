@@ -1,6 +1,7 @@
 """The MPM as a function of white numbers: independent normal ones, of which unknown fields and numbers follow."""
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -15,12 +16,16 @@ from datasets.scene.grid_field import Floats
 from inverse.forward.adjoint import derivatives
 from inverse.observations import Observation, Rollout
 from inverse.problem import Problem
+from inverse.settings import Derivatives
 from mpm import ALL, LAST, simulate_many
 from mpm.adjoint.gradient import pull_back_all
 from mpm.adjoint.tape import FlowAdjoints, Tape, steady
 
 MEMORY_MIB = 512.0
 """For the checkpoints of the runs that are reversed side by side [MiB]."""
+KEPT, STEP = 0.05, 0.5
+"""Variance of a field along the directions of differences, over the largest, at least; and their step in standard
+deviations of the prior: over one so long, flows that differ in their jitter alone differ little."""
 
 
 class WhiteFlow:
@@ -77,8 +82,30 @@ class WhiteFlow:
         """The observed numbers [M] at white numbers [W], mean over jitter seeds."""
         return np.asarray(self.observe([white] * len(seeds), seeds).mean(axis=0))
 
+    @cached_property
+    def directions(self) -> Floats:
+        """Orthonormal directions of the white numbers, shape [V, W]: those along which a field varies by more than
+        `KEPT` of its largest variance along any, and each of the numbers.
+        """
+        rows = list[Floats]()
+        for unknown, part in zip(self.problem.fields, self.parts, strict=True):
+            _, spread, own = np.linalg.svd(unknown.prior.field(np.eye(unknown.prior.size)), full_matrices=False)
+            some = np.zeros((int((spread**2 > KEPT * spread[0] ** 2).sum()), self.size))
+            some[:, part] = own[: len(some)]
+            rows.append(some)
+        return np.concatenate([*rows, np.eye(self.size)[self.of_numbers]])
+
+    def differences(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
+        """`jacobian` by runs `STEP` apart along `directions`."""
+        points = [white, *(white + STEP * self.directions)]
+        shown = self.observe([each for each in points for _ in seeds], [*seeds] * len(points))
+        numbers = shown.reshape(len(points), len(seeds), -1).mean(axis=1)
+        return np.asarray(combinations @ ((numbers[1:] - numbers[0]) / STEP).T @ self.directions)
+
     def jacobian(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
         """Derivatives [r, W] of `combinations` [r, M] of the numbers at white numbers [W], mean over jitter seeds."""
+        if self.problem.optimiser.derivatives is Derivatives.DIFFERENCES:
+            return self.differences(white, combinations, seeds)
         jacobian, fields = np.zeros((len(combinations), self.size)), self.fields(white)
         for first in range(0, len(seeds), processors()):
             scenes = [steady(self.scene_at(white, seed)) for seed in seeds[first : first + processors()]]

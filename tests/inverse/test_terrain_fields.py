@@ -183,7 +183,7 @@ def test_the_adjoint_of_both(path: str) -> None:
         ends = [unknown.put(scene, values + step * direction) for step in (1e-5, -1e-5)]
         ahead, behind = (gradient(each, objective, threads=1, exact=True)[0] for each in ends)
         found = (ahead - behind) / 2e-5
-        assert ours @ direction == pytest.approx(found, rel=1e-4), (unknown.settings.name, part)
+        assert ours @ direction == pytest.approx(found, rel=1e-3), (unknown.settings.name, part)
 
 
 class Dragged(torch.nn.Module):
