@@ -44,6 +44,7 @@ from inverse.observations.target import Target
 from inverse.parameters.field import BAND
 from inverse.problem import Problem
 from inverse.result import Result
+from inverse.settings import Derivatives
 from inverse.target import read_target
 from mpm import simulate
 from mpm.adjoint.tape import check
@@ -81,37 +82,17 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
     target = read_target(problem, simulate)
     flow = WhiteFlow(problem, target.observation)
     lead, reason = leading(problem, target, model)
-    if lead is not None:
+    if lead is None:
+        found = alone(flow, target, np.zeros(flow.size))
+    else:
         print(f"the surrogate leads the search: {reason}", file=sys.stderr)
         found = led(flow, lead, target)
-    else:
-        found = alone(flow, target)
-    posterior, values = found.posterior, flow.values(found.posterior.mean)
-    seeds = range(problem.scatter_seeds[-1] + 1, problem.scatter_seeds[-1] + 1 + found.checks)
-    shown = flow.simulated([posterior.mean] * len(seeds), seeds)
-    spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.of_numbers] ** 2).sum(axis=1), 0.0))
-    ends = [ndtr(posterior.mean[flow.of_numbers] + sign * BAND * spread) for sign in (1.0, -1.0)]
-    checks = tuple(
-        MpmRun(
-            purpose=Purpose.CHECK,
-            parameters=values,
-            point=problem.box.shares(values),
-            numbers=target.observation.observe(run),
-            trajectory=run,
-            file=f"check{number or ''}.npz",
-        )
-        for number, run in enumerate(shown)
-    )
-    numbers = np.stack([each.numbers for each in checks])
-    together = found.runs if lead is None else numbers
-    expected = target.observation.prior_scatter(target.values)
-    scatter = Scatter(deviations=together - together.mean(axis=0), freedom=len(together) - 1, expected=expected)
-    answer = Answer(
-        parameters=values,
-        interval=problem.box.at(np.stack(ends[::-1])),
-        checks=checks,
-        fit=fit(target, numbers, scatter, parameters=posterior.informative),
-    )
+    answer = checked(flow, target, found)
+    if lead is not None and not answer.confirmed:
+        print("the MPM does not confirm its answer and searches on by itself", file=sys.stderr)
+        found = replace(alone(flow, target, found.posterior.mean), surrogate=found.surrogate | {"confirmed": False})
+        answer = checked(flow, target, found)
+    posterior, shown = found.posterior, answer.checks[0].trajectory
     flow.bar.close()
     fields = field_posteriors(flow, posterior)
     unknowns = sum(int(each.unknown.inside.sum()) for each in fields) + len(problem.numbers)
@@ -119,6 +100,14 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
         f"{unknowns} values from {len(target.values)} numbers: {posterior.informative} directions in which the "
         "observation tells more than the prior, by the Gaussian approximation about the most probable values."
     ]
+    if lead is not None:
+        said, objective = found.surrogate, found.surrogate["objective"]
+        word = "" if "confirmed" not in said else " The MPM did not confirm it and searched by itself."
+        notes.append(
+            f"The surrogate found its answer by {said['predictions']} predictions and {said['reverse_passes']} reverse "
+            f"passes in {said['seconds']:.0f} s; runs of the MPM corrected it and its derivatives, by which the objective "
+            f"went from {objective[0]:.4g} to {min(objective):.4g}.{word}"
+        )
     if posterior.promised > LEFT:
         notes.append(
             f"**The search ended where its derivatives promise {posterior.promised:.1f} more of the objective, which "
@@ -134,14 +123,43 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
         answers=(answer,),
         forward="MPM",
         predicted=answer.observation,
-        deposit=shown[0].positions[-1],
+        deposit=shown.positions[-1],
         iterations=found.iterates,
-        mpm_runs=checks,
+        mpm_runs=answer.checks,
         fields=tuple(fields),
         notes=tuple(notes),
         surrogate={"asked": lead is not None, "reason": reason} | found.surrogate,
         seconds={"total": total, "processors": time.process_time() - used},
         record=cost | {"combinations": len(posterior.jacobian), "eigenvalues": posterior.decomposition[0].tolist()},
+    )
+
+
+def checked(flow: WhiteFlow, target: Target, found: Found) -> Answer:
+    """The answer, with runs of the MPM there."""
+    problem, posterior, values = flow.problem, found.posterior, flow.values(found.posterior.mean)
+    seeds = range(problem.scatter_seeds[-1] + 1, problem.scatter_seeds[-1] + 1 + found.checks)
+    spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.of_numbers] ** 2).sum(axis=1), 0.0))
+    ends = [ndtr(posterior.mean[flow.of_numbers] + sign * BAND * spread) for sign in (1.0, -1.0)]
+    checks = tuple(
+        MpmRun(
+            purpose=Purpose.CHECK,
+            parameters=values,
+            point=problem.box.shares(values),
+            numbers=target.observation.observe(run),
+            trajectory=run,
+            file=f"check{number or ''}.npz",
+        )
+        for number, run in enumerate(flow.simulated([posterior.mean] * len(seeds), seeds))
+    )
+    numbers = np.stack([each.numbers for each in checks])
+    together = found.runs if len(checks) == 1 else numbers
+    expected = target.observation.prior_scatter(target.values)
+    scatter = Scatter(deviations=together - together.mean(axis=0), freedom=len(together) - 1, expected=expected)
+    return Answer(
+        parameters=values,
+        interval=problem.box.at(np.stack(ends[::-1])),
+        checks=checks,
+        fit=fit(target, numbers, scatter, parameters=posterior.informative),
     )
 
 
@@ -165,10 +183,11 @@ def searched(flow: WhiteFlow, target: Target, errors: Floats, start: Floats) -> 
     return Found(posterior, runs, [*first.iterates, *second.iterates], 1, {})
 
 
-def alone(flow: WhiteFlow, target: Target) -> Found:
-    """By the MPM's adjoint. Raises InputError for a scene that it does not know."""
-    check(features_of([flow.problem.scene], "f32"))
-    return searched(flow, target, target.errors.matrix, np.zeros(flow.size))
+def alone(flow: WhiteFlow, target: Target, start: Floats) -> Found:
+    """By the MPM's own derivatives from white numbers `start` [W]. Raises InputError for a scene without an adjoint."""
+    if flow.problem.optimiser.derivatives is Derivatives.ADJOINT:
+        check(features_of([flow.problem.scene], "f32"))
+    return searched(flow, target, target.errors.matrix, start)
 
 
 def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
