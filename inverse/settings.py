@@ -35,7 +35,7 @@ class Derivatives(StrEnum):
     """Its adjoint: exact, at one reverse pass for each combination of the numbers that matters. In long flows in 3D a
     few particles make it noisy; more `seeds` average it."""
     DIFFERENCES = "differences"
-    """Runs half a standard deviation of the prior apart, one for each of its principal directions: no noise of a
+    """Runs a standard deviation of the prior apart, one for each of its principal directions: no noise of a
     chaotic flow, and no more than these directions."""
 
 

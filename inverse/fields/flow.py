@@ -23,7 +23,7 @@ from mpm.adjoint.tape import FlowAdjoints, Tape, steady
 
 MEMORY_MIB = 512.0
 """For the checkpoints of the runs that are reversed side by side [MiB]."""
-KEPT, STEP = 0.05, 0.5
+KEPT, STEP = 0.05, 1.0
 """Variance of a field along the directions of differences, over the largest, at least; and their step in standard
 deviations of the prior: over one so long, flows that differ in their jitter alone differ little."""
 

@@ -105,8 +105,8 @@ def of_fields(problem: Problem, model: Path | None = None) -> Result:
         word = "" if "confirmed" not in said else " The MPM did not confirm it and searched by itself."
         notes.append(
             f"The surrogate found its answer by {said['predictions']} predictions and {said['reverse_passes']} reverse "
-            f"passes in {said['seconds']:.0f} s; runs of the MPM corrected it and its derivatives, by which the objective "
-            f"went from {objective[0]:.4g} to {min(objective):.4g}.{word}"
+            f"passes in {said['seconds']:.0f} s; runs of the MPM corrected it and its derivatives: the objective went "
+            f"from {objective[0]:.4g} to {min(objective):.4g}.{word}"
         )
     if posterior.promised > LEFT:
         notes.append(
@@ -196,11 +196,14 @@ def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
     error = lead.errors(start) if isinstance(lead, SurrogateFlow) else np.zeros((0, len(target.values)))
     found = searched(lead, target, target.errors.matrix + error.T @ error, start)
     seconds, own = time.perf_counter() - began, found.posterior
-    seeds = [flow.problem.scene.seed]
-    # The MPM has no such error.
-    covariance = target.errors.matrix + 2.0 * shrunk(found.runs)
-    objective = Objective(flow, target.values, covariance, seeds, combinations=own.combinations)
-    corrected = objective.corrected(own, LED_RUNS - LED_CHECKS, shrunk(found.runs))
+    # Two flows of the MPM at the answer say how much its own scatter is of the surrogate's, whose shape it has.
+    seeds, shape = [flow.problem.scene.seed, flow.problem.scatter_seeds[0]], shrunk(found.runs)
+    pair = flow.observe([own.mean] * 2, seeds)
+    scatter = 0.5 * float(((pair[0] - pair[1]) ** 2).sum()) / float(np.trace(shape)) * shape
+    # The MPM has no error of a surrogate.
+    covariance = target.errors.matrix + 2.0 * scatter
+    objective = Objective(flow, target.values, covariance, seeds[:1], combinations=own.combinations)
+    corrected = objective.corrected(own, pair[0], LED_RUNS - LED_CHECKS - len(pair), scatter)
     said = {
         "unknowns": {
             each.settings.name: float(values[each.inside].mean())

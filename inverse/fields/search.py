@@ -97,10 +97,14 @@ class Objective:
     def evaluated(self, white: Floats, step: float) -> tuple[Floats, dict[str, float]]:
         """F [M] and the iterate at white numbers [W]; step: part of the Gauss-Newton step, 0 at the start."""
         numbers = self.flow.mean(white, self.seeds)
+        return numbers, self.iterate(white, numbers, step)
+
+    def iterate(self, white: Floats, numbers: Floats, step: float) -> dict[str, float]:
+        """That at white numbers [W] that show `numbers` [M]."""
         residual = self.whitened(numbers - self.target)
         squares = float(residual @ residual)
         objective, misfit = 0.5 * (squares + float(white @ white)), math.sqrt(squares / len(residual))
-        return numbers, {"objective": objective, "misfit": misfit, "step": step}
+        return {"objective": objective, "misfit": misfit, "step": step}
 
     def minimise(self, start: Floats, iterations: int, enough: float = CONVERGED) -> Gaussian:
         """From `start` [W] to the most probable white numbers; enough: decrease of J that a step must promise."""
@@ -128,8 +132,10 @@ class Objective:
             white, numbers = tried, shown
             self.iterates.append(iterate)
 
-    def corrected(self, found: Gaussian, runs: int, scatter: Floats) -> Gaussian:
+    def corrected(self, found: Gaussian, numbers: Floats, runs: int, scatter: Floats) -> Gaussian:
         """From what another flow found, whose derivatives are corrected by at most so many runs of this one.
+
+        numbers: of a run at its answer [M].
 
         Each run moves on by a Gauss-Newton step, and adds to G what makes it true of this step, a matrix of rank one
         (Broyden, A class of methods for solving nonlinear simultaneous equations, Math. Comp. 19 (1965) 577-593):
@@ -142,14 +148,14 @@ class Objective:
         jacobian = np.linalg.solve(self.change.T, found.jacobian)
         whitened = self.rows @ self.whitened(self.whitened(scatter).T).T
         noise = 2.0 * float((whitened * self.rows).sum())
-        white, (numbers, iterate) = found.mean, self.evaluated(found.mean, 0.0)
-        self.iterates.append(iterate)
-        lowest = iterate["objective"]
+        white = found.mean
+        self.iterates.append(self.iterate(white, numbers, 0.0))
+        lowest = self.iterates[0]["objective"]
         while True:
             residual = self.rows @ self.whitened(numbers - self.target)
             proposed = linear_mean(jacobian, white, residual)
             promised = gain(jacobian, residual, white, proposed - white)
-            if promised < CONVERGED or len(self.iterates) >= runs:
+            if promised < CONVERGED or len(self.iterates) > runs:
                 return Gaussian(white, jacobian, promised, found.combinations)
             shown, iterate = self.evaluated(proposed, 1.0)
             self.iterates.append(iterate)
