@@ -67,18 +67,21 @@ def coarse(limit: Limit, simulate: Simulate, scenes: Sequence[Scene]) -> list[fl
 
 
 def on_gpu(quantity: str, scenes: Sequence[Scene]) -> list[float]:
-    """By the surrogate, all scenes side by side in one batch."""
-    model = gns.load(shipped(scenes[0].dimension)).to("cuda")
-    starts = [initial_state(each, model.settings) for each in scenes]
-    state, conditions = State.joined([each.state for each in starts]), Conditions.joined([e.conditions for e in starts])
-    with torch.no_grad():
-        moved = unroll(model, state.to("cuda"), conditions.to("cuda"), starts[0].steps)[-1].cpu().numpy()
-    ends = np.cumsum([len(each.indices) for each in starts])[:-1]
-    both = zip(scenes, np.split(moved, ends), starts, strict=True)
-    return [
-        float(measures.extents(scene, deposit, start.conditions.volume.numpy())[quantity])
-        for scene, deposit, start in both
-    ]
+    """By the surrogate, scenes of one size side by side in one batch."""
+    model, found = gns.load(shipped(scenes[0].dimension)).to("cuda"), dict[int, float]()
+    begun = [initial_state(each, model.settings) for each in scenes]
+    for units in {each.conditions.units for each in begun}:
+        numbers = [number for number, each in enumerate(begun) if each.conditions.units == units]
+        starts = [begun[number] for number in numbers]
+        state = State.joined([each.state for each in starts]).to("cuda")
+        conditions = Conditions.joined([each.conditions for each in starts]).to("cuda")
+        with torch.no_grad():
+            moved = unroll(model, state, conditions, starts[0].steps)[-1].cpu().numpy()
+        ends = np.cumsum([len(each.indices) for each in starts])[:-1]
+        for number, deposit, start in zip(numbers, np.split(moved, ends), starts, strict=True):
+            extents = measures.extents(start.scene, deposit, start.conditions.volume.numpy())
+            found[number] = float(extents[quantity])
+    return [found[number] for number in range(len(scenes))]
 
 
 def on_processors(quantity: str, scenes: Sequence[Scene]) -> list[float]:
