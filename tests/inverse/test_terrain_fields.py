@@ -48,7 +48,7 @@ scene = "scene.toml"
 surrogate = "none"
 observations = [{ kind = "thickness", cell = 0.1, noise = 0.004 }]
 target = { twin = true, seed = 1000 }
-optimiser = { seeds = 1, ensemble = 4, max_iterations = 1 }
+optimiser = { seeds = 1, ensemble = 4, max_iterations = 1, derivatives = "differences" }
 [[unknowns]]
 name = "thickness"
 spacing = [0.1, 0.1]
