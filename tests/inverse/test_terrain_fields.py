@@ -16,14 +16,17 @@ from datasets.command_line import run
 from datasets.scene.grid_field import Field
 from datasets.scene.library import write_scene
 from datasets.scene.particles import initial_particles, initial_volumes, released_volume
-from gns.simulator import Simulator
+from gns.settings import ModelSettings
 from inverse import read_problem
 from inverse.__main__ import main
 from inverse.fields.flow import WhiteFlow
+from inverse.fields.inversion import LED_CHECKS, LED_RUNS, led
 from inverse.fields.search import Gaussian, Objective
 from inverse.fields.surrogate import SurrogateFlow
 from inverse.forward.gns import Band
+from inverse.observations.errors import Covariance
 from inverse.observations.plan import ThicknessSettings
+from inverse.observations.target import Target
 from mpm.adjoint.gradient import gradient
 from tests.refusals import refused
 
@@ -189,21 +192,19 @@ def test_the_adjoint_of_both(path: str) -> None:
 class Dragged(torch.nn.Module):
     """In place of a surrogate: what lies on the bed moves on in proportion to its mean friction."""
 
-    def __init__(self, settings: Any) -> None:
+    def __init__(self, settings: Any, share: float = 1.0) -> None:
         super().__init__()
         self.settings = settings
-        self.one = torch.nn.Parameter(torch.ones((), dtype=torch.float64))
+        self.share = torch.nn.Parameter(torch.tensor(share, dtype=torch.float64))
 
     def forward(self, state: Any, conditions: Any) -> Any:
-        share = conditions.ground.friction.mean() * self.one
+        share = conditions.ground.friction.mean() * self.share
         step = torch.stack([share * 0.01, -0.001 * share, 0.0 * share])
         return dataclasses.replace(state, positions=state.positions + step, displacements=state.displacements + step)
 
 
 def test_the_gradient_through_a_rollout(path: str) -> None:
     """Of thicknesses through positions and volumes, of zones through the raster of the ground; by differences."""
-    from gns.settings import ModelSettings
-
     problem = read_problem(path)
     settings = ModelSettings(dimension=3, cell=0.05, frame_dt=0.02, frames_per_step=1, history=1)
     flow = SurrogateFlow(problem, ThicknessSettings(cell=0.1).operator(problem.scene), Dragged(settings), Band())
@@ -283,4 +284,23 @@ def test_the_command(path: str, tmp_path: Path) -> None:
     assert [each["name"] for each in result["fields"]] == ["thickness", "solids[0].friction"]
     report = (out / "report.md").read_text()
     assert "thickness.png" in report
-    assert Simulator is not None
+
+
+def test_a_surrogate_leads_and_runs_correct_it(path: str) -> None:
+    """In place of the MPM another stub, whose bed drags half as much again: few runs of it find a nearer answer."""
+    problem = read_problem(path)
+    operator = ThicknessSettings(cell=0.1).operator(problem.scene)
+    settings = ModelSettings(dimension=3, cell=0.025, frame_dt=0.02, frames_per_step=1, history=1)
+    truth, lead = (SurrogateFlow(problem, operator, Dragged(settings, share), Band()) for share in (1.5, 1.0))
+    rng = np.random.default_rng(5)
+    (values,) = truth.observe([rng.normal(size=truth.size)], [1000])
+    errors = Covariance.correlated(np.full(len(values), 0.004), operator.grid.positions, None)
+    target = Target(observation=operator, values=values, errors=errors)
+    found = led(truth, lead, target)
+    objective = found.surrogate["objective"]
+    assert truth.runs <= 1 + LED_RUNS - LED_CHECKS
+    assert lead.reverses > 0
+    assert min(objective) < 0.8 * objective[0]
+    assert found.posterior.jacobian.shape == (len(found.posterior.combinations), truth.size)
+    removed = (found.posterior.removed**2).sum(axis=1)
+    assert 0.0 <= removed.min() <= removed.max() <= 1.0
