@@ -137,8 +137,9 @@ class Objective:
 
         numbers: of a run at its answer [M].
 
-        Each run moves on by a Gauss-Newton step, and adds to G what makes it true of this step, a matrix of rank one
-        (Broyden, A class of methods for solving nonlinear simultaneous equations, Math. Comp. 19 (1965) 577-593):
+        Each run moves on by a Gauss-Newton step, half as long after one by which J has not fallen. It adds to G what
+        makes it true of this step, a matrix of rank one (Broyden, A class of methods for solving nonlinear simultaneous
+        equations, Math. Comp. 19 (1965) 577-593):
 
             G <- G + k e dw^T / |dw|^2,    e = L^-1 dF - G dw,    k = max(0, 1 - E|n|^2 / |e|^2)
 
@@ -148,7 +149,7 @@ class Objective:
         jacobian = np.linalg.solve(self.change.T, found.jacobian)
         whitened = self.rows @ self.whitened(self.whitened(scatter).T).T
         noise = 2.0 * float((whitened * self.rows).sum())
-        white = found.mean
+        white, step = found.mean, 1.0
         self.iterates.append(self.iterate(white, numbers, 0.0))
         lowest = self.iterates[0]["objective"]
         while True:
@@ -157,17 +158,16 @@ class Objective:
             promised = gain(jacobian, residual, white, proposed - white)
             if promised < CONVERGED or len(self.iterates) > runs:
                 return Gaussian(white, jacobian, promised, found.combinations)
-            shown, iterate = self.evaluated(proposed, 1.0)
+            moved = step * (proposed - white)
+            shown, iterate = self.evaluated(white + moved, step)
             self.iterates.append(iterate)
-            moved = proposed - white
             missed = self.rows @ self.whitened(shown - numbers) - jacobian @ moved
             share = max(0.0, 1.0 - noise / float(missed @ missed))
             jacobian = jacobian + share * np.outer(missed, moved) / float(moved @ moved)
             if iterate["objective"] < lowest:
-                white, numbers, lowest = proposed, shown, iterate["objective"]
-            elif share == 0.0:
-                # The same step would be tried again.
-                return Gaussian(white, jacobian, promised, found.combinations)
+                white, numbers, lowest = white + moved, shown, iterate["objective"]
+            else:
+                step *= 0.5
 
 
 def linear_mean(jacobian: Floats, white: Floats, residual: Floats) -> Floats:
