@@ -44,9 +44,9 @@ def invert(
         if forward is ForwardModel.GNS:
             raise InputError("expected the MPM and its adjoint, which fields are found by", where="--forward")
         # Imported here: other inversions have no use for the adjoint's kernels.
-        from inverse.field_inversion import of_fields
+        from inverse.fields.inversion import of_fields
 
-        result = of_fields(problem)
+        result = of_fields(problem, model)
     else:
         target = read_target(problem, partial(simulate, record=recording(problem.operators)))
         result = of_numbers(problem, target, forward_model(problem, target, forward, model))

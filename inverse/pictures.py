@@ -25,7 +25,7 @@ from datasets.geometry.ground import ground_raster
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.scene.particles import particle_volumes
-from inverse.field_posterior import FieldPosterior
+from inverse.fields.posterior import FieldPosterior
 from inverse.observations.deposit import Passed, Toe
 from inverse.observations.outline import Boundary
 from inverse.observations.profile import Profile
@@ -272,10 +272,12 @@ def pair(axis: Axes, result: Result, first: int, second: int) -> None:
 
 
 def field(posterior: FieldPosterior) -> Figure:
-    """A field over the body, from the side, in 3D on the middle plane across z; over one axis a curve with its band."""
-    grid = posterior.unknown.grid
+    """A field over the body, from the side, in 3D on the middle plane across z, or in plan; over one axis a curve with
+    its band, of zones a bar for each.
+    """
+    grid, axes_of = posterior.unknown.grid, posterior.unknown.axes
     varying = [axis for axis in range(min(2, len(grid.nodes))) if grid.nodes[axis] > 1]
-    label = f"{LABELS[posterior.unknown.settings.quantity]} [{posterior.unknown.unit}]"
+    label = f"{LABELS[posterior.unknown.settings.quantity]} [{posterior.unknown.unit or '-'}]"
     if len(varying) < 2:
         return curve(posterior, varying[0] if varying else 0, label)
     arrays = posterior.arrays
@@ -296,7 +298,7 @@ def field(posterior: FieldPosterior) -> Figure:
         pane = pane if pane.ndim == 2 else pane[:, :, grid.nodes[2] // 2]
         image = axis.pcolormesh(*grid.axes[:2], pane.T, shading="nearest", cmap=colours, vmin=limits[0], vmax=limits[1])
         figure.colorbar(image, ax=axis, shrink=0.9)
-        axis.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=title)
+        axis.set(aspect="equal", xlabel=f"{axes_of[0]} [m]", ylabel=f"{axes_of[1]} [m]", title=title)
     for axis in axes.ravel()[len(panels) :]:
         axis.set_visible(False)
     return figure
@@ -308,10 +310,20 @@ def curve(posterior: FieldPosterior, axis: int, label: str) -> Figure:
     lines = np.moveaxis(np.arange(grid.count).reshape(grid.nodes), axis, 0)
     along, first = grid.axes[axis], lines.reshape(len(lines), -1)[:, 0]
     line = {name: values[first] for name, values in posterior.arrays.items()}
-    panel.fill_between(along, line["lower"], line["upper"], alpha=0.3, color=COLOURS["MPM"], label="95 %")
-    panel.plot(along, line["mean"], color=COLOURS["MPM"], label="most probable")
-    if "truth" in line:
-        panel.plot(along, line["truth"], color=COLOURS["target"], label="truth")
-    panel.set(xlabel=f"{'xyz'[axis]} [m]", ylabel=label)
+    truth: dict[str, Any] = {"color": COLOURS["target"], "label": "truth"}
+    if (zones := posterior.unknown.zones) is not None:
+        ends = np.abs(np.stack([line["lower"], line["upper"]]) - line["mean"])
+        style: dict[str, Any] = {"fmt": "o", "color": COLOURS["MPM"], "capsize": 3, "label": "most probable, 95 %"}
+        panel.errorbar(along, line["mean"], yerr=ends, **style)
+        if "truth" in line:
+            panel.plot(along, line["truth"], "x", **truth)
+        panel.set_xticks(along, [f"{number:g}" for number in zones.numbers])
+        panel.set(xlabel="zone", ylabel=label)
+    else:
+        panel.fill_between(along, line["lower"], line["upper"], alpha=0.3, color=COLOURS["MPM"], label="95 %")
+        panel.plot(along, line["mean"], color=COLOURS["MPM"], label="most probable")
+        if "truth" in line:
+            panel.plot(along, line["truth"], **truth)
+        panel.set(xlabel=f"{posterior.unknown.axes[axis]} [m]", ylabel=label)
     panel.legend()
     return figure

@@ -13,11 +13,12 @@ from datasets.errors import InputError, keyed, naming, require
 from datasets.files import read_toml
 from datasets.flow.trajectory import Trajectory
 from datasets.scene import INFLOW, Scene
-from datasets.scene.grid_field import FRICTION, Field
+from datasets.scene.grid_field import FRICTION, THICKNESS, Floats
 from datasets.scene.library import find, read_scene
 from datasets.scene.particles import released_volume
 from datasets.schema import Record, from_mapping, one_of
 from inverse.observations import KINDS, Observation, ObservationSettings
+from inverse.observations.observation import SmoothObservation
 from inverse.observations.settings import FILES
 from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, check_parameters, check_scene, with_kinds, with_parameters
@@ -132,7 +133,7 @@ class Problem(ProblemKeys):
         for index, parameter in enumerate(self.parameters):
             if parameter.is_field:
                 with keyed(f"unknowns[{index}]"):
-                    fields.append(UnknownField(parameter, self.scene))
+                    fields.append(UnknownField(parameter, self.scene, self.folder))
         return fields
 
     @property
@@ -166,13 +167,14 @@ class Problem(ProblemKeys):
         """Where the search starts, shape [U]."""
         return np.array([each.start for each in self.numbers])
 
-    def scene_at(self, values: Vector, seed: int | None = None, fields: Sequence[Field] = ()) -> Scene:
-        """The scene at numbers `values` [U] and `fields`, with another jitter `seed` if so asked. Raises InputError."""
+    def scene_at(self, values: Vector, seed: int | None = None, fields: Sequence[Floats] = ()) -> Scene:
+        """The scene at numbers `values` [U], with another jitter `seed` if so asked. Raises InputError.
+
+        fields: values [K] of each unknown field; the medians of their priors where absent.
+        """
         scene = with_kinds(self.scene, self.kinds, values)
-        if self.fields:
-            unknown = {each.settings.quantity for each in self.fields}
-            kept = tuple(each for each in scene.fields if each.quantity not in unknown)
-            scene = replace(scene, fields=kept + tuple(fields))
+        for unknown, each in zip(self.fields, fields or [each.median for each in self.fields], strict=True):
+            scene = unknown.put(scene, each)
         return scene if seed is None else replace(scene, seed=seed)
 
     def clocked(self, run: Trajectory, values: Vector) -> Trajectory:
@@ -204,19 +206,14 @@ class Problem(ProblemKeys):
             require(ends, f"observations[{index}]", "the deposit or forces, where material flows in", each.kind)
         return found
 
-    @cached_property
-    def true_fields(self) -> list[Field]:
-        """The fields of a twin: the scene's own."""
-        true = {(each.quantity, each.mass): each for each in self.scene.fields}
-        return [true[each.settings.quantity, each.settings.mass] for each in self.fields]
-
     @property
     def twin_scene(self) -> Scene:
         """The twin's scene: the truth, a jitter, maybe other cells. Raises InputError for cells that do not fit."""
         truth, cell = self.target.truth, self.target.cell
         scene = with_parameters(self.scene, list(truth), list(truth.values()))
         values = np.array([each.kind.read(scene) for each in self.numbers])
-        twin = self.scene_at(values, self.target.seed, self.true_fields if self.fields else ())
+        # Its fields are the scene's own.
+        twin = replace(with_kinds(self.scene, self.kinds, values), seed=self.target.seed)
         return twin if cell is None else twin.with_cell(cell)
 
     @property
@@ -233,7 +230,8 @@ class Problem(ProblemKeys):
     @property
     def released(self) -> float | None:
         """Volume of the masses over the width [m^2], in 2D their area; None where that is itself a parameter."""
-        if any(kind.changes_volume for kind in self.kinds):
+        fields = any(each.is_field and each.quantity == THICKNESS for each in self.parameters)
+        if fields or any(kind.changes_volume for kind in self.kinds):
             return None
         return released_volume(self.scene) / math.prod(self.scene.domain.size[2:])
 
@@ -275,13 +273,12 @@ class Problem(ProblemKeys):
 
     def _check_fields(self) -> None:
         """Raise InputError for fields that the adjoint cannot find, or a twin without their truth."""
-        true_fields = {(each.quantity, each.mass) for each in self.scene.fields}
         indices = [index for index, each in enumerate(self.parameters) if each.is_field]
         for index, unknown in zip(indices, self.fields, strict=True):
             settings = unknown.settings
             with keyed(f"unknowns[{index}]"):
                 unknown.check_bounds(self.scene)
-                true = not self.target.twin or (settings.quantity, settings.mass) in true_fields
+                true = not self.target.twin or unknown.truth(self.scene) is not None
                 require(true, "name", f"a scene with a field of {settings.name} as the truth", "none")
             if settings.quantity == FRICTION:
                 expected = "a body without initial stress, whose yield depends on an unknown friction"
@@ -293,8 +290,12 @@ class Problem(ProblemKeys):
             )
             require(parameter.prior is None, f"unknowns[{index}].prior", "none beside a field", "one")
         require(not self.correlations, "correlations", "none beside a field", "some")
+        released = any(each.settings.quantity == THICKNESS for each in self.fields)
         for index, observation in enumerate(self.observations):
             operator = observation.operator_type
+            weighed = not released or issubclass(operator, SmoothObservation)
+            expected = "an observation by the volumes of a run itself (thickness, outline) beside an unknown thickness"
+            require(weighed, f"observations[{index}].kind", expected, observation.kind)
             jointly = (operator.of_positions or operator.dense) and not operator.every_particle
             expected = "an observation of positions of few numbers"
             require(jointly, f"observations[{index}].kind", expected, observation.kind)

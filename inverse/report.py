@@ -10,7 +10,7 @@ import numpy as np
 from datasets.flow.measures import rms
 from datasets.markdown import markdown_table
 from inverse.answer import Answer, Combination, Purpose, Verdict, peak_memory_mib, unidentified
-from inverse.field_posterior import IDENTIFIED, FieldPosterior
+from inverse.fields.posterior import IDENTIFIED, FieldPosterior
 from inverse.noise import CONFIDENCE
 from inverse.observations.target import ALL_DATA
 from inverse.parameters import Parameter
@@ -215,10 +215,10 @@ def question(result: Result) -> str:
     fields = []
     for field in result.fields:
         settings, nodes = field.unknown.settings, " x ".join(map(str, field.unknown.grid.nodes))
-        prior = f"{settings.mean:g} ± {settings.deviation:g} {field.unknown.unit}"
-        fields.append(
-            f"Unknown: `{field.name}` on {nodes} nodes, prior {prior}, correlation length {settings.length} m."
-        )
+        prior = f"{settings.mean:g} ± {settings.deviation:g} {field.unknown.unit}".rstrip()
+        zones = f"in {nodes} zones, prior {prior}, independent"
+        where = f"on {nodes} nodes, prior {prior}, correlation length {settings.length} m"
+        fields.append(f"Unknown: `{field.name}` {where if settings.zones is None else zones}.")
     counted = Counter(each.name or each.kind for each in result.problem.observations)
     what = ", ".join(name if count == 1 else f"{name} ({count})" for name, count in counted.items())
     if len(result.problem.observations) == 1:
@@ -289,26 +289,31 @@ def identified(field: FieldPosterior) -> str:
     if box is None:
         return f"The observation removes less than {100.0 * IDENTIFIED:.0f} % of the prior's variance of every value."
     share = float(field.identified[inside].mean())
-    between = ", ".join(f"{name} from {low:.3g} to {high:.3g} m" for name, (low, high) in zip("xyz", box, strict=False))
+    axes = field.unknown.axes
+    between = ", ".join(f"{name} from {low:.3g} to {high:.3g} m" for name, (low, high) in zip(axes, box, strict=False))
+    where = f"all of them at {between}"
+    if field.unknown.zones is not None:
+        numbers = field.unknown.zones.numbers[field.identified]
+        where = f"of the zones {', '.join(f'{number:g}' for number in numbers)}"
     return (
         f"The observation removes more than {100.0 * IDENTIFIED:.0f} % of the prior's variance of "
-        f"{100.0 * share:.0f} % of the values, all of them at {between}; of the others the prior says more than "
-        "the observation."
+        f"{100.0 * share:.0f} % of the values, {where}; of the others the prior says more than the observation."
     )
 
 
 def field_table(field: FieldPosterior) -> str:
     """Widths and, of a twin, errors: of all values and of those that are identified."""
     unit, inside, rows = field.unknown.unit, field.unknown.inside, []
+    unit = f" [{unit}]" if unit else ""
     for name, where in (("all", inside), ("identified", field.identified), ("others", inside & ~field.identified)):
         if not where.any():
             continue
         row = {"": name, "values": str(int(where.sum()))}
-        row[f"deviation, prior [{unit}]"] = f"{field.arrays['prior_deviation'][where].mean():.3g}"
-        row[f"posterior [{unit}]"] = f"{field.arrays['deviation'][where].mean():.3g}"
+        row[f"deviation, prior{unit}"] = f"{field.arrays['prior_deviation'][where].mean():.3g}"
+        row[f"posterior{unit}"] = f"{field.arrays['deviation'][where].mean():.3g}"
         if field.truth is not None:
-            row[f"error of the prior's mean [{unit}]"] = f"{field.error(where, field.unknown.settings.mean):.3g}"
-            row[f"of the found field [{unit}]"] = f"{field.error(where):.3g}"
+            row[f"error of the prior's mean{unit}"] = f"{field.error(where, field.unknown.settings.mean):.3g}"
+            row[f"of the found field{unit}"] = f"{field.error(where):.3g}"
             row["truth within 95 %"] = f"{100.0 * (field.covered(where) or 0.0):.0f} %"
         rows.append(row)
     return markdown_table(rows)

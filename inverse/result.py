@@ -13,7 +13,7 @@ from datasets.scene import Scene
 from datasets.scene.particles import particle_volumes
 from datasets.schema import changed
 from inverse.answer import UNIFORM, Answer, Combination, MpmRun, Verdict, peak_memory_mib, plain
-from inverse.field_posterior import FieldPosterior
+from inverse.fields.posterior import FieldPosterior
 from inverse.observations import Values
 from inverse.observations.target import Target
 from inverse.parameters import Vector
@@ -129,7 +129,7 @@ class Result:
     @property
     def scene(self) -> Scene:
         """The scene with what was found."""
-        return self.problem.scene_at(self.answer, fields=[each.unknown.field(each.latent) for each in self.fields])
+        return self.problem.scene_at(self.answer, fields=[each.arrays["mean"] for each in self.fields])
 
     @property
     def samples(self) -> NDArray[np.float64]:

@@ -28,6 +28,17 @@ class ForwardModel(StrEnum):
     """The MPM with the gradient of its adjoint."""
 
 
+class Derivatives(StrEnum):
+    """What gives the derivatives of the MPM with respect to unknown fields."""
+
+    ADJOINT = "adjoint"
+    """Its adjoint: exact, at one reverse pass for each combination of the numbers that matters. In long flows in 3D a
+    few particles make it noisy; more `seeds` average it."""
+    DIFFERENCES = "differences"
+    """Runs a standard deviation of the prior apart, one for each of its principal directions: no noise of a
+    chaotic flow, and no more than these directions."""
+
+
 class Surrogate(StrEnum):
     """Which surrogate, if any, is asked besides the MPM."""
 
@@ -89,6 +100,8 @@ class OptimiserSettings(Record):
     """Of random numbers."""
     max_iterations: Annotated[int, counted(1)] = 8
     """Of fields: Gauss-Newton steps, at most."""
+    derivatives: Derivatives = Derivatives.ADJOINT
+    """Of fields, by the MPM."""
     seeds: Annotated[int, counted(1)] = 4
     """Of fields: jitter seeds over which predictions and their derivatives are averaged."""
     ensemble: Annotated[int, counted(4)] = 24

@@ -52,6 +52,8 @@ class Filling:
     """Places of the lattice where they are in the box, both [N, D] in m."""
     cover: Callable[[Floats], Floats] | None = None
     """Depth below the top of the body [m], shape [N], of places in the box; below the highest where absent."""
+    thickness: Floats | None = None
+    """Of a layer at the places of its lattice [m], shape [N]."""
     inflow: Inflow | None = None
     """What enters, and when, of an inflow; its lattice are the places where."""
 
@@ -69,12 +71,17 @@ class Filling:
         column = np.ravel_multi_index(tuple(plan.T), tuple(plan.max(axis=0) + 1))
         return float(np.bincount(column).max() * self.spacing[1])
 
-    def positions(self, offset: Floats) -> Floats:
-        """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing."""
+    def positions(self, offset: Floats, stretch: Floats | float = 1.0) -> Floats:
+        """Positions [m], shape [N, D], of particles moved by `offset` [N, D], in fractions of the spacing.
+
+        stretch: of the heights above the ground of a layer [-], shape [N].
+        """
         if self.inflow is not None:
             return self.inflow.places(offset[0])
         moved = self.lattice + offset * self.spacing
-        return self.raised(np.where(self.contains(moved)[:, None], moved, self.lattice))
+        held = np.where(self.contains(moved)[:, None], moved, self.lattice)
+        held[:, 1] *= stretch
+        return self.raised(held)
 
 
 def with_boxes(scene: SceneLayout) -> tuple[Mass, ...]:
@@ -204,7 +211,7 @@ def layer(mass: Mass, domain: Domain, ground: tuple[Solid, ...], share: float, k
         return np.asarray(np.maximum(top - places[:, 1], 0.0))
 
     lower, upper = np.insert(plan.lower, 1, float(floor.min())), np.insert(plan.upper, 1, float(top.max()))
-    box: dict[str, Any] = {"lower": lower, "upper": upper}
+    box: dict[str, Any] = {"lower": lower, "upper": upper, "thickness": plan.thickness(lattice[:, level])}
     return Filling(
         lattice=lattice, spacing=spacing, volume=plan.volume, **box, contains=contains, raised=raised, cover=cover
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from datasets.errors import InputError, require
 from datasets.geometry.shapes import check_grid, check_rows, check_solid, check_vector, usual
-from datasets.scene.grid_field import FRICTION, VELOCITIES
+from datasets.scene.grid_field import FRICTION, THICKNESS, VELOCITIES, Field
 from datasets.scene.material import ANGLES, MOHR_COULOMB
 from datasets.scene.parts import DOMAIN_SIDES, INFLOW, ROUGH, TOLERANCE, Mass, SceneLayout, Water, keyed
 from datasets.scene.water import saturated
@@ -261,9 +261,10 @@ def check_stages(scene: SceneLayout) -> None:
 
 def check_fields(scene: SceneLayout) -> None:
     """Raise InputError for fields that the particles of `scene` cannot have."""
-    dimension, kinds = scene.dimension, (FRICTION, *VELOCITIES[: scene.dimension])
+    kinds = (FRICTION, THICKNESS, *VELOCITIES[: scene.dimension])
     for index, (key, field) in enumerate(keyed(scene, "fields").items()):
         require(field.quantity in kinds, f"{key}.quantity", f"one of {', '.join(kinds)}", repr(field.quantity))
+        dimension = scene.dimension - (field.quantity == THICKNESS)
         check_vector(field.origin, f"{key}.origin", dimension)
         check_vector(field.spacing, f"{key}.spacing", dimension)
         require(len(field.nodes) == dimension, f"{key}.nodes", f"{dimension} numbers", len(field.nodes))
@@ -273,11 +274,13 @@ def check_fields(scene: SceneLayout) -> None:
         masses = range(len(scene.masses))
         require(field.mass is None or field.mass in masses, f"{key}.mass", f"one of 0 to {masses[-1]}", field.mass)
         entering = [n for n in masses if scene.masses[n].kind == INFLOW and field.mass in (None, n)]
-        still = field.quantity == FRICTION or not entering
+        still = field.quantity in (FRICTION, THICKNESS) or not entering
         require(still, f"{key}.mass", "a mass of another kind: an inflow has the velocity of its hydrograph", entering)
         others = [each for each in scene.fields[:index] if each.quantity == field.quantity]
         alone = all(each.mass is not None and field.mass is not None and each.mass != field.mass for each in others)
         require(alone, key, f"one field of {field.quantity} for each mass", "another one")
+        if field.quantity == THICKNESS:
+            check_thickness(scene, field, key)
         if field.quantity != FRICTION:
             continue
         lowest, highest = min(field.values), max(field.values)
@@ -290,6 +293,20 @@ def check_fields(scene: SceneLayout) -> None:
             smallest = max(material.dilation_deg, material.residual_friction_deg or 0.0)
             message = f"angles of at least {smallest:g} degrees, dilation and residual friction of masses[{number}]"
             require(lowest >= smallest, f"{key}.values", message, lowest)
+
+
+def check_thickness(scene: SceneLayout, field: Field, key: str) -> None:
+    """Raise InputError for a field of thickness that no layer of `scene` has, or whose layer leaves the box."""
+    from datasets.geometry.bodies import filling
+
+    require(min(field.values) > 0.0, f"{key}.values", "thicknesses above 0 m", min(field.values))
+    for number in range(len(scene.masses)) if field.mass is None else (field.mass,):
+        mass = scene.masses[number]
+        require(mass.kind == "layer", f"{key}.mass", "a mass of kind layer", f"masses[{number}], a {mass.kind}")
+        lattice = filling(scene, mass).lattice.copy()
+        lattice[:, 1] = field.at(lattice)
+        top, highest = float(filling(scene, mass).raised(lattice)[:, 1].max()), scene.domain.size[1]
+        require(top <= highest, f"{key}.values", f"a layer below the top of the box at {highest:g} m", f"{top:g}")
 
 
 def warn_if_unlikely(scene: SceneLayout) -> None:

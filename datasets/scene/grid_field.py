@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 
 VELOCITIES = ("velocity_x", "velocity_y", "velocity_z")
 FRICTION = "friction_deg"
+THICKNESS = "thickness"
+"""Of a layer, vertically: its field lies in plan."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +70,9 @@ class Field(Grid, Record):
     """What varies over the particles of a scene at the start, in place of what their mass or its material has."""
 
     quantity: str
-    """`friction_deg`, `velocity_x`, `velocity_y` or `velocity_z`."""
+    """`friction_deg`, `velocity_x`, `velocity_y`, `velocity_z`, or `thickness` of a layer, which lies in plan."""
     values: tuple[float, ...]
-    """At the nodes, y (in 3D z) fastest: angles in degrees, velocities in m/s."""
+    """At the nodes, y (in 3D z) fastest: angles in degrees, velocities in m/s, thicknesses in m."""
     mass: int | None = None
     """Index of the mass whose particles have it; all where absent."""
 
@@ -81,4 +83,5 @@ class Field(Grid, Record):
 
     def at(self, positions: Floats) -> Floats:
         """Its values at `positions` [m], shape [N, D]; shape [N]."""
-        return np.asarray(self.weights(positions) @ np.array(self.values))
+        places = positions[:, ::2] if self.quantity == THICKNESS else positions
+        return np.asarray(self.weights(places) @ np.array(self.values))

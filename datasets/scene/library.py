@@ -98,6 +98,8 @@ def moved_entry(entry: Any, keys: dict[str, slice], by: NDArray[np.float64]) -> 
             places = np.asarray(entry.get(key))
             # The foot of a section may have an elevation.
             step = by if axes == PLAN and places.shape[-1:] == by.shape else by[axes]
+            # A field of thickness lies in plan.
+            step = by[PLAN] if axes == WHOLE and places.shape[-1:] == by[PLAN].shape else step
             is_place = places.dtype.kind in "if" and (places.ndim > 0 or key in ("level", "pool"))
             if is_place and (axes == UP or places.shape[-1] == len(step)):
                 entry[key] = np.round(places + (step if places.ndim else step[0]), DIGITS).tolist()

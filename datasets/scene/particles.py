@@ -12,7 +12,7 @@ from datasets.errors import InputError
 from datasets.geometry.bodies import filling, height, lattice_of
 from datasets.memory import require
 from datasets.scene import INFLOW, TOLERANCE, Mass, Scene, keyed
-from datasets.scene.grid_field import FRICTION, Floats
+from datasets.scene.grid_field import FRICTION, THICKNESS, Floats
 from datasets.scene.material import Material
 
 PARTICLE = 60
@@ -89,6 +89,7 @@ def initial_particles(scene: Scene) -> Particles:
     instead = f"there are {count}; larger cells or fewer particles_per_axis"
     require(PARTICLE * scene.dimension**2 * count, "particles", instead, key="masses")
     positions, depths, velocities, times = [], [], [], []
+    stretch = stretches(scene)
     for index, mass in enumerate(scene.masses):
         stream = np.random.default_rng([scene.seed, index])
         if mass.kind == "box":
@@ -99,14 +100,17 @@ def initial_particles(scene: Scene) -> Particles:
             moved = np.array(mass.lower) + (lattice + 0.5 + offset) * spacing
         else:
             filled = filling(scene, mass)
-            moved = filled.positions(stream.uniform(-0.5, 0.5, filled.lattice.shape) * scene.jitter)
+            jitter = stream.uniform(-0.5, 0.5, filled.lattice.shape) * scene.jitter
+            moved = filled.positions(jitter)
         arm = moved - (np.array(mass.lower) + 0.5 * np.array(mass.size))
         flow = filled.inflow if mass.kind == INFLOW else None
         thrown = np.array(mass.velocity or (0.0,) * scene.dimension) + arm @ mass.spin.T
         velocities.append(thrown if flow is None else flow.velocities)
         times.append(np.zeros(len(moved)) if flow is None else flow.time)
+        depths.append(depth(scene, mass, moved) * stretch[index])
+        if mass.kind == "layer":
+            moved = filled.positions(jitter, stretch[index])
         positions.append(moved)
-        depths.append(depth(scene, mass, moved))
     materials = tuple(dict.fromkeys(map(scene.material_of, scene.masses)))
     number = np.repeat(np.arange(len(scene.masses), dtype=np.int32), mass_counts(scene))
     material = np.array([materials.index(scene.material_of(mass)) for mass in scene.masses], np.int32)[number]
@@ -114,6 +118,8 @@ def initial_particles(scene: Scene) -> Particles:
     alike = np.broadcast_to(spins[0], (len(number), *spins.shape[1:]))  # takes no memory
     placed, moving, friction_deg = np.concatenate(positions), np.concatenate(velocities), None
     for field in scene.fields:
+        if field.quantity == THICKNESS:
+            continue
         here, values = field.mass is None or number == field.mass, field.at(placed)
         if field.quantity == FRICTION:
             known = np.array([each.friction_deg for each in materials])[material]
@@ -191,10 +197,27 @@ def mass_counts(scene: Scene) -> list[int]:
     ]
 
 
+def stretches(scene: Scene) -> list[Floats]:
+    """Of the particles of each mass their thickness by a field over that of their layer [-], shape [1] where it is 1.
+
+    A layer with a field of thickness has the particles of its own one; the field moves them up or down in proportion
+    and changes their volumes, so that a flow depends on it smoothly.
+    """
+    found = [np.ones(1) for _ in scene.masses]
+    for field in scene.fields:
+        for index in range(len(found)) if field.mass is None else (field.mass,):
+            if field.quantity == THICKNESS:
+                filled = filling(scene, scene.masses[index])
+                assert filled.thickness is not None, "a layer, by the checks of the scene"
+                found[index] = field.at(filled.lattice) / filled.thickness
+    return found
+
+
 def mass_volumes(scene: Scene) -> Floats:
-    """Volume of each mass [m^D], exactly that of its shape, shape [masses]."""
+    """Volume of each mass [m^D], that of its shape, of a layer with a field of thickness of its particles; [masses]."""
     volumes = (math.prod(mass.size) if mass.kind == "box" else filling(scene, mass).volume for mass in scene.masses)
-    return np.fromiter(volumes, np.float64)
+    means = [float(each.mean()) for each in stretches(scene)]
+    return np.asarray(np.fromiter(volumes, np.float64) * means)
 
 
 def particle_count(scene: Scene) -> int:
@@ -225,7 +248,11 @@ def mass_particle_volumes(scene: Scene) -> Floats:
 
 def initial_volumes(scene: Scene) -> Floats:
     """Initial volume of each particle [m^D], shape [N]."""
-    return np.repeat(mass_particle_volumes(scene), mass_counts(scene))
+    volumes = np.repeat(mass_particle_volumes(scene), mass_counts(scene))
+    if all(field.quantity != THICKNESS for field in scene.fields):
+        return volumes
+    shares = zip(stretches(scene), mass_counts(scene), strict=True)
+    return np.asarray(volumes * np.concatenate([np.broadcast_to(each / each.mean(), count) for each, count in shares]))
 
 
 def particle_volumes(scene: Scene, count: int) -> Floats:

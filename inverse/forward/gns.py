@@ -89,11 +89,11 @@ class GnsForward:
         self.simulator = checked(simulator).requires_grad_(False)
         self.problem, self.observation, self.kinds, self.band = problem, observation, problem.kinds, band or Band()
         self.other_particles = any(kind.input is None for kind in self.kinds)
-        self.initial = self._initial(problem.scene)
+        self.initial = self.begin(problem.scene)
         self.flows = {} if flows is None else flows
         self.indices = self.initial.indices
         bytes_per_step = step_activation_bytes(simulator, self.initial.state, self.initial.conditions)
-        self.kept_steps = int(MEMORY_GIB * 2**30 / bytes_per_step)
+        self.kept_steps = int(MEMORY_GIB * 2**30 / max(bytes_per_step, 1))
 
     def predict(self, parameters: Tensor, /) -> Tensor:
         """The smooth observation, float64 of shape [m] or [S, m], of parameters, float64 of shape [U] or [S, U].
@@ -102,7 +102,7 @@ class GnsForward:
         """
         if parameters.dim() == 1:
             return self.predict(parameters.unsqueeze(0))[0]
-        return torch.stack([self._observed(*each) for each in self._flows(parameters)])
+        return torch.stack([self.observed(*each) for each in self._flows(parameters)])
 
     def observe(self, parameters: Sequence[Vector], /) -> list[Values]:
         """The smooth observation [m] at each vector of parameters [U], in batches of at most `NODES` particles."""
@@ -113,7 +113,7 @@ class GnsForward:
                 batch = missing[first : first + size]
                 flows = self._flows(torch.from_numpy(np.stack(batch)))
                 self.flows |= {each.tobytes(): flow for each, flow in zip(batch, flows, strict=True)}
-            return [self._observed(*self.flows[each.tobytes()]).numpy() for each in parameters]
+            return [self.observed(*self.flows[each.tobytes()]).numpy() for each in parameters]
 
     def errors(self, parameters: Vector, /) -> NDArray[np.float64]:
         """Errors of the numbers at parameters [U] by the band, shape [K, m].
@@ -123,9 +123,9 @@ class GnsForward:
         """
         with torch.no_grad():
             start = self.entered(torch.from_numpy(parameters))
-            path = self._unrolled([start])
-            own = self._observed(path, start)
-            found = torch.stack([self._observed(each, start) - own for each in self.band.moved(path)]).numpy()
+            path = self.unrolled([start])
+            own = self.observed(path, start)
+            found = torch.stack([self.observed(each, start) - own for each in self.band.moved(path)]).numpy()
         if self.observation.every_particle:
             count = found.shape[1]
             extent = float(path[-1, :, 0].max() - path[0, :, 0].min())
@@ -135,7 +135,7 @@ class GnsForward:
     def deposit(self, parameters: Vector, /) -> NDArray[np.floating]:
         """Final positions of the particles [m], shape [n, D]."""
         with torch.no_grad():
-            return self._unrolled([self.entered(torch.from_numpy(parameters))])[-1].numpy()
+            return self.unrolled([self.entered(torch.from_numpy(parameters))])[-1].numpy()
 
     def select(self, target: Values, /) -> Values:
         """The part of an exact `target` [M] that is of the particles followed here, shape [m]."""
@@ -145,19 +145,19 @@ class GnsForward:
         """The initial state with parameters [U], differentiable in those that are inputs."""
         initial = self.initial
         if self.other_particles:
-            initial = self._initial(self.problem.scene_at(parameters.detach().numpy()))
+            initial = self.begin(self.problem.scene_at(parameters.detach().numpy()))
         for index in in_order(self.kinds):
             kind = self.kinds[index]
             if kind.input is not None:
                 initial = kind.input(kind, initial, parameters[index])
         return initial
 
-    def _initial(self, scene: Scene) -> InitialState:
+    def begin(self, scene: Scene) -> InitialState:
         """The initial state of a scene, in the precision of the weights."""
         dtype = next(self.simulator.parameters()).dtype
         return initial_state(scene, self.simulator.settings).to(dtype=dtype)
 
-    def _observed(self, path: Tensor, start: InitialState) -> Tensor:
+    def observed(self, path: Tensor, start: InitialState) -> Tensor:
         """The smooth observation [m] of the positions of one flow [m], shape [T, n, D], from its initial state on."""
         rollout = Rollout(positions=path, times=start.times, volumes=start.conditions.volume)
         return self.observation.predict(rollout)
@@ -166,12 +166,12 @@ class GnsForward:
         """The flow with each of parameters [S, U], all in one batch where their particles are the same."""
         starts = [self.entered(each) for each in parameters]
         if self.other_particles:
-            return [(self._unrolled([each]), each) for each in starts]
-        paths = self._unrolled(starts)
+            return [(self.unrolled([each]), each) for each in starts]
+        paths = self.unrolled(starts)
         flows = paths.reshape(len(paths), len(starts), -1, paths.shape[2])
         return [(each, self.initial) for each in flows.unbind(1)]
 
-    def _unrolled(self, starts: Sequence[InitialState]) -> Tensor:
+    def unrolled(self, starts: Sequence[InitialState]) -> Tensor:
         """Positions [m] of flows of the same particles side by side, at the times of each, shape [T, flows n, D]."""
         state, conditions, steps = starts[0].state, starts[0].conditions, starts[0].steps
         if len(starts) > 1:

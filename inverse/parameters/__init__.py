@@ -79,7 +79,8 @@ class Parameter(Record):
     """A number with a prior between its bounds or, with a `spacing`, a field (`inverse.parameters.field`)."""
 
     name: str
-    """See `inverse.parameters`; of a field `friction_deg`, `velocity_x`, ..., or one of these of `masses[I]`."""
+    """See `inverse.parameters`; of a field `friction_deg`, `velocity_x`, ..., `thickness`, or one of these of
+    `masses[I]`, or `solids[I].friction`."""
     lower: float | None = None
     """Smallest value allowed; of a velocity field both bounds or none."""
     upper: float | None = None
@@ -89,22 +90,29 @@ class Parameter(Record):
     prior: Prior | None = None
     """Of a number, cut off at its bounds; uniform where absent."""
     spacing: Annotated[tuple[float, ...] | None, LENGTHS] = None
-    """Of a field: distance between nodes along each axis [m], at most; over a shorter body it is constant."""
+    """Of a field: distance between nodes along each axis, in plan along x and z [m], at most; over a shorter body it is
+    constant."""
+    zones: str | None = None
+    """Of the friction of a terrain, in place of nodes: a raster of the numbers of zones, which have a value each."""
     mean: Annotated[float | None, Bounds("a finite value")] = None
-    """Of a field: of its prior, everywhere [deg or m/s]."""
+    """Of a field: of its prior, everywhere [deg, m/s, m or -]."""
     deviation: Annotated[float | None, Bounds("a standard deviation from 1e-06 to 1e+09", ge=1.0e-6)] = None
-    """Of a field: standard deviation of its prior at every node [deg or m/s]."""
+    """Of a field: standard deviation of its prior at every node [deg, m/s, m or -]."""
     length: Annotated[float | tuple[float, ...] | None, LENGTHS] = None
     """Of a field: correlation length [m], or one along each axis; at this distance the correlation is 0.14 in 2D."""
 
     def check(self, scene: Scene) -> None:
         """Raise InputError, which names the key, for one that `scene` has not, or whose keys do not go together."""
-        of_field, of_number = ("mean", "deviation", "length"), ("initial", "prior")
-        for key in of_field if self.is_field else ("lower", "upper"):
+        of_zones, of_number = ("mean", "deviation"), ("initial", "prior")
+        of_field, apart = (*of_zones, "length"), ("spacing", "length")
+        needed = of_zones if self.zones is not None else of_field if self.is_field else ("lower", "upper")
+        for key in needed:
             require(getattr(self, key) is not None, key, "a value", "none, the key is missing")
         for key in of_number if self.is_field else of_field:
-            kind = "number" if self.is_field else "field, which has a spacing"
+            kind = "number" if self.is_field else "field, which has a spacing or zones"
             require(getattr(self, key) is None, key, f"it of a {kind}, alone", getattr(self, key))
+        for key in apart if self.zones is not None else ():
+            require(getattr(self, key) is None, key, "none beside zones, which are independent", getattr(self, key))
         if self.is_field:
             return
         try:
@@ -123,8 +131,8 @@ class Parameter(Record):
 
     @property
     def is_field(self) -> bool:
-        """Whether it varies over the body."""
-        return self.spacing is not None
+        """Whether it varies over the body or the terrain."""
+        return self.spacing is not None or self.zones is not None
 
     @cached_property
     def kind(self) -> Kind:
@@ -155,13 +163,22 @@ class Parameter(Record):
 
     @property
     def quantity(self) -> str:
-        """Of a field: what varies, a quantity of `datasets.scene.grid_field.Field`."""
+        """Of a field: what varies, a quantity of `datasets.scene.grid_field.Field`, or the `friction` of a terrain."""
         return self.name.split(".")[-1]
 
     @property
     def mass(self) -> int | None:
         """Of a field: the index of the mass that has it; None for all."""
-        found = re.match(r"masses\[(\d{1,6})\]\.", self.name)
+        return self.index_of("masses")
+
+    @property
+    def solid(self) -> int | None:
+        """Of a field: the index of the terrain that has it; None of one over the particles."""
+        return self.index_of("solids")
+
+    def index_of(self, group: str) -> int | None:
+        """The index of the member of a group that has it."""
+        found = re.match(rf"{group}\[(\d{{1,6}})\]\.", self.name)
         return None if found is None else int(found[1])
 
 

@@ -22,24 +22,26 @@ operator continues by a correlation length beyond the field; S takes its nodes a
 """
 
 import dataclasses
-import math
-from collections.abc import Sequence
-from functools import cached_property, reduce
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
-from scipy.sparse.linalg import splu
 from scipy.special import expit, logit
 
-from datasets.errors import InputError, require
+from datasets.errors import InputError, naming, require
+from datasets.geometry.bodies import filling
+from datasets.geometry.contact_surface import has_faces, has_field
+from datasets.geometry.ground import ground_grid, interpolated
 from datasets.memory import require as require_memory
 from datasets.scene import Scene
-from datasets.scene.grid_field import FRICTION, VELOCITIES, Field, Floats, Grid
+from datasets.scene.grid_field import FRICTION, THICKNESS, VELOCITIES, Field, Floats, Grid
 from datasets.scene.particles import initial_particles
 from inverse.parameters import Parameter
+from inverse.parameters.field_prior import COLUMNS, FieldPrior, ZonePrior
 
 if TYPE_CHECKING:
     from mpm.adjoint.gradient import Gradient
@@ -53,38 +55,46 @@ MOST = 0.9
 """Width of the prior's band over the distance of the bounds, at most."""
 WIDEST = 100.0
 """Deviation of u with which every band is as wide as its bounds."""
-COLUMNS = 256
-"""Right-hand neighbours that are solved for at a time."""
 BYTES = 24
 """Of each node and right-hand neighbour: it, its solution and their squares."""
-UNITS = {FRICTION: "deg"} | dict.fromkeys(VELOCITIES, "m/s")
-LABELS = {FRICTION: "friction"} | {name: f"velocity along {name[-1]}" for name in VELOCITIES}
+BED = "friction"
+"""What varies over a terrain: the last part of `solids[0].friction`."""
+UNITS = {FRICTION: "deg", THICKNESS: "m", BED: ""} | dict.fromkeys(VELOCITIES, "m/s")
+LABELS = {FRICTION: "friction", THICKNESS: "thickness", BED: "friction of the bed"} | {
+    name: f"velocity along {name[-1]}" for name in VELOCITIES
+}
+BOUNDED = {
+    FRICTION: "friction, in (0, 90) degrees",
+    THICKNESS: "thickness, above 0 m",
+    BED: "coefficient, of at least 0",
+}
+"""Quantities that are impossible beyond some values."""
+MOST_ZONES = 1000
+DIGITS, UNEVEN = 9, 1.0e-7
+"""Decimals of a coefficient at the posts of a terrain; how much more one post has where all would have the same."""
 
 
 class UnknownField:
-    """One unknown field over the masses of a scene; K values at nodes, W numbers of the prior. Raises InputError."""
+    """One unknown field over the masses or the terrain of a scene; K values, W numbers of the prior.
 
-    def __init__(self, settings: Parameter, scene: Scene) -> None:
+    Values stand at the nodes of a grid: over the particles, of a thickness and of the friction of a terrain in plan; or
+    one for each zone of a terrain. Raises InputError.
+    """
+
+    def __init__(self, settings: Parameter, scene: Scene, folder: Path = Path()) -> None:
+        """folder: where the path of a raster of zones begins."""
+        self.settings, self.in_plan = settings, settings.quantity in (THICKNESS, BED)
         spacing, lengths, self.mean, deviation = checked(settings, scene)
-        self.settings = settings
-        masses = scene.masses if settings.mass is None else (scene.masses[settings.mass],)
-        lower = np.min([mass.lower for mass in masses], axis=0)
-        upper = np.max([np.add(mass.lower, mass.size) for mass in masses], axis=0)
-        extent, step = upper - lower, np.array(spacing)
-        flat = step > extent * (1.0 + 1e-6)
-        counts = np.where(flat, 0.0, np.ceil(extent / step - 1e-6))
-        check_size("spacing", counts + 1.0)
-        cells = counts.astype(int)
-        self.grid = Grid(
-            tuple((lower + np.where(flat, 0.5 * extent, 0.0)).tolist()),
-            tuple(np.where(flat, step, extent / np.maximum(cells, 1)).tolist()),
-            tuple((cells + 1).tolist()),
-        )
-        for length, between, count in zip(lengths, self.grid.spacing, self.grid.nodes, strict=True):
-            fine = count == 1 or length >= NODES_PER_LENGTH * between * (1.0 - 1e-9)
-            require(fine, "length", f"at least {NODES_PER_LENGTH:g} times the spacing of {between:.3g} m", length)
-        nodes, steps = np.array(self.grid.nodes), np.array(self.grid.spacing)
-        check_size("length", nodes + 2.0 * np.where(nodes == 1, 0.0, np.ceil(np.array(lengths) / steps)))
+        self.zones = None if settings.zones is None else Zones(folder / settings.zones, scene)
+        if self.zones is not None:
+            self.grid, lengths = Grid((0.0,), (1.0,), (len(self.zones.numbers),)), ()
+        else:
+            self.grid = self.laid(scene, np.array(spacing))
+            for length, between, count in zip(lengths, self.grid.spacing, self.grid.nodes, strict=True):
+                fine = count == 1 or length >= NODES_PER_LENGTH * between * (1.0 - 1e-9)
+                require(fine, "length", f"at least {NODES_PER_LENGTH:g} times the spacing of {between:.3g} m", length)
+            nodes, steps = np.array(self.grid.nodes), np.array(self.grid.spacing)
+            check_size("length", nodes + 2.0 * np.where(nodes == 1, 0.0, np.ceil(np.array(lengths) / steps)))
         self.offset, low, high = self.mean, settings.lower, settings.upper
         if low is not None and high is not None:
             self.offset = float(logit((self.mean - low) / (high - low)))
@@ -93,29 +103,57 @@ class UnknownField:
             # Close beside a bound rounding leaves no band.
             require(ends[0] < stated < ends[1], "deviation", f"one from {ends[0]:.3g} to {ends[1]:.3g}", stated)
             deviation = brentq(lambda width: self.deviation(np.zeros(1), width)[0] - stated, 1e-9, WIDEST)
-        self.prior = FieldPrior(self.grid, deviation, lengths)
-        particles = initial_particles(scene)
-        own = np.full(len(particles.mass), True) if settings.mass is None else particles.mass == settings.mass
-        self.inside: NDArray[np.bool_] = self.grid.weights(particles.positions).T @ own.astype(np.float64) > 0.0
-        """Which nodes some particle lies beside, shape [K]."""
+        independent = self.zones is not None
+        self.prior = ZonePrior(self.grid, deviation) if independent else FieldPrior(self.grid, deviation, lengths)
+        beside = self.weights(self.posts(scene) if settings.solid is not None else self.places(scene))
+        self.inside: NDArray[np.bool_] = np.asarray(abs(beside).sum(axis=0)).ravel() > 0.0
+        """Which nodes some particle lies beside or, of a terrain, some post in the box; shape [K]."""
+
+    def laid(self, scene: Scene, step: Floats) -> Grid:
+        """Its nodes: over the masses that have it or, on a terrain, over the box, `step` [m] apart at most."""
+        masses = scene.masses if self.settings.mass is None else (scene.masses[self.settings.mass],)
+        lower = np.min([mass.lower for mass in masses], axis=0)
+        upper = np.max([np.add(mass.lower, mass.size) for mass in masses], axis=0)
+        if self.settings.solid is not None:
+            lower, upper = np.zeros(scene.dimension), np.array(scene.domain.size)
+        if self.in_plan:
+            lower, upper = lower[::2], upper[::2]
+        extent = upper - lower
+        flat = step > extent * (1.0 + 1e-6)
+        counts = np.where(flat, 0.0, np.ceil(extent / step - 1e-6))
+        check_size("spacing", counts + 1.0)
+        cells = counts.astype(int)
+        return Grid(
+            tuple((lower + np.where(flat, 0.5 * extent, 0.0)).tolist()),
+            tuple(np.where(flat, step, extent / np.maximum(cells, 1)).tolist()),
+            tuple((cells + 1).tolist()),
+        )
 
     def check_bounds(self, scene: Scene) -> None:
         """Raise InputError, which names the key, for a bound at which `scene` could not be simulated."""
-        others = tuple(each for each in scene.fields if each.quantity != self.settings.quantity)
         for key, bound in (("lower", self.settings.lower), ("upper", self.settings.upper)):
             try:
                 if bound is not None:
                     # The bound itself is never reached.
-                    values = np.full(self.grid.count, bound + 1e-6 * (self.mean - bound))
-                    dataclasses.replace(scene, fields=(*others, self.of_values(values)))
+                    self.put(scene, np.full(self.grid.count, bound + 1e-6 * (self.mean - bound)))
             except InputError as error:
                 message = f"expected a bound at which the scene can be simulated, but {error}"
                 raise InputError(message, key=key) from None
 
     @property
+    def median(self) -> Floats:
+        """Of its prior, shape [K]."""
+        return self.values(np.zeros(self.grid.count))
+
+    @property
     def unit(self) -> str:
-        """Of its values."""
+        """Of its values; empty of a coefficient."""
         return UNITS[self.settings.quantity]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """What its nodes are counted along."""
+        return ("zone",) if self.zones is not None else ("x", "z") if self.in_plan else ("x", "y", "z")
 
     def values(self, latent: Floats) -> Floats:
         """f of u, both [..., K]."""
@@ -137,41 +175,165 @@ class UnknownField:
         ends = [self.values(latent + sign * BAND * width) for sign in (1.0, -1.0)]
         return np.asarray((ends[0] - ends[1]) / (2.0 * BAND))
 
-    def field(self, latent: Floats) -> Field:
-        """As a scene has it, of u [K]."""
-        return self.of_values(self.values(latent))
+    def weights(self, places: Floats) -> Any:
+        """Sparse matrix [N, K] by which values become those at `places` [m], [N, D], in plan [N, D - 1]."""
+        return self.grid.weights(places) if self.zones is None else self.zones.weights(places)
 
-    def of_values(self, values: Floats) -> Field:
-        """A field with `values` [K]."""
-        grid, own = self.grid, self.settings
+    def posts(self, scene: Scene) -> Floats:
+        """Places in plan of the heights of its terrain [m], shape [posts, 2]."""
+        solid = scene.solids[self.settings.solid or 0]
+        counts = np.array(solid.heights).shape
+        rows = zip(solid.origin or (), solid.spacing or (), counts, strict=True)
+        axes = np.meshgrid(*(first + step * np.arange(count) for first, step, count in rows), indexing="ij")
+        return np.stack(axes, axis=-1).reshape(-1, 2)
+
+    def places(self, scene: Scene) -> Floats:
+        """Where the particles that have it take their values [m], shape [n, D], in plan [n, D - 1]."""
+        if self.settings.quantity != THICKNESS:
+            particles = initial_particles(scene)
+            own = self.of(particles.mass)
+            return particles.positions[own][:, ::2] if self.in_plan else particles.positions[own]
+        masses = [mass for index, mass in enumerate(scene.masses) if self.settings.mass in (None, index)]
+        return np.concatenate([filling(scene, mass).lattice[:, ::2] for mass in masses])
+
+    def of(self, mass: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Which particles have it, by the masses that they belong to, both [N]."""
+        return np.full(len(mass), True) if self.settings.mass is None else mass == self.settings.mass
+
+    def put(self, scene: Scene, values: Floats) -> Scene:
+        """The scene with `values` [K] of it. Raises InputError."""
+        own, grid = self.settings, self.grid
+        if own.solid is not None:
+            solids = list(scene.solids)
+            shape = np.array(solids[own.solid].heights).shape
+            rows = np.round(self.weights(self.posts(scene)) @ values, DIGITS).reshape(shape)
+            # One friction of all posts is one number to the solver, of which there is one derivative.
+            rows[0, 0] += UNEVEN if np.ptp(rows) == 0.0 else 0.0
+            solids[own.solid] = dataclasses.replace(solids[own.solid], friction=tuple(map(tuple, rows.tolist())))
+            return dataclasses.replace(scene, solids=tuple(solids))
         place = {"origin": grid.origin, "spacing": grid.spacing, "nodes": grid.nodes, "mass": own.mass}
-        return Field(quantity=own.quantity, values=tuple(values.tolist()), **place)  # type: ignore[arg-type]
+        field = Field(quantity=own.quantity, values=tuple(values.tolist()), **place)  # type: ignore[arg-type]
+        others = (each for each in scene.fields if (each.quantity, each.mass) != (own.quantity, own.mass))
+        return dataclasses.replace(scene, fields=(*others, field))
 
-    def at_nodes(self, gradient: "Gradient", latent: Floats) -> Floats:
-        """dJ/du [K] from the gradient with respect to what a run begins with."""
-        particles, field = gradient.particles, self.field(latent)
-        each = gradient.material(FRICTION) if field.quantity == FRICTION else gradient.velocities[:, field.axis]
-        if field.mass is not None:
-            each = np.where(particles.mass == field.mass, each, 0.0)
-        return np.asarray((self.grid.weights(particles.positions).T @ each) * self.slope(latent))
+    def truth(self, scene: Scene) -> Floats | None:
+        """What `scene` itself has of it at the nodes, of a zone the mean over its posts, [K]; None without any."""
+        own = self.settings
+        if own.solid is None:
+            same = [each for each in scene.fields if (each.quantity, each.mass) == (own.quantity, own.mass)]
+            return same[0].weights(self.grid.positions) @ np.array(same[0].values) if same else None
+        axes, _, friction = ground_grid(scene.solids[own.solid], f"solids[{own.solid}]", scene.domain)
+        if self.zones is None:
+            return interpolated(axes, friction, self.grid.positions)
+        weights = self.weights(posts := self.posts(scene))
+        return np.asarray(weights.T @ interpolated(axes, friction, posts) / weights.sum(axis=0))
+
+    def at_nodes(self, gradient: "Gradient", values: Floats, explicit: Floats, known: dict[str, Floats]) -> Floats:
+        """dJ/df [K] at `values` [K] from the gradient with respect to what a run begins with.
+
+        explicit: derivatives of J with respect to the volumes of the particles where it sees them itself, [N]; known:
+        slopes of this run by the names of fields, which are the same for every J.
+        """
+        scene, own, particles = gradient.scene, self.settings, gradient.particles
+        if not self.in_plan:
+            friction = own.quantity == FRICTION
+            each = gradient.material(FRICTION) if friction else gradient.velocities[:, VELOCITIES.index(own.quantity)]
+            each = np.where(self.of(particles.mass), each, 0.0)
+            return np.asarray(self.grid.weights(particles.positions).T @ each)
+        relative, places = own.quantity == THICKNESS, self.places(scene)
+        if own.name not in known:
+
+            def scene_at(change: float) -> Scene:
+                return self.put(scene, values * (1.0 + change) if relative else values + change)
+
+            known[own.name] = gradient.slopes(scene_at, 0.0)
+        shares, posts = gradient.shared(known[own.name])
+        if relative:
+            # Volumes and heights above the ground are in proportion to the thickness.
+            weights, here = self.weights(places), self.of(particles.mass)
+            nodes = weights.T @ ((shares + explicit * particles.volume)[here] / (weights @ values))
+        else:
+            nodes = self.at_posts(scene).reshape(-1, self.grid.count).T @ posts
+            if shares.any():
+                nodes = nodes + self.on_bed(scene, places).T @ shares
+        return np.asarray(nodes)
+
+    def at_posts(self, scene: Scene) -> Floats:
+        """Shares of the values in the friction at each post of the ground, beyond the box too, shape [X, Z, K]."""
+        solid, weights = scene.solids[self.settings.solid or 0], self.weights(self.posts(scene)).toarray()
+        # Where the ground has a post from: numbers of posts in place of their friction.
+        numbers = np.arange(len(weights)).reshape(np.array(solid.heights).shape)
+        numbered = dataclasses.replace(solid, friction=tuple(map(tuple, numbers.astype(float).tolist())))
+        return np.asarray(weights[ground_grid(numbered, "solids", scene.domain)[2].astype(int)])
+
+    def on_bed(self, scene: Scene, plan: Floats) -> Floats:
+        """Shares of the values in the friction at places in plan [m], [N, 2], bilinear between the posts; [N, K]."""
+        axes = ground_grid(scene.solids[self.settings.solid or 0], "solids", scene.domain)[0]
+        return np.asarray(RegularGridInterpolator(axes, self.at_posts(scene))(plan))
+
+
+class Zones:
+    """Zones of a terrain, by a raster of their numbers. Raises InputError."""
+
+    def __init__(self, path: Path, scene: Scene) -> None:
+        # Half a second, which problems without rasters do not wait.
+        from datasets.exchange.rasters import read_raster, same_system
+        from datasets.maps import map_corner
+
+        raster, (corner, crs) = read_raster(path, coefficients=True), map_corner(scene)
+        with naming(path):
+            require(same_system(crs, raster), "", f"the reference system of the scene, {crs}", raster.crs)
+        self.axes = [axis - low for axis, low in zip((raster.x, raster.z), corner, strict=True)]
+        self.numbers, which = np.unique(raster.values, return_inverse=True)
+        """Of the zones, ascending, shape [K]."""
+        with naming(path):
+            whole = bool(np.isfinite(self.numbers).all() and (self.numbers == np.round(self.numbers)).all())
+            require(whole, "", "the whole number of a zone in every cell", "others")
+            require(len(self.numbers) <= MOST_ZONES, "", f"at most {MOST_ZONES} zones", len(self.numbers))
+        self.which = which.reshape(raster.values.shape)
+
+    def weights(self, plan: Floats) -> Any:
+        """1 for the zone of the nearest cell of the raster to each place [m], [N, 2]; sparse [N, K]."""
+        nearest = [
+            np.clip(np.rint((plan[:, n] - axis[0]) / (axis[1] - axis[0])), 0, len(axis) - 1).astype(int)
+            for n, axis in enumerate(self.axes)
+        ]
+        rows = np.arange(len(plan))
+        return sparse.csr_array(
+            (np.ones(len(plan)), (rows, self.which[tuple(nearest)])), (len(plan), len(self.numbers))
+        )
 
 
 def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple[float, ...], float, float]:
     """Spacing, correlation lengths, mean and deviation. Raises InputError for a prior that no field can have."""
-    spacing, length = cast("tuple[float, ...]", settings.spacing), settings.length
+    spacing, length = settings.spacing or (), settings.length
     mean, deviation = cast("float", settings.mean), cast("float", settings.deviation)
-    kinds, masses = (FRICTION, *VELOCITIES[: scene.dimension]), range(len(scene.masses))
-    plain = settings.name in (settings.quantity, f"masses[{settings.mass}].{settings.quantity}")
-    known = f"one of {', '.join(kinds)}, of all masses or as masses[0].{kinds[0]}, for a field"
-    require(plain and settings.quantity in kinds, "name", known, repr(settings.name))
-    require(settings.mass is None or settings.mass in masses, "name", f"a mass of 0 to {masses[-1]}", settings.mass)
-    lengths = length if isinstance(length, tuple) else (cast("float", length),) * scene.dimension
-    for key, values in (("spacing", spacing), ("length", lengths)):
-        require(len(values) == scene.dimension, key, f"{scene.dimension} lengths", list(values))
+    kinds, masses = (FRICTION, THICKNESS, *VELOCITIES[: scene.dimension]), range(len(scene.masses))
+    name, quantity, solid = settings.name, settings.quantity, settings.solid
+    dimension = scene.dimension
+    if solid is not None:
+        check_bed(settings, scene)
+        dimension -= 1
+    else:
+        plain = name in (quantity, f"masses[{settings.mass}].{quantity}")
+        known = (
+            f"one of {', '.join(kinds)}, of all masses or as masses[0].{kinds[0]}, or solids[0].friction, for a field"
+        )
+        require(plain and quantity in kinds, "name", known, repr(name))
+        require(settings.mass is None or settings.mass in masses, "name", f"a mass of 0 to {masses[-1]}", settings.mass)
+        require(settings.zones is None, "zones", "none but of the friction of a terrain", settings.zones)
+    if quantity == THICKNESS:
+        dimension -= 1
+        for index, mass in enumerate(scene.masses):
+            layer = mass.kind == "layer" or settings.mass not in (None, index)
+            require(layer, "name", "a mass of kind layer", f"masses[{index}], a {mass.kind}")
+    lengths = length if isinstance(length, tuple) else (cast("float", length),) * dimension
+    for key, values in (("spacing", spacing), ("length", lengths)) if settings.zones is None else ():
+        require(len(values) == dimension, key, f"{dimension} lengths", list(values))
     low, high = settings.lower, settings.upper
     require((low is None) == (high is None), "upper" if high is None else "lower", "both bounds or none", "one")
-    if settings.quantity == FRICTION:
-        require(low is not None, "lower", "bounds in (0, 90) degrees of a friction", "none")
+    if quantity in BOUNDED:
+        require(low is not None, "lower", f"bounds of a {BOUNDED[quantity]}", "none")
     if low is not None and high is not None:
         most = MOST * (high - low) / (2.0 * BAND)
         message = f"less than {most:.3g}, or the band of 95 % would be all between the bounds"
@@ -180,79 +342,18 @@ def checked(settings: Parameter, scene: Scene) -> tuple[tuple[float, ...], tuple
     return spacing, lengths, mean, deviation
 
 
+def check_bed(settings: Parameter, scene: Scene) -> None:
+    """Raise InputError where the friction of a terrain cannot be a field."""
+    index, count = settings.solid or 0, len(scene.solids)
+    require(settings.name == f"solids[{index}].friction", "name", f"solids[{index}].friction", repr(settings.name))
+    require(index < count, "name", f"an index below {count}, the number of solids in the scene", index)
+    alone = has_field(scene) and not has_faces(scene)
+    require(alone, "name", "a terrain in 3D that is the only solid, for a field of its friction", settings.name)
+    slides = scene.solids[index].contact == "coulomb"
+    require(slides, "name", "a terrain on which material slides", f"one with contact {scene.solids[index].contact!r}")
+
+
 def check_size(key: str, nodes: Floats) -> None:
     """Raise InputError where a field with so many nodes along each axis, those beyond it included, fits no memory."""
     count = float(np.prod(nodes))
     require_memory(BYTES * COLUMNS * count, "an unknown field", f"{count:.3g} nodes are too many", key=key)
-
-
-class FieldPrior:
-    """A Gaussian field of mean 0 on the K nodes of a grid, as a linear function of W independent normal numbers."""
-
-    def __init__(self, grid: Grid, deviation: float, lengths: Sequence[float]) -> None:
-        """deviation: standard deviation at every node; lengths: of correlation along each axis [m]."""
-        self.grid, self.deviation = grid, deviation
-        # Along an axis with one node the field does not vary.
-        dimension = sum(count > 1 for count in grid.nodes)
-        scales = np.array(lengths) / math.sqrt(8.0 * (2.0 - 0.5 * dimension))  # nu
-        margins = [
-            0 if count == 1 else math.ceil(length / step)
-            for count, length, step in zip(grid.nodes, lengths, grid.spacing, strict=True)
-        ]
-        shape = [count + 2 * margin for count, margin in zip(grid.nodes, margins, strict=True)]
-        masses = [lumped_mass(count, step) for count, step in zip(shape, grid.spacing, strict=True)]
-        operator = mass = reduce(sparse.kron, masses)
-        for axis, (count, step) in enumerate(zip(shape, grid.spacing, strict=True)):
-            factors = [stiffness(count, step) if other == axis else each for other, each in enumerate(masses)]
-            operator = operator + scales[axis] ** 2 * reduce(sparse.kron, factors)
-        self.root_mass: Floats = np.sqrt(mass.diagonal())
-        self.operator = sparse.csc_array(operator)
-        self.factor = splu(self.operator)
-        inner = [slice(margin, margin + count) for margin, count in zip(margins, grid.nodes, strict=True)]
-        self.inner: NDArray[np.int64] = np.arange(math.prod(shape)).reshape(shape)[tuple(inner)].ravel()
-        """The nodes of the field among those of the operator, shape [K]."""
-
-    @property
-    def size(self) -> int:
-        """W."""
-        return len(self.root_mass)
-
-    @cached_property
-    def scale(self) -> Floats:
-        """Of S: the stated deviation over that of A w at each node, shape [K]."""
-        found = np.empty(self.grid.count)
-        for first in range(0, len(found), COLUMNS):
-            nodes = self.inner[first : first + COLUMNS]
-            units = np.zeros((self.size, len(nodes)))
-            units[nodes, np.arange(len(nodes))] = 1.0
-            rows = self.root_mass[:, None] * self.factor.solve(units)
-            found[first : first + COLUMNS] = self.deviation / np.sqrt((rows**2).sum(axis=0))
-        return found
-
-    def field(self, white: Floats) -> Floats:
-        """u [K, ...] of w [W, ...]."""
-        flat = white.reshape(self.size, -1)
-        found = self.factor.solve(self.root_mass[:, None] * flat)[self.inner] * self.scale[:, None]
-        return np.asarray(found.reshape(-1, *white.shape[1:]))
-
-    def white(self, adjoint: Floats) -> Floats:
-        """The transpose of `field`: derivatives with respect to w [W, ...] of those with respect to u [K, ...]."""
-        flat = adjoint.reshape(self.grid.count, -1)
-        full = np.zeros((self.size, flat.shape[1]))
-        full[self.inner] = flat * self.scale[:, None]
-        found = self.root_mass[:, None] * self.factor.solve(full)
-        return np.asarray(found.reshape(-1, *adjoint.shape[1:]))
-
-
-def lumped_mass(count: int, step: float) -> Any:
-    """Of linear elements along a line, half of one at its ends; sparse."""
-    lengths = np.full(count, step)
-    if count > 1:
-        lengths[[0, -1]] *= 0.5
-    return sparse.diags_array(lengths)
-
-
-def stiffness(count: int, step: float) -> Any:
-    """int phi_i' phi_j' of linear elements along a line; sparse."""
-    slopes = sparse.diags_array([-np.ones(count - 1), np.ones(count - 1)], offsets=[0, 1], shape=(count - 1, count))
-    return slopes.T @ slopes / step

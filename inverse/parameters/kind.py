@@ -279,13 +279,18 @@ class Centre(Extent):
 
 def with_friction(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:
     """Angle of friction [deg], an input as tan(phi) (`datasets.scene.material`: which angle)."""
-    known, material = initial.conditions.friction, kind.material(initial.scene)
-    tangent = torch.tan(torch.deg2rad(value))
+    known, tangent = initial.conditions.friction, tangent_of(kind.material(initial.scene), value)
+    friction = torch.where(initial.of_mass(kind.index), tangent.to(known.dtype), known)
+    return initial.with_conditions(friction=friction)
+
+
+def tangent_of(material: Material, angle_deg: Tensor) -> Tensor:
+    """tan(phi) [-] of angles of friction [deg] that are measured as those of `material`, of the same shape."""
+    tangent = torch.tan(torch.deg2rad(angle_deg))
     if material.angle == "slope":
         sine = sine_of_slope(tangent, math.radians(material.dilation_deg))
         tangent = sine / torch.sqrt(1.0 - sine * sine)
-    friction = torch.where(initial.of_mass(kind.index), tangent.to(known.dtype), known)
-    return initial.with_conditions(friction=friction)
+    return tangent
 
 
 def with_cohesion(kind: Constant, initial: InitialState, value: Tensor) -> InitialState:

@@ -130,17 +130,34 @@ class Gradient(RunNumbers):
 
     def along(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> float:
         """dJ/dt of scenes `scene_at(t)` at t = `at`, where it is this one. Raises InputError for other particles."""
+        return float(self.products(self.slopes(scene_at, at, step)).sum())
+
+    def shared(self, slopes: Floats) -> tuple[Floats, Floats]:
+        """`along` by what it comes from: each particle, shape [N], and each post of the terrain, shape [P].
+
+        Of a path along which a field changes everywhere, with its `slopes`, these are the derivatives by what each
+        particle and each post has of the field.
+        """
+        names = [each.name for each in dataclasses.fields(RunNumbers)[2:]]
+        ends, count = np.cumsum([vars(self)[name].size for name in names]), len(self.positions)
+        parts = dict(zip(names, np.split(self.products(slopes), ends[:-1]), strict=True))
+        of_particles = names[: names.index("settings")]
+        return sum(parts[name].reshape(count, -1).sum(axis=1) for name in of_particles), parts["terrain"]
+
+    def slopes(self, scene_at: Callable[[float], Scene], at: float, step: float | None = None) -> Floats:
+        """Derivatives of what a run begins with along a path of scenes, in the order of `in_a_row`; of no objective."""
         columns = self.properties.shape[1]
-        adj = self.in_a_row(columns)
 
         def numbers_at(value: float) -> Floats:
             return started(scene_at(value), self.start).in_a_row(columns)
 
-        slopes = differences(numbers_at, at, "the path", step)
-        used = np.flatnonzero(slopes)
+        return np.asarray(differences(numbers_at, at, "the path", step))
+
+    def products(self, slopes: Floats) -> Floats:
+        """Terms of dJ/dt with the slopes of a path, one for each number in the order of `in_a_row`."""
+        adj = self.in_a_row(self.properties.shape[1])
         # What J does not depend on may be infinite: the rate of a relaxation that takes no time.
-        used = used[adj[used] != 0.0]
-        return float(adj[used] @ slopes[used])
+        return np.multiply(adj, slopes, out=np.zeros_like(adj), where=(adj != 0.0) & (slopes != 0.0))
 
     @cached_property
     def start(self) -> "Start":

@@ -14,7 +14,8 @@ from datasets.scene.grid_field import Grid
 from inverse import invert, read_problem
 from inverse.__main__ import main
 from inverse.answer import Verdict
-from inverse.field_inversion import Objective, WhiteFlow, linear_mean
+from inverse.fields.flow import WhiteFlow
+from inverse.fields.search import Objective, linear_mean
 from inverse.parameters.field import BAND, FieldPrior
 from inverse.target import read_target
 from mpm import simulate
@@ -116,7 +117,7 @@ def objective(flow: Linear, target: Any) -> Objective:
     """With dependent errors, of draws that move every combination."""
     root = np.random.default_rng(1).normal(size=(M, M))
     covariance, draws = root @ root.T + 0.6 * np.eye(M), 100.0 * np.random.default_rng(6).normal(size=(60, M))
-    return Objective(flow, target, covariance, draws, range(2))
+    return Objective(flow, target, covariance, range(2), draws=draws)
 
 
 def test_a_linear_problem_has_the_exact_gaussian_posterior() -> None:

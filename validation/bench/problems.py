@@ -28,8 +28,8 @@ RESULT, KEY = "result.json", "made-of.txt"
 ENDED = (0, 1)  # confirmed, and not
 LISTED = 4
 """Of more numbers than these the page has one row."""
-ALONE, LED = "MPM alone", "surrogate leads"
-"""The two ways to an answer."""
+ALONE, LED, COARSE = "MPM alone", "surrogate leads", "larger cells lead"
+"""The ways to an answer."""
 COLOURS = {ALONE: BLUE, LED: ORANGE}
 
 
@@ -64,15 +64,14 @@ class Section(Record):
     problems: tuple[str, ...]
     pictures: tuple[str, ...] = ()
     """PROBLEM/PICTURE that the page shows, without the ending."""
-    second: Surrogate | None = None
-    """Each problem is solved a second time, with this in place of what it asks for."""
+    again: tuple[Surrogate, ...] = ()
+    """Each problem is solved once more with each of these in place of what it asks for."""
     criteria: Criteria
 
     def inversions(self, name: str) -> list[tuple[Problem, str]]:
-        """The problem of this name as it is solved, once or twice, and the names of the folders."""
+        """The problem of this name in each way in which it is solved, and the names of the folders."""
         problem = read_problem(name)
-        again = [] if self.second is None else [(replace(problem, surrogate=self.second), f"{name}-{self.second}")]
-        return [(problem, name), *again]
+        return [(problem, name), *((replace(problem, surrogate=each), f"{name}-{each}") for each in self.again)]
 
 
 SHIPPED = read_toml(Path(__file__).with_suffix(".toml"))
@@ -127,7 +126,8 @@ class Outcome:
     @property
     def way(self) -> str:
         """How the answer was found."""
-        return LED if self.surrogate.get("asked") else ALONE
+        asked = self.problem.surrogate is Surrogate.COARSE
+        return (COARSE if asked else LED) if self.surrogate.get("asked") else ALONE
 
     @property
     def numbers(self) -> list[AnsweredNumber]:
@@ -322,13 +322,17 @@ def cell(outcome: Outcome, index: int, digits: int, *, many: bool) -> str:
 
 def field_row(outcome: Outcome, field: Mapping[str, Any]) -> Row:
     error = [field["error"][key] for key in ("prior_identified", "identified")]
+    unit = f" [{field['unit']}]" if field["unit"] else ""
     return {
-        "problem": f"`{outcome.problem.name}` {field['name']} [{field['unit']}]",
+        "problem": f"`{outcome.problem.name}` {field['name']}{unit}",
+        "found by": outcome.way,
         "values": field["values"],
         "identified": f"{field['identified']:.0%}",
         "their rms error, prior and found": ", ".join("-" if each is None else f"{each:.3g}" for each in error),
         "truth within 95 %": f"{field['truth_in_band']['all']:.0%}",
-        "MPM runs": len(outcome.result["mpm_runs"]),
+        "verdict": outcome.result["verdict"],
+        "MPM runs": outcome.result["run_count"],
+        "reverse passes": outcome.result.get("reverse_passes", 0),
         "CPU s": f"{outcome.result['seconds']['processors']:.0f}",
     }
 

@@ -13,8 +13,9 @@ import numpy as np
 from scipy import stats
 from scipy.stats import qmc
 
-from datasets.errors import naming, require
+from datasets.errors import keyed, naming, require
 from datasets.files import read_toml
+from datasets.flow.array_files import read_arrays
 from datasets.flow.trajectory import Trajectory, solid_names
 from datasets.forces import forces_of
 from datasets.scene import Scene
@@ -22,9 +23,10 @@ from datasets.scene.library import SCENES, find, read_scene, scene_from
 from datasets.schema import Bounds, Record, from_mapping
 from inverse.observations.observation import SCATTER_CELLS
 from inverse.parameters import Kind, Parameter, check_parameters, with_kinds
+from inverse.parameters.field import UnknownField
 from inverse.parameters.prior import Correlation, JointPrior
 from inverse.posterior import Matrix, Row
-from inverse.problem import Box
+from inverse.problem import Box, read_problem
 from inverse.saving import read_samples
 from inverse.settings import counted
 
@@ -95,6 +97,10 @@ class Budget(Record):
     """Runs at the design, each of a fresh draw."""
     seed: Annotated[int, counted(0, 2**62)] = 0
     """Of random numbers."""
+    predictions: Annotated[int, counted(1000)] = 10_000
+    """Of a surrogate, where one predicts."""
+    pairs: Annotated[int, counted(4)] = 8
+    """Runs of the MPM that show the errors of a surrogate before its predictions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,9 +114,22 @@ class _Keys(Record):
     correlations: tuple[Correlation, ...] = ()
     """Of the priors of pairs of them."""
     limit: Limit
+    surrogate: Literal["none", "gns", "coarse"] = "none"
+    """What predicts flows in thousands (`validation.design.race`): the learned surrogate, or the MPM on cells twice as
+    large; without, an emulator of runs."""
     cost: dict[str, float] = field(default_factory=dict)
     """Variable -> the price of a unit of it; without any the most reliable design is looked for."""
     budget: Budget = field(default_factory=Budget)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldFile(Record):
+    """Unknown fields by draws of their posterior."""
+
+    problem: str
+    """The inverse problem that they are the unknowns of: a path or a shipped name."""
+    draws: str
+    """`field.npz` of its result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +138,7 @@ class DesignFile(_Keys):
 
     scene: str | dict[str, Any]
     posterior: str | None = None
+    fields: FieldFile | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,11 +149,13 @@ class DesignProblem(_Keys):
     scene: Scene
     samples: Matrix | None = None
     """Of the posterior of the last of the uncertain numbers, of equal weight, shape [S, Q']."""
+    fields: tuple[tuple[UnknownField, Matrix], ...] = ()
+    """Unknown fields, each with draws of its posterior, shape [S, K]; of one draw all are together."""
 
     def __post_init__(self) -> None:
         groups = {"variables": self.variables, "uncertain": self.uncertain}
         for group, own in groups.items():
-            require(len(own) > 0, group, "at least one number", "none")
+            require(len(own) > 0 or (group == "uncertain" and bool(self.fields)), group, "at least one number", "none")
         by_key = {f"{group}[{index}]": each for group, own in groups.items() for index, each in enumerate(own)}
         for key, each in by_key.items():
             require(each.initial is None, f"{key}.initial", "no start of a search", each.initial)
@@ -148,6 +170,8 @@ class DesignProblem(_Keys):
             require(name in known, f"cost.{name}", f"one of the variables {', '.join(known)}", name)
         fewest = 4 * len(self.numbers)
         require(self.runs >= fewest, "budget.runs", f"an integer of at least {fewest}", self.runs)
+        predicted = self.surrogate != "none" or not self.fields
+        require(predicted, "surrogate", "gns or coarse beside fields, which no emulator of runs knows", "none")
 
     @property
     def numbers(self) -> tuple[Parameter, ...]:
@@ -160,8 +184,8 @@ class DesignProblem(_Keys):
 
     @cached_property
     def box(self) -> Box:
-        """Of all of them."""
-        return Box(*np.array([each.bounds for each in self.numbers]).T)
+        """Of all of them and, where there are fields, of which draw of them: a share of these."""
+        return Box(*np.array([*(each.bounds for each in self.numbers), *([(0.0, 1.0)] if self.fields else [])]).T)
 
     @property
     def joint(self) -> int:
@@ -213,16 +237,21 @@ class DesignProblem(_Keys):
         values of input variables, Technometrics 21 (1979) 239-245); those of a posterior, of the first of its numbers.
         """
         alone, known = len(self.uncertain) - self.joint, len(self.variables)
-        levels = qmc.LatinHypercube(alone + (self.joint > 0), rng=rng).random(count)
+        levels = qmc.LatinHypercube(alone + (self.joint > 0) + bool(self.fields), rng=rng).random(count)
         parts = [] if self.prior is None else [self.prior.at(levels[:, :alone])]
         if self.samples is not None:
             ordered = (self.samples - self.box.lower[known + alone :]) / self.box.range[known + alone :]
-            parts.append(ordered[np.argsort(ordered[:, 0])][(levels[:, -1] * len(ordered)).astype(int)])
+            parts.append(ordered[np.argsort(ordered[:, 0])][(levels[:, alone] * len(ordered)).astype(int)])
+        if self.fields:
+            parts.append(levels[:, -1:])
         return np.concatenate(parts, axis=1)
 
     def scene_at(self, values: Row, seed: int) -> Scene:
         """The scene with all numbers [K + Q] and a jitter seed."""
-        return replace(with_kinds(self.scene, self.kinds, values), seed=seed)
+        scene = with_kinds(self.scene, self.kinds, values[: len(self.numbers)])
+        for unknown, draws in self.fields:
+            scene = unknown.put(scene, draws[min(int(values[-1] * len(draws)), len(draws) - 1)])
+        return replace(scene, seed=seed)
 
 
 def read_design(name: str | Path) -> DesignProblem:
@@ -235,9 +264,25 @@ def read_design(name: str | Path) -> DesignProblem:
             names, own["samples"] = read_samples(path.parent / posterior)
             ranges = zip(names, own["samples"].min(axis=0), own["samples"].max(axis=0), strict=True)
             own["uncertain"] += tuple(Parameter(name=n, lower=float(low), upper=float(high)) for n, low, high in ranges)
+        own["fields"] = () if file.fields is None else read_fields(file.fields, path.parent)
         if isinstance(file.scene, str):
             beside = path.parent / file.scene
             own["scene"] = read_scene(beside if file.scene.endswith(".toml") else find(file.scene, SCENES, "scene"))
         else:
             own["scene"] = scene_from(file.scene, path.parent)
         return DesignProblem(name=path.stem, **own)
+
+
+def read_fields(file: FieldFile, folder: Path) -> tuple[tuple[UnknownField, Matrix], ...]:
+    """The unknown fields of an inverse problem with their draws. Raises InputError."""
+    own = folder / file.problem
+    with keyed("fields"):
+        unknowns = read_problem(str(own) if file.problem.endswith(".toml") else file.problem).fields
+        require(len(unknowns) > 0, "problem", "an inverse problem with unknown fields", "one without")
+        names = [f"{number}_draws" for number in range(len(unknowns))]
+        found = read_arrays(folder / file.draws, *names, what="the fields of validation.loop")
+        draws = [found[name].astype(np.float64) for name in names]
+        for unknown, each in zip(unknowns, draws, strict=True):
+            fits = each.ndim == 2 and each.shape[1] == unknown.grid.count and len(each) == len(draws[0]) > 0
+            require(fits, "draws", f"draws of the {unknown.grid.count} values of {unknown.settings.name}", each.shape)
+    return tuple(zip(unknowns, draws, strict=True))

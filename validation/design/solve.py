@@ -13,7 +13,9 @@ from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
 from inverse.search.waves import jitter_seed
 from mpm import ALL, LAST, simulate_many
+from validation.design.predictor import predictor
 from validation.design.problem import DesignProblem, read_design
+from validation.design.race import SETTLED, RacedDesign, raced
 from validation.design.reliability import Reliability
 from validation.design.search import Design, designed
 from validation.plots import BLUE, GREY, ORANGE, figure
@@ -25,7 +27,7 @@ STATIONS = 25
 
 def find_design(
     problem: DesignProblem | str | Path, out: Path | str | None = None, *, simulate: Simulate = simulate_many
-) -> Design:
+) -> Design | RacedDesign:
     """The cheapest design that keeps the limit as often as asked, checked by the MPM.
 
     >>> from validation import find_design
@@ -50,16 +52,24 @@ def find_design(
             flows[:] = store(scenes, record=ALL if limit.force else LAST)
             return np.array([each.summary[limit.quantity] for each in flows])
 
-        found = designed(asked, respond)
+        if asked.surrogate == "none":
+            found: Design | RacedDesign = designed(asked, respond)
+        else:
+            found = raced(asked, predictor(asked, simulate), respond)
         # The last flows are those of the check.
         remarks = caveats(flows)
         # On deposits, which a force does not depend on.
         if remarks and not limit.force:
             found = replace(found, remark=remarks[0])
         if out is not None:
-            write_json(folder / "design.json", record(found))
-            draw(found, folder / "design.png")
-            write_text(folder / "report.md", report(found))
+            if isinstance(found, Design):
+                write_json(folder / "design.json", record(found))
+                draw(found, folder / "design.png")
+                write_text(folder / "report.md", report(found))
+            else:
+                write_json(folder / "design.json", race_record(found))
+                draw_race(found, folder / "design.png")
+                write_text(folder / "report.md", race_report(found))
     return found
 
 
@@ -95,25 +105,108 @@ def record(found: Design) -> dict[str, Any]:
     }
 
 
-def summary(found: Design) -> list[str]:
+def summary(found: Design | RacedDesign) -> list[str]:
     """The outcome in sentences, for the terminal and the report."""
-    problem, limit, known, checks = found.problem, found.problem.limit, found.reliability, len(found.responses)
+    problem, limit, checks = found.problem, found.problem.limit, len(found.responses)
     both = zip(problem.kinds, found.design.items(), strict=False)
     design = ", ".join(f"{name} = {kind.text(value)}" for kind, (name, value) in both)
-    cost = f"; cost {known.price:.4g}" if problem.cost else ""
+    price = problem.price(found.reliability.best[None] if isinstance(found, Design) else found.best.design[None])[0]
+    cost = f"; cost {price:.4g}" if problem.cost else ""
     low, high = found.interval
+    if isinstance(found, Design):
+        known = found.reliability
+        before = (
+            f"by the emulator of {100.0 * known.expected:.1f} % ({100.0 * known.cautious:.1f} % where its mean is a "
+            "standard deviation too small)"
+        )
+        spent = f"{found.spent} runs for the emulator, {len(found.search.runs) - found.spent} of checks"
+    else:
+        race, share = found.race, 100.0 * found.race.probability(found.best)
+        before = (
+            f"by {len(found.best.responses)} of {race.spent} predictions, over {len(race.entries)} designs, of "
+            f"{share:.1f} %; the MPM differs from predictions by {race.errors.mean():+.3g} {problem.unit} on average "
+            f"and {race.errors.std():.3g} about that, which is counted"
+        )
+        spent = f"{found.spent} runs of the MPM; the predictions took {found.predicting:.0f} of"
     lines = [
         f"{problem.name}: {found.verdict}",
         f"design: {design}{cost}",
         f"{limit.quantity} below {limit.below:g} {problem.unit}: asked of {100.0 * limit.probability:g} % of the flows",
-        f"by the emulator of {100.0 * known.expected:.1f} % ({100.0 * known.cautious:.1f} % where its mean is a "
-        "standard deviation too small)",
+        before,
         f"by the MPM of {checks - found.exceeding} of {checks} fresh flows, so of {100.0 * low:.1f} to "
         f"{100.0 * high:.1f} % (95 %): {found.exceeding} exceed it where {problem.allowed} may, the largest is "
         f"{found.responses.max():.4g} {problem.unit}",
-        f"{found.spent} runs for the emulator, {len(found.search.runs) - found.spent} of checks, {found.seconds:.0f} s",
+        f"{spent}{',' if isinstance(found, Design) else ''} {found.seconds:.0f} s",
     ]
     return [*lines, found.remark] if found.remark else lines
+
+
+def race_record(found: RacedDesign) -> dict[str, Any]:
+    """`design.json` of a design by predictions."""
+    problem, race = found.problem, found.race
+    return {
+        "problem": problem.name,
+        "verdict": found.verdict,
+        "design": found.design,
+        "cost": float(problem.price(found.best.design[None])[0]),
+        "limit": {"quantity": problem.limit.quantity, "below": problem.limit.below, "unit": problem.unit},
+        "probability": {
+            "asked": problem.limit.probability,
+            "required": problem.required,
+            "predicted": race.probability(found.best),
+            "mpm": 1.0 - found.exceeding / len(found.responses),
+            "interval": found.interval,
+        },
+        "exceeding": found.exceeding,
+        "allowed": problem.allowed,
+        "checks": found.responses.tolist(),
+        "pairs": {"predicted": found.pairs[0].tolist(), "mpm": found.pairs[1].tolist()},
+        "predictions": race.spent,
+        "designs": len(race.entries),
+        "runs": found.spent,
+        "seconds": found.seconds,
+        "predicting": found.predicting,
+        "remark": found.remark or None,
+    }
+
+
+def race_report(found: RacedDesign) -> str:
+    """`report.md` of a design by predictions: the outcome and the designs that went furthest."""
+    problem, race, (title, *lines) = found.problem, found.race, summary(found)
+    known = sorted((each for each in race.entries if len(each.responses) >= SETTLED), key=race.rank)
+    rows = [
+        problem.named(each.design)
+        | {"predictions": len(each.responses), "probability": race.probability(each)}
+        | ({"cost": float(problem.price(each.design[None])[0])} if problem.cost else {})
+        for each in known
+    ]
+    parts = [
+        f"# {title}",
+        "\n".join(f"- {line}" for line in lines),
+        "![probability of the designs; what the MPM says of the same flows as the predictions](design.png)",
+        "## Designs of the most predictions",
+        markdown_table(rows, disable_numparse=False, floatfmt=".4g"),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def draw_race(found: RacedDesign, path: Path) -> None:
+    """P of each design over its cost, and the MPM over the predictions of the same flows."""
+    problem, race = found.problem, found.race
+    with figure(path, rows=1, columns=2, size=(3.6, 3.2)) as axes:
+        left, right = axes.flat
+        prices = problem.price(np.stack([each.design for each in race.entries]))
+        sizes = [4.0 + len(each.responses) / 16.0 for each in race.entries]
+        left.scatter(prices, [race.probability(each) for each in race.entries], s=sizes, c=BLUE)
+        left.scatter(problem.price(found.best.design[None]), [race.probability(found.best)], c=ORANGE)
+        left.axhline(problem.required, color=GREY, linestyle="--")
+        left.set(xlabel="cost", ylabel="probability", ylim=(0.0, 1.02))
+        right.scatter(*found.pairs, s=10, c=BLUE)
+        ends = [float(min(map(np.min, found.pairs))), float(max(map(np.max, found.pairs)))]
+        right.plot(ends, ends, color=GREY)
+        right.axhline(problem.limit.below, color=GREY, linestyle="--")
+        names = f"{problem.limit.quantity} [{problem.unit}]"
+        right.set(xlabel=f"predicted {names}", ylabel=f"MPM, {names}")
 
 
 def report(found: Design) -> str:

@@ -72,7 +72,7 @@ def solve(
             # By the MPM itself, with its word: it has an adjoint, and fields are too many for an emulator.
             from inverse.inversion import invert
 
-            result = invert(asked)
+            result = invert(asked, model=model)
         else:
             store = RunStore(folder / RUNS, simulate, label=TWIN)
             target = read_target(asked, lambda scene: store([scene], record=recording(asked.operators))[0])

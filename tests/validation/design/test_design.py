@@ -19,6 +19,7 @@ from tests.scenes import scene_of
 from validation import find_design
 from validation.design.__main__ import main
 from validation.design.problem import Budget, DesignProblem, Limit, read_design
+from validation.design.race import Race, raced
 from validation.design.search import designed
 
 SCENE = scene_of(
@@ -220,3 +221,52 @@ def test_a_design_for_an_impact_force_and_again_from_its_runs(file: Path) -> Non
     again = find_design(file, out, simulate=lambda scenes, record: pytest.fail("no flow is run again"))
     assert again.design == pytest.approx(found["design"])
     assert [len(np.load(path)["positions"]) for path in (out / "mpm").rglob("*.npz")] == [1] * (len(again.search.runs))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_race_finds_the_cheapest_design_of_a_known_response(seed: int) -> None:
+    problem = problem_of(budget=Budget(checks=40, seed=seed))
+    known = Known(problem)
+    race = Race(problem, lambda points: known(points, 0))
+    race.run(10_000)
+    best = race.problem.named(race.best.design)
+    strength = best["baffles[0].height"] + 1.5 * best["baffles[1].height"]
+    exact = 0.2 + 0.0304 * norm.ppf(problem.required)
+    assert exact - 0.012 < strength < exact + 0.03
+    assert best["baffles[1].height"] == pytest.approx(0.04, abs=0.015)
+    assert 10_000 <= race.spent < 10_600
+
+
+def test_errors_of_the_predictor_are_those_of_the_design() -> None:
+    """One that is 0.06 m too low and scatters is found out by the first runs of the MPM."""
+    problem = problem_of(budget=Budget(checks=40, pairs=12, predictions=4000))
+    known, rng = Known(problem), np.random.default_rng(0)
+
+    def predict(points: Matrix) -> Row:
+        return known(points, 0) - 0.06 + rng.normal(scale=0.01, size=len(points))
+
+    found = raced(problem, predict, known)
+    assert found.verdict is Verdict.CONFIRMED
+    assert found.race.errors.mean() == pytest.approx(0.06, abs=0.015)
+    assert found.spent in (52, 92)
+    assert found.design["baffles[0].height"] + 1.5 * found.design["baffles[1].height"] > 0.23
+
+
+def test_no_design_that_is_predicted_keeps_the_limit() -> None:
+    problem = problem_of(limit=Limit(quantity="front", below=0.2), budget=Budget(checks=20, predictions=2000))
+    known = Known(problem)
+    assert raced(problem, lambda points: known(points, 0), known).verdict is Verdict.UNREACHABLE
+
+
+@pytest.mark.slow
+def test_a_design_by_the_mpm_on_larger_cells(tmp_path: Path) -> None:
+    problem = problem_of(
+        surrogate="coarse", limit=Limit(quantity="front", below=0.75), budget=Budget(checks=20, predictions=1000)
+    )
+    found = find_design(problem, tmp_path)
+    written = json.loads((tmp_path / "design.json").read_text())
+    assert written["predictions"] >= 1000
+    assert written["runs"] in (28, 48)
+    assert len(written["pairs"]["mpm"]) == len(written["pairs"]["predicted"])
+    assert found.design.keys() == written["design"].keys()
+    assert "predictions" in (tmp_path / "report.md").read_text()

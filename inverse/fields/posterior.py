@@ -1,5 +1,6 @@
 """The posterior of an unknown field at its nodes: most probable values, widths, samples, and what is identified."""
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -36,7 +37,7 @@ class FieldPosterior:
     @property
     def stem(self) -> str:
         """Of its files."""
-        return self.name.replace(".", "-")
+        return re.sub(r"\W+", "-", self.name)
 
     @cached_property
     def arrays(self) -> dict[str, Values]:

@@ -1,0 +1,1 @@
+"""Unknown fields: their search by the MPM's adjoint, led by a surrogate where one is asked, and their posterior."""

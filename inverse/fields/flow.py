@@ -1,0 +1,156 @@
+"""The MPM as a function of white numbers: independent normal ones, of which unknown fields and numbers follow."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import torch
+from scipy.special import ndtr
+from tqdm import tqdm
+
+from datasets.flow.trajectory import Trajectory, brackets
+from datasets.processes import processors
+from datasets.scene import Scene
+from datasets.scene.grid_field import Floats
+from inverse.forward.adjoint import derivatives
+from inverse.observations import Observation, Rollout
+from inverse.problem import Problem
+from inverse.settings import Derivatives
+from mpm import ALL, LAST, simulate_many
+from mpm.adjoint.gradient import pull_back_all
+from mpm.adjoint.tape import FlowAdjoints, Tape, steady
+
+MEMORY_MIB = 512.0
+"""For the checkpoints of the runs that are reversed side by side [MiB]."""
+KEPT, STEP = 0.05, 1.0
+"""Variance of a field along the directions of differences, over the largest, at least; and their step in standard
+deviations of the prior: over one so long, flows that differ in their jitter alone differ little."""
+
+
+class WhiteFlow:
+    """Runs of the MPM at W white numbers, which show M numbers."""
+
+    def __init__(self, problem: Problem, observation: Observation) -> None:
+        self.problem, self.observation = problem, observation
+        self.runs = self.reverses = 0
+        """MPM runs and reverse passes so far."""
+        self.bar = tqdm(desc="adjoint", unit="run", leave=False, disable=None)
+        ends = np.cumsum([0, *(each.prior.size for each in problem.fields), len(problem.numbers)])
+        *self.parts, self.of_numbers = [slice(int(first), int(end)) for first, end in pairwise(ends)]
+        """Which white numbers are those of each field; of all numbers."""
+        self.size = int(ends[-1])
+        scene = problem.scene
+        observed = [part.observation.times for part in observation.parts if part.observation.times is not None]
+        times = np.concatenate([[scene.duration], *observed])
+        before, share = brackets(np.arange(scene.frames, dtype=np.float64) * scene.frame_dt, times)
+        self.frames = sorted({*before.tolist(), *(before + np.ceil(share).astype(np.int64)).tolist()})
+        """Frames that the observation looks at, and the last."""
+
+    def latents(self, white: Floats) -> list[Floats]:
+        """u [K] of each field."""
+        return [each.prior.field(white[part]) for each, part in zip(self.problem.fields, self.parts, strict=True)]
+
+    def fields(self, white: Floats) -> list[Floats]:
+        """Values [K] of each field."""
+        latents = zip(self.problem.fields, self.latents(white), strict=True)
+        return [each.values(latent) for each, latent in latents]
+
+    def values(self, white: Floats) -> Floats:
+        """The numbers, shape [U]."""
+        return self.problem.box.at(ndtr(white[self.of_numbers]))
+
+    def scene_at(self, white: Floats, seed: int) -> Scene:
+        """The scene at white numbers [W] with a jitter seed."""
+        return self.problem.scene_at(self.values(white), seed, self.fields(white))
+
+    def simulated(self, points: Sequence[Floats], seeds: Sequence[int]) -> list[Trajectory]:
+        """Runs at white numbers [W], each with its jitter seed."""
+        scenes, runs = [self.scene_at(each, seed) for each, seed in zip(points, seeds, strict=True)], list[Trajectory]()
+        together, record = 2 * processors(), ALL if self.observation.over_time else LAST
+        for first in range(0, len(scenes), together):
+            runs += simulate_many(scenes[first : first + together], record=record)
+            self.bar.update(len(scenes[first : first + together]))
+        self.runs += len(scenes)
+        return runs
+
+    def observe(self, points: Sequence[Floats], seeds: Sequence[int]) -> Floats:
+        """The observed numbers [points, M] of runs at white numbers [W], each with its jitter seed."""
+        return np.stack([self.observation.observe(run) for run in self.simulated(points, seeds)])
+
+    def mean(self, white: Floats, seeds: Sequence[int]) -> Floats:
+        """The observed numbers [M] at white numbers [W], mean over jitter seeds."""
+        return np.asarray(self.observe([white] * len(seeds), seeds).mean(axis=0))
+
+    @cached_property
+    def directions(self) -> Floats:
+        """Orthonormal directions of the white numbers, shape [V, W]: those along which a field varies by more than
+        `KEPT` of its largest variance along any, and each of the numbers.
+        """
+        rows = list[Floats]()
+        for unknown, part in zip(self.problem.fields, self.parts, strict=True):
+            _, spread, own = np.linalg.svd(unknown.prior.field(np.eye(unknown.prior.size)), full_matrices=False)
+            some = np.zeros((int((spread**2 > KEPT * spread[0] ** 2).sum()), self.size))
+            some[:, part] = own[: len(some)]
+            rows.append(some)
+        return np.concatenate([*rows, np.eye(self.size)[self.of_numbers]])
+
+    def differences(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
+        """`jacobian` by runs `STEP` apart along `directions`."""
+        points = [white, *(white + STEP * self.directions)]
+        shown = self.observe([each for each in points for _ in seeds], [*seeds] * len(points))
+        numbers = shown.reshape(len(points), len(seeds), -1).mean(axis=1)
+        return np.asarray(combinations @ ((numbers[1:] - numbers[0]) / STEP).T @ self.directions)
+
+    def jacobian(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
+        """Derivatives [r, W] of `combinations` [r, M] of the numbers at white numbers [W], mean over jitter seeds."""
+        if self.problem.optimiser.derivatives is Derivatives.DIFFERENCES:
+            return self.differences(white, combinations, seeds)
+        jacobian, fields = np.zeros((len(combinations), self.size)), self.fields(white)
+        for first in range(0, len(seeds), processors()):
+            scenes = [steady(self.scene_at(white, seed)) for seed in seeds[first : first + processors()]]
+            tape = Tape(scenes, self.frames, precision="f32", memory_mib=MEMORY_MIB, outputs=len(combinations))
+            seen = [self.adjoints(tape, index, combinations) for index in range(len(scenes))]
+            together = [[FlowAdjoints(by[number]) for by, _ in seen] for number in range(len(combinations))]
+            slopes: list[dict[str, Floats]] = [{} for _ in scenes]
+            for row, gradients in enumerate(pull_back_all(tape, together)):
+                for index, gradient in enumerate(gradients):
+                    explicit, both = seen[index][1][row], zip(self.problem.fields, fields, strict=True)
+                    nodes = [each.at_nodes(gradient, own, explicit, slopes[index]) for each, own in both]
+                    numbers = derivatives(gradient, self.problem.kinds, self.values(white), self.problem.scene)
+                    jacobian[row] += self.pulled_back(nodes, numbers, white) / len(seeds)
+            self.runs += len(scenes)
+            self.reverses += len(scenes) * len(combinations)
+            self.bar.update(len(scenes) * (1 + len(combinations)))
+        return jacobian
+
+    def pulled_back(self, by_nodes: Sequence[Floats], by_numbers: Floats, white: Floats) -> Floats:
+        """Derivatives with respect to the white numbers [W] from those with respect to the values of each field [K] and
+        to the numbers [U].
+        """
+        adjoint = np.zeros(self.size)
+        for unknown, latent, part, nodes in zip(
+            self.problem.fields, self.latents(white), self.parts, by_nodes, strict=True
+        ):
+            adjoint[part] = unknown.prior.white(nodes * unknown.slope(latent))
+        density = np.exp(-0.5 * white[self.of_numbers] ** 2) / np.sqrt(2.0 * np.pi)
+        adjoint[self.of_numbers] = by_numbers * self.problem.box.range * density
+        return adjoint
+
+    def adjoints(self, tape: Tape, index: int, combinations: Floats) -> tuple[Floats, Floats]:
+        """Derivatives of the combinations [r, M] with respect to the observed positions, shape [r, T, N, D], and to the
+        volumes of the particles, shape [r, N].
+        """
+        positions = torch.from_numpy(tape.positions(index)).requires_grad_()
+        rollout = Rollout(
+            positions=positions,
+            times=np.array(self.frames) * self.problem.scene.frame_dt,
+            volumes=torch.from_numpy(tape.batch.particles[index].volume).requires_grad_(),
+        )
+        numbers, seen = self.observation.predict(rollout), (positions, rollout.volumes)
+        rows = [
+            torch.autograd.grad(numbers, seen, torch.from_numpy(each), retain_graph=True, materialize_grads=True)
+            for each in combinations
+        ]
+        by_positions, by_volumes = ([each.numpy() for each in column] for column in zip(*rows, strict=True))
+        return np.stack(by_positions), np.stack(by_volumes)

@@ -1,0 +1,237 @@
+"""The most probable parameters, fields among them, and what the observation tells of each: Laplace's approximation.
+
+    2 J(w) = |L^-1 (F(w) - y)|^2 + |w|^2,    R = N + (1 + 1/n) C = L L^T
+    G = L^-1 dF/dw = U S V^T,    covariance of w = I - V diag(s^2 / (1 + s^2)) V^T
+
+| symbol | variable | meaning |
+|---|---|---|
+| w | `white` | independent normal numbers of the prior, of which fields and numbers are functions |
+| F | `numbers` | what runs of the MPM show, mean over n jitter seeds |
+| N, C | `noise` | covariance of the measurement; of flows that differ in their jitter seed alone |
+
+A field is u = S A w (`inverse.parameters.field`), a number lower + (upper - lower) Phi(w), Phi the normal distribution:
+uniform between its bounds. Observations are exact; derivatives are the adjoint's, through the smooth operator: one
+reverse pass for each combination of the numbers, one replay of the run for all. Both are averaged over jitter seeds.
+
+Gauss-Newton steps solve the problem that is linear about w; a step is halved until runs show that J has fallen.
+Derivatives are taken of those combinations of the numbers alone that the prior moves by more than their errors. The
+posterior is a low-rank update of the prior by the eigenpairs of the Hessian of the misfit, preconditioned by the prior
+(Bui-Thanh, Ghattas, Martin & Stadler, A computational framework for infinite-dimensional Bayesian inverse problems,
+SIAM J. Sci. Comput. 35 (2013) A2494-A2523): along V_k the observation tells s_k^2 times as much as the prior.
+
+Where a surrogate leads, it searches and gives the derivatives; a few runs of the MPM then correct both
+(`inverse.fields.search.Objective.corrected`).
+"""
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr
+
+from datasets.scene.grid_field import Floats
+from inverse.answer import Answer, MpmRun, Purpose, judge
+from inverse.fields.flow import WhiteFlow
+from inverse.fields.posterior import FieldPosterior
+from inverse.fields.search import Gaussian, Objective
+from inverse.fields.surrogate import SurrogateFlow, leading
+from inverse.noise import Scatter, fit, shrunk
+from inverse.observations.target import Target
+from inverse.parameters.field import BAND
+from inverse.problem import Problem
+from inverse.result import Result
+from inverse.settings import Derivatives
+from inverse.target import read_target
+from mpm import simulate
+from mpm.adjoint.tape import check
+from mpm.arrays.features import features_of
+
+FIRST_SEEDS, FIRST_CONVERGED = 2, 2.0
+"""Jitter seeds of the first search, and how far from its minimum it ends."""
+DRAWS = 100
+"""Samples of a field that are kept."""
+LEFT = 2.0
+"""Promised decrease of the objective beyond which the report says so: two standard deviations along one direction."""
+LED_RUNS, LED_CHECKS = 8, 3
+"""Runs of the MPM where a surrogate leads, and how many of them check the answer; each with its own jitter seed."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search for fields ends with."""
+
+    posterior: Gaussian
+    runs: Floats
+    """What runs near the answer show that differ in their jitter seed, shape [n, M]."""
+    iterates: Sequence[dict[str, float]]
+    checks: int
+    """Runs of the MPM that check the answer."""
+    surrogate: dict[str, Any]
+
+
+def of_fields(problem: Problem, model: Path | None = None) -> Result:
+    """The most probable fields and numbers, their posterior, and runs of the MPM there.
+
+    By the MPM's adjoint, or led by a surrogate, whose weights are `model` where given (`leading`). Raises InputError.
+    """
+    began, used = time.perf_counter(), time.process_time()
+    target = read_target(problem, simulate)
+    flow = WhiteFlow(problem, target.observation)
+    lead, reason = leading(problem, target, model)
+    if lead is None:
+        found = alone(flow, target, np.zeros(flow.size))
+    else:
+        print(f"the surrogate leads the search: {reason}", file=sys.stderr)
+        found = led(flow, lead, target)
+    answer = checked(flow, target, found)
+    if lead is not None and not answer.confirmed:
+        print("the MPM does not confirm its answer and searches on by itself", file=sys.stderr)
+        found = replace(alone(flow, target, found.posterior.mean), surrogate=found.surrogate | {"confirmed": False})
+        answer = checked(flow, target, found)
+    posterior, shown = found.posterior, answer.checks[0].trajectory
+    flow.bar.close()
+    fields = field_posteriors(flow, posterior)
+    unknowns = sum(int(each.unknown.inside.sum()) for each in fields) + len(problem.numbers)
+    notes = [
+        f"{unknowns} values from {len(target.values)} numbers: {posterior.informative} directions in which the "
+        "observation tells more than the prior, by the Gaussian approximation about the most probable values."
+    ]
+    if lead is not None:
+        said, objective = found.surrogate, found.surrogate["objective"]
+        word = "" if "confirmed" not in said else " The MPM did not confirm it and searched by itself."
+        notes.append(
+            f"The surrogate found its answer by {said['predictions']} predictions and {said['reverse_passes']} reverse "
+            f"passes in {said['seconds']:.0f} s; runs of the MPM corrected it and its derivatives: the objective went "
+            f"from {objective[0]:.4g} to {min(objective):.4g}.{word}"
+        )
+    if posterior.promised > LEFT:
+        notes.append(
+            f"**The search ended where its derivatives promise {posterior.promised:.1f} more of the objective, which "
+            "no step brought: the fields are known less well than their widths say. More `optimiser.seeds` make "
+            "derivatives smoother.**"
+        )
+    total = time.perf_counter() - began
+    cost = {"flows": flow.runs + int(problem.target.twin), "reverse_passes": flow.reverses}
+    return Result(
+        problem=problem,
+        target=target,
+        verdict=judge(problem, (answer,)),
+        answers=(answer,),
+        forward="MPM",
+        predicted=answer.observation,
+        deposit=shown.positions[-1],
+        iterations=found.iterates,
+        mpm_runs=answer.checks,
+        fields=tuple(fields),
+        notes=tuple(notes),
+        surrogate={"asked": lead is not None, "reason": reason} | found.surrogate,
+        seconds={"total": total, "processors": time.process_time() - used},
+        record=cost | {"combinations": len(posterior.jacobian), "eigenvalues": posterior.decomposition[0].tolist()},
+    )
+
+
+def checked(flow: WhiteFlow, target: Target, found: Found) -> Answer:
+    """The answer, with runs of the MPM there."""
+    problem, posterior, values = flow.problem, found.posterior, flow.values(found.posterior.mean)
+    seeds = range(problem.scatter_seeds[-1] + 1, problem.scatter_seeds[-1] + 1 + found.checks)
+    spread = np.sqrt(np.maximum(1.0 - (posterior.removed[flow.of_numbers] ** 2).sum(axis=1), 0.0))
+    ends = [ndtr(posterior.mean[flow.of_numbers] + sign * BAND * spread) for sign in (1.0, -1.0)]
+    checks = tuple(
+        MpmRun(
+            purpose=Purpose.CHECK,
+            parameters=values,
+            point=problem.box.shares(values),
+            numbers=target.observation.observe(run),
+            trajectory=run,
+            file=f"check{number or ''}.npz",
+        )
+        for number, run in enumerate(flow.simulated([posterior.mean] * len(seeds), seeds))
+    )
+    numbers = np.stack([each.numbers for each in checks])
+    together = found.runs if len(checks) == 1 else numbers
+    expected = target.observation.prior_scatter(target.values)
+    scatter = Scatter(deviations=together - together.mean(axis=0), freedom=len(together) - 1, expected=expected)
+    return Answer(
+        parameters=values,
+        interval=problem.box.at(np.stack(ends[::-1])),
+        checks=checks,
+        fit=fit(target, numbers, scatter, parameters=posterior.informative),
+    )
+
+
+def searched(flow: WhiteFlow, target: Target, errors: Floats, start: Floats) -> Found:
+    """By the derivatives of `flow` from `start` [W]; errors: covariance of the numbers besides the scatter [M, M]."""
+    problem = flow.problem
+    iterations, seed = problem.optimiser.max_iterations, problem.scene.seed
+    rng = np.random.default_rng(seed)
+    runs = flow.observe([start] * len(problem.scatter_seeds), problem.scatter_seeds)
+    draws = flow.observe(list(rng.standard_normal((len(runs), flow.size))), [seed] * len(runs))
+
+    def objective(runs: Floats, seeds: Sequence[int]) -> Objective:
+        return Objective(flow, target.values, errors + (1.0 + 1.0 / len(seeds)) * shrunk(runs), seeds, draws=draws)
+
+    first = objective(runs, problem.seeds[:FIRST_SEEDS])
+    nearest = first.minimise(start, iterations, FIRST_CONVERGED)
+    # Again with the scatter of the fields that were found, and more seeds.
+    runs = flow.observe([nearest.mean] * len(runs), problem.scatter_seeds)
+    second = objective(runs, problem.seeds)
+    posterior = second.minimise(nearest.mean, iterations)
+    return Found(posterior, runs, [*first.iterates, *second.iterates], 1, {})
+
+
+def alone(flow: WhiteFlow, target: Target, start: Floats) -> Found:
+    """By the MPM's own derivatives from white numbers `start` [W]. Raises InputError for a scene without an adjoint."""
+    if flow.problem.optimiser.derivatives is Derivatives.ADJOINT:
+        check(features_of([flow.problem.scene], "f32"))
+    return searched(flow, target, target.errors.matrix, start)
+
+
+def led(flow: WhiteFlow, lead: WhiteFlow, target: Target) -> Found:
+    """By the derivatives of a surrogate, then by runs of the MPM: most correct both, the last check the answer."""
+    began, start = time.perf_counter(), np.zeros(flow.size)
+    error = lead.errors(start) if isinstance(lead, SurrogateFlow) else np.zeros((0, len(target.values)))
+    found = searched(lead, target, target.errors.matrix + error.T @ error, start)
+    seconds, own = time.perf_counter() - began, found.posterior
+    # Two flows of the MPM at the answer say how much its own scatter is of the surrogate's, whose shape it has.
+    seeds, shape = [flow.problem.scene.seed, flow.problem.scatter_seeds[0]], shrunk(found.runs)
+    pair = flow.observe([own.mean] * 2, seeds)
+    scatter = 0.5 * float(((pair[0] - pair[1]) ** 2).sum()) / float(np.trace(shape)) * shape
+    # The MPM has no error of a surrogate.
+    covariance = target.errors.matrix + 2.0 * scatter
+    objective = Objective(flow, target.values, covariance, seeds[:1], combinations=own.combinations)
+    corrected = objective.corrected(own, pair[0], LED_RUNS - LED_CHECKS - len(pair), scatter)
+    said = {
+        "unknowns": {
+            each.settings.name: float(values[each.inside].mean())
+            for each, values in zip(lead.problem.fields, lead.fields(own.mean), strict=True)
+        },
+        "seconds": seconds,
+        "predictions": lead.runs,
+        "reverse_passes": lead.reverses,
+        "objective": [each["objective"] for each in objective.iterates],
+    }
+    return replace(
+        found, posterior=corrected, iterates=[*found.iterates, *objective.iterates], checks=LED_CHECKS, surrogate=said
+    )
+
+
+def field_posteriors(flow: "WhiteFlow", posterior: "Gaussian") -> list[FieldPosterior]:
+    """Each field with its widths at the nodes."""
+    problem, draws = flow.problem, posterior.draws(DRAWS)
+    posteriors = []
+    for unknown, part, latent in zip(problem.fields, flow.parts, flow.latents(posterior.mean), strict=True):
+        removed = (unknown.prior.field(posterior.removed[part]) ** 2).sum(axis=1)
+        posteriors.append(
+            FieldPosterior(
+                unknown=unknown,
+                latent=latent,
+                width=np.sqrt(np.maximum(unknown.prior.deviation**2 - removed, 0.0)),
+                draws=unknown.values(unknown.prior.field(draws[:, part].T).T),
+                truth=unknown.truth(problem.scene) if problem.target.twin else None,
+            )
+        )
+    return posteriors

@@ -1,0 +1,185 @@
+"""The most probable white numbers, by Gauss-Newton steps, and the Gaussian posterior about them.
+
+Symbols are those of `inverse.fields.inversion`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from datasets.scene.grid_field import Floats
+
+SHORTEST = 0.25
+"""Of the steps of the line search, over a whole one."""
+DECREASE = 0.1
+"""Of J, over that of the linear problem, with which a step is accepted."""
+CONVERGED = 0.5
+"""Decrease of J below which there is nothing left to gain: that of one standard deviation along one direction."""
+SMALL = 0.2
+"""Variance of a combination over draws of the prior, over that of its errors, below which it is left out."""
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """The posterior of W white numbers."""
+
+    mean: Floats
+    """The most probable ones, shape [W]."""
+    jacobian: Floats
+    """G of as many combinations of the numbers as matter, shape [r, W]."""
+    promised: float
+    """Decrease of J that another step would bring where the numbers are linear."""
+    combinations: Floats
+    """Those of the numbers, shape [r, M]."""
+
+    @cached_property
+    def decomposition(self) -> tuple[Floats, Floats]:
+        """s^2, shape [r], the largest first, and V, shape [W, r]."""
+        _, singular, directions = np.linalg.svd(self.jacobian, full_matrices=False)
+        return singular**2, directions.T
+
+    @property
+    def informative(self) -> int:
+        """How many directions the observation tells more of than the prior."""
+        return int((self.decomposition[0] > 1.0).sum())
+
+    @property
+    def removed(self) -> Floats:
+        """V (s^2 / (1 + s^2))^(1/2), shape [W, r]: squares of its rows, or of their images, are removed variance."""
+        values, directions = self.decomposition
+        return np.asarray(directions * np.sqrt(values / (1.0 + values)))
+
+    def draws(self, count: int) -> Floats:
+        """Samples, shape [count, W]: mean + (I + V diag((1 + s^2)^(-1/2) - 1) V^T) times white noise."""
+        values, directions = self.decomposition
+        white = np.random.default_rng(0).standard_normal((count, len(self.mean)))
+        return np.asarray(self.mean + white + (white @ directions * (1.0 / np.sqrt(1.0 + values) - 1.0)) @ directions.T)
+
+
+class Objective:
+    """J, its Gauss-Newton steps, and every iterate on the way."""
+
+    def __init__(
+        self,
+        flow: Any,
+        target: Floats,
+        covariance: Floats,
+        seeds: Sequence[int],
+        *,
+        draws: Floats | None = None,
+        combinations: Floats | None = None,
+    ) -> None:
+        """flow: `inverse.fields.flow.WhiteFlow`, or what has its `mean` and `jacobian`; target: y [M]; covariance: R
+        [M, M]; seeds: n of F; draws: numbers [n, M] of draws of the prior, or combinations: of the numbers [r, M].
+        """
+        self.flow, self.target, self.seeds = flow, target, seeds
+        self.root = scipy.linalg.cholesky(covariance, lower=True)
+        if draws is None:
+            basis, self.change = np.linalg.qr((combinations @ self.root).T)
+        else:
+            basis, singular, _ = np.linalg.svd(self.whitened((draws - draws.mean(axis=0)).T), full_matrices=False)
+            matter = int((singular**2 / (len(draws) - 1) > SMALL).sum())
+            basis = basis[:, : max(1, matter)]
+            self.change = np.eye(basis.shape[1])
+        self.rows = np.asarray(basis.T)
+        """Orthonormal combinations of whitened numbers, in which draws vary by more than `SMALL`, shape [r, M]."""
+        self.iterates: list[dict[str, float]] = []
+
+    def whitened(self, numbers: Floats) -> Floats:
+        """Numbers [M, ...] in units in which their errors are independent and 1."""
+        return np.asarray(scipy.linalg.solve_triangular(self.root, numbers, lower=True))
+
+    def evaluated(self, white: Floats, step: float) -> tuple[Floats, dict[str, float]]:
+        """F [M] and the iterate at white numbers [W]; step: part of the Gauss-Newton step, 0 at the start."""
+        numbers = self.flow.mean(white, self.seeds)
+        return numbers, self.iterate(white, numbers, step)
+
+    def iterate(self, white: Floats, numbers: Floats, step: float) -> dict[str, float]:
+        """That at white numbers [W] that show `numbers` [M]."""
+        residual = self.whitened(numbers - self.target)
+        squares = float(residual @ residual)
+        objective, misfit = 0.5 * (squares + float(white @ white)), math.sqrt(squares / len(residual))
+        return {"objective": objective, "misfit": misfit, "step": step}
+
+    def minimise(self, start: Floats, iterations: int, enough: float = CONVERGED) -> Gaussian:
+        """From `start` [W] to the most probable white numbers; enough: decrease of J that a step must promise."""
+        white, (numbers, iterate) = start, self.evaluated(start, 0.0)
+        self.iterates.append(iterate)
+        combinations = self.rows @ self.whitened(np.eye(len(self.target)))
+        decrease, first = math.inf, len(self.iterates)
+        while True:
+            jacobian = self.flow.jacobian(white, combinations, self.seeds)
+            residual = self.rows @ self.whitened(numbers - self.target)
+            proposed = linear_mean(jacobian, white, residual)
+            promised = gain(jacobian, residual, white, proposed - white)
+            if min(promised, decrease) < enough or len(self.iterates) - first >= iterations:
+                return Gaussian(white, jacobian, promised, combinations)
+            step = 1.0
+            while True:
+                tried = white + step * (proposed - white)
+                shown, iterate = self.evaluated(tried, step)
+                decrease = self.iterates[-1]["objective"] - iterate["objective"]
+                if decrease > DECREASE * gain(jacobian, residual, white, tried - white):
+                    break
+                if step <= SHORTEST:
+                    return Gaussian(white, jacobian, promised, combinations)
+                step *= 0.5
+            white, numbers = tried, shown
+            self.iterates.append(iterate)
+
+    def corrected(self, found: Gaussian, numbers: Floats, runs: int, scatter: Floats) -> Gaussian:
+        """From what another flow found, whose derivatives are corrected by at most so many runs of this one.
+
+        numbers: of a run at its answer [M].
+
+        Each run moves on by a Gauss-Newton step, half as long after one by which J has not fallen. It adds to G what
+        makes it true of this step, a matrix of rank one (Broyden, A class of methods for solving nonlinear simultaneous
+        equations, Math. Comp. 19 (1965) 577-593):
+
+            G <- G + k e dw^T / |dw|^2,    e = L^-1 dF - G dw,    k = max(0, 1 - E|n|^2 / |e|^2)
+
+        k, James and Stein's shrinkage, leaves out what the scatter n of two runs explains. scatter: C [M, M]; found:
+        its combinations are those of this objective.
+        """
+        jacobian = np.linalg.solve(self.change.T, found.jacobian)
+        whitened = self.rows @ self.whitened(self.whitened(scatter).T).T
+        noise = 2.0 * float((whitened * self.rows).sum())
+        white, step = found.mean, 1.0
+        self.iterates.append(self.iterate(white, numbers, 0.0))
+        lowest = self.iterates[0]["objective"]
+        while True:
+            residual = self.rows @ self.whitened(numbers - self.target)
+            proposed = linear_mean(jacobian, white, residual)
+            promised = gain(jacobian, residual, white, proposed - white)
+            if promised < CONVERGED or len(self.iterates) > runs:
+                return Gaussian(white, jacobian, promised, found.combinations)
+            moved = step * (proposed - white)
+            shown, iterate = self.evaluated(white + moved, step)
+            self.iterates.append(iterate)
+            missed = self.rows @ self.whitened(shown - numbers) - jacobian @ moved
+            share = max(0.0, 1.0 - noise / float(missed @ missed))
+            jacobian = jacobian + share * np.outer(missed, moved) / float(moved @ moved)
+            if iterate["objective"] < lowest:
+                white, numbers, lowest = white + moved, shown, iterate["objective"]
+            else:
+                step *= 0.5
+
+
+def linear_mean(jacobian: Floats, white: Floats, residual: Floats) -> Floats:
+    """The most probable w [W] of numbers that are linear about `white`, where they are off by `residual` [r].
+
+    w = G^T (I + G G^T)^-1 (G w0 - residual): r equations in place of W.
+    """
+    inner = np.eye(len(residual)) + jacobian @ jacobian.T
+    return np.asarray(jacobian.T @ np.linalg.solve(inner, jacobian @ white - residual))
+
+
+def gain(jacobian: Floats, residual: Floats, white: Floats, step: Floats) -> float:
+    """By how much J falls along `step` [W] where the numbers are linear."""
+    after, moved = residual + jacobian @ step, white + step
+    return float(0.5 * (residual @ residual + white @ white - after @ after - moved @ moved))

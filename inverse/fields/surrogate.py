@@ -1,0 +1,210 @@
+"""The learned surrogate as a function of white numbers, with its gradient: the flow that leads a search for fields.
+
+A field enters its initial state as it enters the MPM's scene: a thickness moves particles up and down in proportion and
+scales their volumes, the friction of a terrain stands at the places of its raster.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from datasets.errors import InputError
+from datasets.geometry.ground import elevation, ground_raster
+from datasets.processes import processors
+from datasets.scene.grid_field import FRICTION, THICKNESS, VELOCITIES, Floats
+from datasets.scene.particles import mass_counts
+from gns import card, checkpoint
+from gns.library import model_path, shipped
+from gns.ranges import outside
+from gns.simulator import StepModel
+from gns.surroundings.initial import InitialState
+from gns.surroundings.initial import check as check_known
+from inverse.fields.flow import WhiteFlow
+from inverse.forward.gns import Band, GnsForward, band_of
+from inverse.observations import Observation
+from inverse.observations.target import Target
+from inverse.parameters import in_order
+from inverse.parameters.field import UnknownField
+from inverse.parameters.kind import tangent_of
+from inverse.problem import Problem
+from inverse.settings import Surrogate
+from mpm.footprint import SPEED
+from mpm.resolution import particle_steps
+
+Enter = Callable[[InitialState, Tensor], InitialState]
+"""An initial state and the values [K] of a field -> the state with them, differentiable in them."""
+PREDICTIONS = 5.0
+"""Predictions that a run of the MPM costs, from which on the surrogate is asked where a problem leaves it open."""
+UP = 1
+
+
+class SurrogateFlow(WhiteFlow):
+    """Rollouts at white numbers. Raises InputError for a scene that no surrogate represents."""
+
+    def __init__(self, problem: Problem, observation: Observation, model: StepModel, band: Band) -> None:
+        # A twin's truth stays out of it.
+        problem = replace(problem, scene=problem.scene_at(problem.initial))
+        super().__init__(problem, observation)
+        self.forward = GnsForward(model, problem, observation, band)
+        self.begun = lru_cache(maxsize=64)(self.begin)
+
+    def begin(self, seed: int) -> tuple[InitialState, list[Enter]]:
+        """The initial state of a jitter seed at the medians of the prior, and how each field enters it."""
+        initial = self.forward.begin(replace(self.problem.scene, seed=seed))
+        return initial, [entering(each, initial) for each in self.problem.fields]
+
+    def started(self, values: Tensor, fields: Sequence[Tensor], seed: int) -> InitialState:
+        """The initial state with numbers [U] and the values [K] of each field, differentiable in them."""
+        initial, entries = self.begun(seed)
+        for index in in_order(self.problem.kinds):
+            kind = self.problem.kinds[index]
+            assert kind.input is not None, "an input of the surrogate"
+            initial = kind.input(kind, initial, values[index])
+        for enter, own in zip(entries, fields, strict=True):
+            initial = enter(initial, own)
+        return initial
+
+    def predicted(self, values: Tensor, fields: Sequence[Tensor], seed: int) -> Tensor:
+        """The observed numbers [M] of a rollout."""
+        start = self.started(values, fields, seed)
+        self.runs += 1
+        self.bar.update()
+        return self.forward.observed(self.forward.unrolled([start]), start)
+
+    def observe(self, points: Sequence[Floats], seeds: Sequence[int]) -> Floats:
+        with torch.no_grad():
+            rows = [self.predicted(*self.tensors(each), seed) for each, seed in zip(points, seeds, strict=True)]
+        return np.stack([each.numpy() for each in rows])
+
+    def jacobian(self, white: Floats, combinations: Floats, seeds: Sequence[int]) -> Floats:
+        jacobian = np.zeros((len(combinations), self.size))
+        for seed in seeds:
+            values, fields = self.tensors(white)
+            leaves = [each.requires_grad_() for each in (values, *fields)]
+            numbers = self.predicted(values, fields, seed)
+            for row, each in enumerate(combinations):
+                slopes = torch.autograd.grad(
+                    numbers, leaves, torch.from_numpy(each), retain_graph=True, materialize_grads=True
+                )
+                by_numbers, *by_nodes = (slope.numpy() for slope in slopes)
+                jacobian[row] += self.pulled_back(by_nodes, by_numbers, white) / len(seeds)
+                self.bar.update()
+            self.reverses += len(combinations)
+        return jacobian
+
+    def tensors(self, white: Floats) -> tuple[Tensor, list[Tensor]]:
+        """The numbers [U] and the values [K] of each field at white numbers [W]."""
+        return torch.from_numpy(self.values(white)), [torch.from_numpy(each) for each in self.fields(white)]
+
+    def errors(self, white: Floats) -> Floats:
+        """Columns of the covariance of its errors by its band, shape [columns, M]."""
+        return self.forward.errors(self.values(white))
+
+
+def entering(unknown: UnknownField, initial: InitialState) -> Enter:
+    """How a field enters an initial state, which has the median of its prior."""
+    settings, scene, kept = unknown.settings, initial.scene, initial.indices
+    if settings.solid is not None:
+        return entering_bed(unknown, initial)
+    own = unknown.of(np.repeat(np.arange(len(scene.masses), dtype=np.int32), mass_counts(scene)))
+    rows, here = np.cumsum(own) - 1, torch.from_numpy(own[kept])
+    weights = torch.from_numpy(unknown.weights(unknown.places(scene)).tocsr()[rows[kept]].toarray())
+    positions = initial.state.positions
+    if settings.quantity == THICKNESS:
+        plan = positions.numpy()[:, ::2].astype(np.float64)
+        ground = torch.from_numpy(elevation(scene.solids, scene.domain, plan)).to(positions.dtype)
+        median = torch.from_numpy(unknown.median)
+
+        def enter(initial: InitialState, values: Tensor) -> InitialState:
+            stretch = torch.where(here, (weights @ values) / (weights @ median), 1.0).to(positions.dtype)
+            known = initial.state.positions
+            up = ground + (known[:, UP] - ground) * stretch
+            raised = torch.cat((known[:, :UP], up.unsqueeze(1), known[:, UP + 1 :]), dim=1)
+            initial = replace(initial, state=replace(initial.state, positions=raised))
+            return initial.with_conditions(volume=initial.conditions.volume * stretch)
+
+    elif settings.quantity == FRICTION:
+        materials = [scene.material_of(mass) for mass in scene.masses]
+
+        def enter(initial: InitialState, values: Tensor) -> InitialState:
+            friction = initial.conditions.friction
+            for index, material in enumerate(materials):
+                tangent = tangent_of(material, weights @ values).to(friction.dtype)
+                friction = torch.where(here & torch.from_numpy(initial.mass == index), tangent, friction)
+            return initial.with_conditions(friction=friction)
+
+    else:
+        along = torch.arange(positions.shape[1]) == VELOCITIES.index(settings.quantity)
+
+        def enter(initial: InitialState, values: Tensor) -> InitialState:
+            known = initial.state.displacements
+            displacement = ((weights @ values) * initial.step).to(known.dtype).unsqueeze(1)
+            thrown = torch.where(here.unsqueeze(1) & along, displacement, known)
+            return replace(initial, state=replace(initial.state, displacements=thrown))
+
+    return enter
+
+
+def entering_bed(unknown: UnknownField, initial: InitialState) -> Enter:
+    """How the friction of a terrain enters the raster of the ground."""
+    ground = initial.conditions.ground
+    assert ground is not None, "a terrain in 3D"
+    top = ground_raster(initial.scene, ground.spacing)[2]
+    axes = np.meshgrid(*(ground.spacing * np.arange(count) for count in top.shape), indexing="ij")
+    shares = torch.from_numpy(unknown.on_bed(initial.scene, np.stack(axes, axis=-1).reshape(-1, 2)))
+    own: NDArray[np.bool_] = top == unknown.settings.solid
+
+    def enter(initial: InitialState, values: Tensor) -> InitialState:
+        ground = initial.conditions.ground
+        assert ground is not None, "a terrain in 3D"
+        friction = (shares @ values).reshape(top.shape).to(ground.friction.dtype)
+        found = torch.where(torch.from_numpy(own), friction, ground.friction)
+        return initial.with_conditions(ground=replace(ground, friction=found))
+
+    return enter
+
+
+def leading(problem: Problem, target: Target, model: Path | None = None) -> tuple[WhiteFlow | None, str]:
+    """The flow that leads the search for the fields of `problem`, or None, and the reason in words.
+
+    model: weights, the shipped ones where absent. Raises InputError where the problem demands a surrogate that cannot.
+    """
+    asked, observation, scene = problem.surrogate, target.observation, problem.scene_at(problem.initial)
+    if asked is Surrogate.NONE:
+        return None, "the problem asks for none"
+    if asked is Surrogate.COARSE:
+        scene = problem.scene
+        coarse = replace(problem, scene=scene.with_cell(2.0 * scene.domain.cell))
+        return WhiteFlow(coarse, observation), "it is the MPM on cells twice as large"
+    weights = model_path(model or shipped(scene.dimension))
+    known = card.read(weights)
+    unknown = outside(scene, known.ranges) if known is not None else []
+    reason = f"{weights.name} was not trained on such a flow: {'; '.join(unknown)}" if unknown else ""
+    if without := [each.name for each in problem.numbers if each.kind.input is None]:
+        reason = f"{', '.join(without)} is no input of it"
+    if not (observation.of_positions or all(each.observation.dense for each in observation.parts)):
+        reason = f"it does not predict {observation.label}"
+    try:
+        check_known(scene, (simulator := checkpoint.load(weights).simulator).settings)
+    except InputError as error:
+        reason = reason or str(error)
+    if reason and (asked is Surrogate.AUTO or not unknown):
+        if asked is Surrogate.GNS:
+            raise InputError(f"expected auto or none, {reason}", key="surrogate")
+        return None, reason
+    flow = SurrogateFlow(problem, observation, simulator, band_of(weights, scene))
+    run = particle_steps(scene) / (SPEED[scene.dimension] * processors())
+    began = time.perf_counter()
+    flow.observe([np.zeros(flow.size)], [scene.seed])
+    prediction = time.perf_counter() - began
+    price = f"a run of the MPM takes {run:.2g} s, a prediction {prediction:.2g} s"
+    if asked is Surrogate.AUTO and model is None and run < PREDICTIONS * prediction:
+        return None, f"{price}, a {PREDICTIONS:g}th of it or more"
+    return flow, f"{price}; {reason}" if reason else price

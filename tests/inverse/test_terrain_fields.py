@@ -1,0 +1,306 @@
+"""Thickness of a release and friction of a bed as fields: how they enter scenes and rollouts, their derivatives, and
+the correction of a surrogate's derivatives by runs.
+"""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from datasets import Domain, Mass, Material, Scene, Solid, read_scene
+from datasets.command_line import run
+from datasets.scene.grid_field import Field
+from datasets.scene.library import write_scene
+from datasets.scene.particles import initial_particles, initial_volumes, released_volume
+from gns.settings import ModelSettings
+from inverse import read_problem
+from inverse.__main__ import main
+from inverse.fields.flow import WhiteFlow
+from inverse.fields.inversion import LED_CHECKS, LED_RUNS, led
+from inverse.fields.search import Gaussian, Objective
+from inverse.fields.surrogate import SurrogateFlow
+from inverse.forward.gns import Band
+from inverse.observations.errors import Covariance
+from inverse.observations.plan import ThicknessSettings
+from inverse.observations.target import Target
+from mpm.adjoint.gradient import gradient
+from tests.refusals import refused
+
+RAMP = tuple(tuple(0.3 - 0.3 * x + 0.02 * abs(z) for z in range(-1, 6)) for x in np.linspace(-0.2, 1.0, 7))
+FRICTIONS = tuple(tuple(0.2 + 0.05 * ((i + k) % 3) for k in range(7)) for i in range(7))
+THICKNESS = Field(
+    quantity="thickness", origin=(0.1, 0.1), spacing=(0.1, 0.1), nodes=(3, 3), values=(0.1, 0.12, 0.1) * 3
+)
+SCENE = Scene(
+    domain=Domain(size=(0.8, 0.6, 0.6), cell=0.05),
+    material=Material(friction_deg=30.0, young=2.0e5),
+    masses=(Mass(kind="layer", thickness=0.1, outline=((0.1, 0.1), (0.3, 0.1), (0.3, 0.3), (0.1, 0.3))),),
+    solids=(Solid(kind="terrain", origin=(-0.2, -0.2), spacing=(0.2, 0.2), heights=RAMP, friction=FRICTIONS),),
+    fields=(THICKNESS,),
+    duration=0.2,
+    frame_dt=0.02,
+    step_fraction=0.6,
+)
+ZONES = "ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 0.4\n7 9\n3 3\n"
+PROBLEM = """
+scene = "scene.toml"
+surrogate = "none"
+observations = [{ kind = "thickness", cell = 0.1, noise = 0.004 }]
+target = { twin = true, seed = 1000 }
+optimiser = { seeds = 1, ensemble = 4, max_iterations = 1, derivatives = "differences" }
+[[unknowns]]
+name = "thickness"
+spacing = [0.1, 0.1]
+mean = 0.1
+deviation = 0.02
+length = 0.2
+lower = 0.04
+upper = 0.2
+[[unknowns]]
+name = "solids[0].friction"
+zones = "zones.asc"
+mean = 0.25
+deviation = 0.05
+lower = 0.05
+upper = 0.6
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    """Of the problem, beside its scene and zones."""
+    write_scene(SCENE, tmp_path / "scene.toml")
+    (tmp_path / "zones.asc").write_text(ZONES)
+    (tmp_path / "problem.toml").write_text(PROBLEM)
+    return str(tmp_path / "problem.toml")
+
+
+def flat(**changes: Any) -> Scene:
+    """The layer on a level floor, in 3D."""
+    return dataclasses.replace(SCENE, solids=(), fields=(), floor_friction=0.3, **changes)
+
+
+def test_a_constant_field_of_thickness_is_the_layer_stretched() -> None:
+    thicker = dataclasses.replace(THICKNESS, values=(0.15,) * 9)
+    layer, stretched = (
+        initial_particles(flat() if field is None else dataclasses.replace(flat(), fields=(field,)))
+        for field in (None, thicker)
+    )
+    np.testing.assert_allclose(stretched.positions, layer.positions * [1.0, 1.5, 1.0], rtol=1e-12)
+    np.testing.assert_allclose(stretched.volume, 1.5 * layer.volume, rtol=1e-12)
+    np.testing.assert_allclose(stretched.depth, 1.5 * layer.depth, rtol=1e-9)
+    same = initial_particles(dataclasses.replace(flat(), fields=(dataclasses.replace(THICKNESS, values=(0.1,) * 9),)))
+    np.testing.assert_allclose(same.positions, layer.positions, rtol=1e-12)
+
+
+def test_the_volume_of_a_field_of_thickness_is_its_integral() -> None:
+    # Linear along x, from 0.05 to 0.15 m: exact by the middles of the lattice.
+    linear = dataclasses.replace(THICKNESS, values=(0.05,) * 3 + (0.1,) * 3 + (0.15,) * 3)
+    scene = dataclasses.replace(flat(), fields=(linear,))
+    assert released_volume(scene) == pytest.approx(0.1 * 0.2 * 0.2, rel=1e-12)
+    assert initial_volumes(scene).sum() == pytest.approx(released_volume(scene), rel=1e-12)
+    np.testing.assert_array_equal(initial_particles(scene).volume, initial_volumes(scene))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"values": (0.1,) * 8 + (0.0,)}, "fields[0].values: expected thicknesses above 0 m"),
+        ({"values": (0.4,) * 9}, "fields[0].values: expected a layer below the top of the box"),
+        ({"nodes": (3, 3, 1), "origin": (0.0,) * 3, "spacing": (0.1,) * 3}, "fields[0].origin"),
+    ],
+)
+def test_other_fields_of_thickness_are_refused(change: dict[str, Any], said: str) -> None:
+    refused(lambda: dataclasses.replace(SCENE, fields=(dataclasses.replace(THICKNESS, **change),)), said=said)
+    box = Mass(lower=(0.1, 0.0, 0.1), size=(0.2, 0.1, 0.2))
+    refused(lambda: dataclasses.replace(flat(), masses=(box,), fields=(THICKNESS,)), said="a mass of kind layer")
+
+
+def test_fields_of_thickness_lie_on_a_map(tmp_path: Path) -> None:
+    domain = dataclasses.replace(SCENE.domain, origin=(5000.0, 100.0, 7000.0))
+    write_scene(dataclasses.replace(SCENE, domain=domain), tmp_path / "scene.toml")
+    assert "5000.1" in (tmp_path / "scene.toml").read_text()
+    np.testing.assert_allclose(read_scene(tmp_path / "scene.toml").fields[0].origin, (0.1, 0.1), atol=1e-9)
+
+
+def test_what_the_unknown_fields_are(path: str) -> None:
+    thickness, bed = read_problem(path).fields
+    assert (thickness.grid.nodes, bed.grid.nodes) == ((3, 3), (3,))
+    np.testing.assert_array_equal(bed.zones.numbers, [3.0, 7.0, 9.0])
+    np.testing.assert_allclose(thickness.truth(SCENE), THICKNESS.values)
+    # Posts at x and z of 0.2 and below lie in zone 3.
+    south = np.array([[FRICTIONS[i][k] for k in range(7)] for i in range(7)])[:, :3]
+    assert bed.truth(SCENE)[0] == pytest.approx(south.mean())
+    values = np.array([0.3, 0.2, 0.4])
+    put = bed.put(SCENE, values)
+    assert {round(each, 6) for row in put.solids[0].friction for each in row} == {0.2, 0.3, 0.4}
+    np.testing.assert_allclose(bed.on_bed(SCENE, np.random.default_rng(0).uniform(0.0, 0.6, (50, 2))).sum(axis=1), 1.0)
+    posts = np.array([[0.0, 0.2], [0.2, 0.4], [0.6, 0.6]])
+    shown = [put.solids[0].friction[round(x / 0.2) + 1][round(z / 0.2) + 1] for x, z in posts]
+    np.testing.assert_allclose(bed.on_bed(SCENE, posts) @ values, shown, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ('zones = "zones.asc"', "spacing = [0.2, 0.2]", "unknowns[1].length"),
+        ("mean = 0.25", "mean = 0.25\nlength = 0.4", "unknowns[1].length: expected none beside zones"),
+        ('name = "thickness"', 'name = "velocity_x"', "unknowns[0].spacing: expected 3 lengths"),
+        ("lower = 0.04\nupper = 0.2\n", "", "unknowns[0].lower: expected bounds of a thickness"),
+        ("solids[0].friction", "solids[1].friction", "unknowns[1].name: expected an index below 1"),
+        ('"thickness", cell = 0.1,', '"front",', "observations[0].kind: expected an observation by the volumes"),
+    ],
+)
+def test_mistakes_are_named(path: str, before: str, after: str, said: str) -> None:
+    Path(path).write_text(PROBLEM.replace(before, after, 1))
+    refused(read_problem, path, said=said)
+
+
+def test_zones_are_whole_numbers(path: str) -> None:
+    (Path(path).parent / "zones.asc").write_text(ZONES.replace("7 9", "7.5 9"))
+    refused(read_problem, path, said="the whole number of a zone in every cell")
+
+
+@pytest.mark.slow
+def test_the_adjoint_of_both(path: str) -> None:
+    """In double precision, of a smooth objective of positions, by central differences along random directions."""
+    problem = read_problem(path)
+    flow = WhiteFlow(problem, ThicknessSettings(cell=0.1).operator(problem.scene))
+    rng = np.random.default_rng(0)
+    white, weights = 0.2 * rng.normal(size=flow.size), rng.normal(size=(3,))
+
+    def objective(positions: Any, velocities: Any) -> Any:
+        ways = np.broadcast_to(weights, positions.shape)
+        return float((positions * ways).sum()), ways.astype(np.float64), None
+
+    scene = flow.scene_at(white, 0)
+    _, slope = gradient(scene, objective, threads=1, exact=True)
+    for unknown, part, values in zip(problem.fields, flow.parts, flow.fields(white), strict=True):
+        ours = unknown.at_nodes(slope, values, np.zeros(len(slope.positions)), {})
+        direction = rng.normal(size=len(values)) * values
+
+        ends = [unknown.put(scene, values + step * direction) for step in (1e-5, -1e-5)]
+        ahead, behind = (gradient(each, objective, threads=1, exact=True)[0] for each in ends)
+        found = (ahead - behind) / 2e-5
+        assert ours @ direction == pytest.approx(found, rel=1e-3), (unknown.settings.name, part)
+
+
+class Dragged(torch.nn.Module):
+    """In place of a surrogate: what lies on the bed moves on in proportion to its mean friction."""
+
+    def __init__(self, settings: Any, share: float = 1.0) -> None:
+        super().__init__()
+        self.settings = settings
+        self.share = torch.nn.Parameter(torch.tensor(share, dtype=torch.float64))
+
+    def forward(self, state: Any, conditions: Any) -> Any:
+        share = conditions.ground.friction.mean() * self.share
+        step = torch.stack([share * 0.01, -0.001 * share, 0.0 * share])
+        return dataclasses.replace(state, positions=state.positions + step, displacements=state.displacements + step)
+
+
+def test_the_gradient_through_a_rollout(path: str) -> None:
+    """Of thicknesses through positions and volumes, of zones through the raster of the ground; by differences."""
+    problem = read_problem(path)
+    settings = ModelSettings(dimension=3, cell=0.05, frame_dt=0.02, frames_per_step=1, history=1)
+    flow = SurrogateFlow(problem, ThicknessSettings(cell=0.1).operator(problem.scene), Dragged(settings), Band())
+    rng = np.random.default_rng(0)
+    white, direction = 0.2 * rng.normal(size=flow.size), rng.normal(size=flow.size)
+    (numbers,) = flow.observe([white], [0])
+    rows = rng.normal(size=(2, len(numbers)))
+    ours = flow.jacobian(white, rows, [0]) @ direction
+    ahead, behind = (flow.mean(white + sign * 1e-4 * direction, [0]) for sign in (1.0, -1.0))
+    np.testing.assert_allclose(ours, rows @ (ahead - behind) / 2e-4, rtol=1e-4, atol=1e-7)
+    # The prior's medians are those of both models.
+    (first,) = flow.observe([np.zeros(flow.size)], [0])
+    scene = flow.scene_at(np.zeros(flow.size), 0)
+    assert first.sum() * 0.01 == pytest.approx(released_volume(scene) * 0.95, rel=0.06)
+
+
+W, M = 30, 7
+
+
+class Map:
+    """A flow whose numbers are linear in the white ones."""
+
+    def __init__(self, matrix: Any) -> None:
+        self.matrix, self.runs = matrix, 0
+
+    def mean(self, white: Any, seeds: Any) -> Any:
+        self.runs += len(seeds)
+        return self.matrix @ white
+
+
+@pytest.mark.parametrize("rank", [0, 1, 2])
+def test_runs_correct_the_derivatives_of_a_surrogate(rank: int) -> None:
+    """One that is wrong by an offset and along a few directions; Broyden's method ends after two runs for each."""
+    rng = np.random.default_rng(3)
+    true = rng.normal(size=(M, W))
+    wrong = true + 0.5 * sum((np.outer(rng.normal(size=M), rng.normal(size=W)) for _ in range(rank)), np.zeros((M, W)))
+    target, covariance = 3.0 * rng.normal(size=M), 0.1 * np.eye(M)
+    flow = Map(true)
+    objective = Objective(flow, target, covariance, [0], combinations=rng.normal(size=(M, M)))
+    jacobian = objective.change.T @ objective.rows @ objective.whitened(wrong)
+    start = Gaussian(0.3 * rng.normal(size=W), jacobian, 0.0, objective.rows)
+    found = objective.corrected(start, true @ start.mean, 2 + 3 * rank, 1e-9 * np.eye(M))
+    exact = true.T @ np.linalg.solve(true @ true.T + covariance, target)
+    assert flow.runs <= 2 + 3 * rank
+    lowest = min(each["objective"] for each in objective.iterates)
+    best = 0.5 * (10.0 * float(np.sum((true @ exact - target) ** 2)) + float(exact @ exact))
+    assert lowest < best + 1.0
+    if rank == 0:
+        np.testing.assert_allclose(found.mean, exact, atol=1e-9)
+        np.testing.assert_allclose(found.jacobian, objective.rows @ objective.whitened(true), atol=1e-9)
+
+
+def test_what_the_scatter_explains_corrects_nothing() -> None:
+    rng = np.random.default_rng(4)
+    true = rng.normal(size=(M, W))
+
+    class Noisy(Map):
+        def mean(self, white: Any, seeds: Any) -> Any:
+            return super().mean(white, seeds) + 0.01 * rng.normal(size=M)
+
+    objective = Objective(Noisy(true), np.zeros(M), np.eye(M), [0], combinations=np.eye(M))
+    start = Gaussian(rng.normal(size=W), objective.rows @ true, 0.0, np.eye(M))
+    found = objective.corrected(start, true @ start.mean, 4, np.eye(M))
+    np.testing.assert_array_equal(found.jacobian, start.jacobian)
+
+
+@pytest.mark.slow
+def test_the_command(path: str, tmp_path: Path) -> None:
+    """The MPM on larger cells leads; and the adjoint alone."""
+    Path(path).write_text(PROBLEM.replace('"none"', '"coarse"', 1))
+    out = tmp_path / "out"
+    assert run(main, "inverse", [path, "--out", str(out)]) == 0
+    result = json.loads((out / "result.json").read_text())
+    assert result["surrogate"]["asked"]
+    assert len(result["mpm_runs"]) == 3
+    assert result["run_count"] <= 9
+    assert [each["name"] for each in result["fields"]] == ["thickness", "solids[0].friction"]
+    report = (out / "report.md").read_text()
+    assert "thickness.png" in report
+
+
+def test_a_surrogate_leads_and_runs_correct_it(path: str) -> None:
+    """In place of the MPM another stub, whose bed drags half as much again: few runs of it find a nearer answer."""
+    problem = read_problem(path)
+    operator = ThicknessSettings(cell=0.1).operator(problem.scene)
+    settings = ModelSettings(dimension=3, cell=0.025, frame_dt=0.02, frames_per_step=1, history=1)
+    truth, lead = (SurrogateFlow(problem, operator, Dragged(settings, share), Band()) for share in (1.5, 1.0))
+    rng = np.random.default_rng(5)
+    (values,) = truth.observe([rng.normal(size=truth.size)], [1000])
+    errors = Covariance.correlated(np.full(len(values), 0.004), operator.grid.positions, None)
+    target = Target(observation=operator, values=values, errors=errors)
+    found = led(truth, lead, target)
+    objective = found.surrogate["objective"]
+    assert truth.runs <= 1 + LED_RUNS - LED_CHECKS
+    assert lead.reverses > 0
+    assert min(objective) < 0.8 * objective[0]
+    assert found.posterior.jacobian.shape == (len(found.posterior.combinations), truth.size)
+    removed = (found.posterior.removed**2).sum(axis=1)
+    assert 0.0 <= removed.min() <= removed.max() <= 1.0

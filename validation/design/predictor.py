@@ -1,0 +1,102 @@
+"""What predicts flows of a design in thousands: the learned surrogate, or the MPM on larger cells."""
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache, partial
+from multiprocessing import get_context
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+import gns
+from datasets.errors import require
+from datasets.flow import measures
+from datasets.processes import end_with_parent, processors, without_main
+from datasets.scene import Scene
+from gns.library import shipped
+from gns.simulator import Simulator, unroll
+from gns.surroundings.initial import check, initial_state
+from gns.surroundings.state import Conditions, State
+from inverse.forward import Simulate
+from inverse.posterior import Matrix, Row
+from inverse.search.waves import jitter_seed
+from mpm import ALL, LAST, simulate_many
+from validation.design.problem import DesignProblem, Limit
+
+TOGETHER = 64
+"""Flows of a batch on a GPU, and scenes that are made at a time."""
+COARSER = 2.0
+"""Cells of the MPM that predicts over the scene's."""
+
+
+def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> "Predictor":
+    """That which the problem asks for. Raises InputError where it cannot predict."""
+    if problem.surrogate == "coarse":
+        problem.scene.with_cell(COARSER * problem.scene.domain.cell)
+        return Predictor(problem, partial(coarse, problem.limit, simulate))
+    expected = "front or runout, or surrogate = 'coarse': a learned surrogate predicts no force"
+    require(not problem.limit.force, "limit.quantity", expected, problem.limit.quantity)
+    model = gns.load(shipped(problem.scene.dimension))
+    check(problem.scene, model.settings)
+    return Predictor(problem, partial(on_gpu if torch.cuda.is_available() else on_processors, problem.limit.quantity))
+
+
+class Predictor:
+    """Responses of flows without the MPM's own word, all numbers [n, K + Q] in fractions of their ranges -> [n]."""
+
+    def __init__(self, problem: DesignProblem, respond: "partial[list[float]]") -> None:
+        self.problem, self.respond, self.made = problem, respond, 0
+
+    def __call__(self, points: Matrix) -> Row:
+        found, values = list[float](), self.problem.box.at(np.round(points, 6))
+        for first in tqdm(range(0, len(values), TOGETHER), desc="predictions", unit="batch", leave=False, disable=None):
+            rows = values[first : first + TOGETHER]
+            seeds = [jitter_seed(self.problem.scene.seed, self.made + n) for n in range(len(rows))]
+            scenes = [self.problem.scene_at(row, seed) for row, seed in zip(rows, seeds, strict=True)]
+            found += self.respond(scenes)
+            self.made += len(rows)
+        return np.array(found)
+
+
+def coarse(limit: Limit, simulate: Simulate, scenes: Sequence[Scene]) -> list[float]:
+    """By the MPM on larger cells."""
+    larger = [each.with_cell(COARSER * each.domain.cell) for each in scenes]
+    flows = simulate(larger, record=ALL if limit.force else LAST)
+    return [float(limit.kept(each).summary[limit.quantity]) for each in flows]
+
+
+def on_gpu(quantity: str, scenes: Sequence[Scene]) -> list[float]:
+    """By the surrogate, scenes of one size side by side in one batch."""
+    model, found = gns.load(shipped(scenes[0].dimension)).to("cuda"), dict[int, float]()
+    begun = [initial_state(each, model.settings) for each in scenes]
+    for units in {each.conditions.units for each in begun}:
+        numbers = [number for number, each in enumerate(begun) if each.conditions.units == units]
+        starts = [begun[number] for number in numbers]
+        state = State.joined([each.state for each in starts]).to("cuda")
+        conditions = Conditions.joined([each.conditions for each in starts]).to("cuda")
+        with torch.no_grad():
+            moved = unroll(model, state, conditions, starts[0].steps)[-1].cpu().numpy()
+        ends = np.cumsum([len(each.indices) for each in starts])[:-1]
+        for number, deposit, start in zip(numbers, np.split(moved, ends), starts, strict=True):
+            extents = measures.extents(start.scene, deposit, start.conditions.volume.numpy())
+            found[number] = float(extents[quantity])
+    return [found[number] for number in range(len(scenes))]
+
+
+def on_processors(quantity: str, scenes: Sequence[Scene]) -> list[float]:
+    """By the surrogate on every processor: a thread each, which together would be no faster."""
+    share = max(1, len(scenes) // processors())
+    with without_main(), ProcessPoolExecutor(processors(), get_context("spawn"), end_with_parent) as pool:
+        return list(pool.map(partial(predicted, quantity), scenes, chunksize=share))
+
+
+def predicted(quantity: str, scene: Scene) -> float:
+    """By the surrogate."""
+    return float(gns.simulate(scene, model=known_model(scene.dimension)).summary[quantity])
+
+
+@lru_cache(maxsize=1)
+def known_model(dimension: int) -> Simulator:
+    """The shipped one, loaded once."""
+    return gns.load(shipped(dimension))

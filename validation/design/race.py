@@ -1,0 +1,230 @@
+"""The cheapest design by thousands of predictions: designs race, each over more and more draws of what is uncertain.
+
+The probability P(d) of a design that keeps the limit in k of n predictions lies in the interval of Clopper & Pearson.
+Designs whose upper end is below the required probability are out; the next predictions go to the cheapest of the
+others (as races among configurations do: Maron & Moore, The racing algorithm: model selection for lazy learners, Artif.
+Intell. Rev. 11 (1997) 193-225), and to new designs near these. All designs see the same draws in the same order.
+
+A predictor errs: of P runs of the MPM that it predicts too, the differences e are added to its responses, each
+prediction with one of them,
+
+    y = m(d, u) + e_i,    i = 1 .. P in turn
+
+so that its bias and its errors are those of the probability.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import beta, binomtest, qmc
+
+from inverse.answer import Verdict
+from inverse.posterior import Matrix, Row
+from validation.design.problem import DesignProblem
+
+Predict = Callable[[Matrix], Row]
+"""All numbers [n, K + Q] in fractions of their ranges -> responses [n]."""
+DESIGNS, FIRST = 64, 16
+"""Designs that fill the box at first, and draws of each."""
+TURN, NEXT = 8, 32
+"""Designs that a round goes on with, and as many new ones; further draws of each."""
+MOST = 512
+"""Draws of a design, at most."""
+SETTLED = 256
+"""Draws from which on a design can win."""
+OUTSIDE = 0.05
+"""Probability that a design which is good enough is out, in a round."""
+SHARES = (0.75, 0.25)
+"""Of the predictions: before the first check, and before a second one."""
+NEAR, NEARER = 0.15, 0.97
+"""Of the ranges: deviation of new designs from those that lead at first, and how it shrinks from round to round."""
+
+
+@dataclass(eq=False)
+class Entry:
+    """A design in the race."""
+
+    design: Row
+    """In fractions of the ranges, shape [K]."""
+    responses: Row = field(default_factory=lambda: np.zeros(0))
+    """As they were predicted, of the first n draws, shape [n]."""
+
+
+class Race:
+    """All predictions so far, and the design that leads."""
+
+    def __init__(self, problem: DesignProblem, predict: Predict) -> None:
+        self.problem, self.predict = problem, predict
+        self.rng = np.random.default_rng([problem.budget.seed, 5])
+        draws = problem.draws(MOST, self.rng)
+        # Any first part of them fills the distribution.
+        self.draws = draws[self.rng.permutation(MOST)]
+        self.errors = np.zeros(1)
+        """e [P]."""
+        self.entries = [
+            Entry(each) for each in qmc.Sobol(len(problem.variables), rng=problem.budget.seed).random(DESIGNS)
+        ]
+        self.spent, self.rounds = 0, 0
+
+    def kept(self, entry: Entry) -> tuple[int, int]:
+        """In how many of its n draws a design keeps the limit; and n."""
+        errors = np.resize(self.errors, len(entry.responses))
+        return int(np.sum(entry.responses + errors < self.problem.limit.below)), len(entry.responses)
+
+    def probability(self, entry: Entry) -> float:
+        """P, with a uniform prior."""
+        good, count = self.kept(entry)
+        return (good + 1.0) / (count + 2.0)
+
+    def highest(self, entry: Entry) -> float:
+        """Upper end of the interval of P."""
+        good, count = self.kept(entry)
+        return 1.0 if good == count else float(beta.ppf(1.0 - OUTSIDE, good + 1, count - good))
+
+    def rank(self, entry: Entry) -> tuple[float, float]:
+        """What is better comes first: cheap designs or, where nothing has a price, reliable ones."""
+        price = float(self.problem.price(entry.design[None])[0])
+        return (price, -self.probability(entry)) if self.problem.cost else (-self.probability(entry), 0.0)
+
+    @property
+    def best(self) -> Entry:
+        """The best of those that are known well and good enough, else the most reliable one."""
+        settled = [each for each in self.entries if len(each.responses) >= SETTLED] or self.entries
+        good = [each for each in settled if self.probability(each) >= self.problem.required]
+        return min(good, key=self.rank) if good else max(settled, key=self.probability)
+
+    def run(self, predictions: int) -> None:
+        """Race on with so many predictions."""
+        end = self.spent + predictions
+        while self.spent < end:
+            leaders = self.leaders()
+            if self.rounds:
+                spread = NEAR * NEARER**self.rounds
+                for parent in leaders[:TURN]:
+                    moved = parent.design + spread * self.rng.standard_normal(len(parent.design))
+                    self.entries.append(Entry(np.clip(moved, 0.0, 1.0)))
+                turns = [*leaders[:TURN], *self.entries[-len(leaders[:TURN]) :]]
+            else:
+                turns = self.entries
+            if not turns:
+                return
+            self.advance(turns)
+            self.rounds += 1
+
+    def leaders(self) -> list[Entry]:
+        """Designs that may be the best one and have draws left, the best first."""
+        best, able = self.best, [each for each in self.entries if len(each.responses) < MOST]
+        may = [each for each in able if self.highest(each) >= self.problem.required]
+        if self.problem.cost and self.probability(best) >= self.problem.required and len(best.responses) >= SETTLED:
+            may = [each for each in may if self.rank(each)[0] < self.rank(best)[0]] or [best]
+        # Those that seem good enough, then those that are nearest to it.
+        good = [each for each in may if self.probability(each) >= self.problem.required]
+        others = sorted((each for each in may or able if each not in good), key=self.probability, reverse=True)
+        return [*sorted(good, key=self.rank), *others]
+
+    def advance(self, entries: list[Entry]) -> None:
+        """More draws of each."""
+        pieces = [self.draws[len(each.responses) :][: NEXT if len(each.responses) else FIRST] for each in entries]
+        points = [
+            np.hstack([np.tile(each.design, (len(piece), 1)), piece])
+            for each, piece in zip(entries, pieces, strict=True)
+        ]
+        found = self.predict(np.concatenate(points))
+        ends = np.cumsum([len(each) for each in pieces])
+        for each, own in zip(entries, np.split(found, ends[:-1]), strict=True):
+            each.responses = np.append(each.responses, own)
+        self.spent += int(ends[-1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class RacedDesign:
+    """A design by predictions, with what the MPM says of it."""
+
+    problem: DesignProblem
+    race: Race
+    best: Entry
+    pairs: tuple[Row, Row]
+    """What the predictor and the MPM say of the same flows, shape [P] each."""
+    points: Matrix
+    """Of the flows of the check, in fractions of the ranges, shape [N, K + Q]."""
+    responses: Row
+    """Of the flows of the check by the MPM, shape [N]."""
+    spent: int
+    """Runs of the MPM in all."""
+    seconds: float
+    predicting: float
+    """Of these by the predictor [s]."""
+    remark: str = ""
+
+    @property
+    def design(self) -> dict[str, float]:
+        """Each variable by name."""
+        return self.problem.named(self.best.design)
+
+    @property
+    def exceeding(self) -> int:
+        """Flows of the check at the limit or beyond."""
+        return int(np.sum(self.responses >= self.problem.limit.below))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Of the probability that the limit is kept, by the check (Clopper & Pearson, 95 %)."""
+        found = binomtest(len(self.responses) - self.exceeding, len(self.responses)).proportion_ci(0.95)
+        return float(found.low), float(found.high)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Confirmed where no larger share of the check exceeds the limit than 1 - p; unreachable where no design that
+        was predicted has p.
+        """
+        if self.exceeding <= self.problem.allowed:
+            return Verdict.CONFIRMED
+        reachable = self.race.probability(self.best) >= self.problem.limit.probability
+        return Verdict.UNCONFIRMED if reachable else Verdict.UNREACHABLE
+
+
+def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, int], Row]) -> RacedDesign:
+    """The design that wins, checked by flows that `respond` makes, which takes the number of the first flow too.
+
+    A first few flows show the errors of the predictor; where the check refuses the design, its flows do, too, and the
+    race goes on for a second design.
+    """
+    began, predicting = time.perf_counter(), 0.0
+    race, rng = Race(problem, predict), np.random.default_rng([problem.budget.seed, 6])
+
+    def timed(points: Matrix) -> Row:
+        nonlocal predicting
+        start = time.perf_counter()
+        found = predict(points)
+        predicting += time.perf_counter() - start
+        return found
+
+    race.predict = timed
+    count = problem.budget.pairs
+    designs = qmc.LatinHypercube(len(problem.variables), rng=rng).random(count)
+    points = np.hstack([designs, problem.draws(count, rng)])
+    ours, theirs = timed(points), respond(points, 0)
+    for turn, share in enumerate(SHARES):
+        race.errors = theirs - ours
+        race.run(round(share * problem.budget.predictions))
+        best = race.best
+        draws = problem.draws(problem.budget.checks, rng)
+        points = np.hstack([np.tile(best.design, (len(draws), 1)), draws])
+        shown = respond(points, len(theirs))
+        ours, theirs = np.append(ours, timed(points)), np.append(theirs, shown)
+        found = RacedDesign(
+            problem=problem,
+            race=race,
+            best=best,
+            pairs=(ours, theirs),
+            points=points,
+            responses=shown,
+            spent=len(theirs),
+            seconds=time.perf_counter() - began,
+            predicting=predicting,
+        )
+        if found.verdict is not Verdict.UNCONFIRMED or turn == len(SHARES) - 1:
+            break
+    return found
