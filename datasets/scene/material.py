@@ -155,7 +155,7 @@ class Material(Record):
         highest = ANGLES[self.angle]
         kind = "an angle" if self.angle == "triaxial" else "the angle of a slope"
         require(0.0 <= self.friction_deg < highest, "friction_deg", f"{kind} in [0, {highest:g}) degrees")
-        require(0.0 <= self.dilation_deg <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
+        require(abs(self.dilation_deg) <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
         strong = self.friction_deg > 0.0 or self.cohesion > 0.0 or self.law != MOHR_COULOMB
         require(strong, "friction_deg", "an angle above 0 degrees where there is no cohesion")
         for key, peak in zip(SOFTENING, (self.friction_deg, self.cohesion, self.cutoff_at(0.0)), strict=True):

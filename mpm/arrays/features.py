@@ -181,6 +181,7 @@ class Features:
             pore_pressure=int(self.wet),  # [Pa]
             saturated=int(self.wet),  # 1 where water fills the pores, else 0
             volume_strain=int(self.wet),  # of a step [-]
+            foot_pressure=int(self.wet and self.contact),  # of the water at the foot over that of the particle [Pa]
         )
 
     @cached_property

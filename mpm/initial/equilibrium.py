@@ -150,6 +150,16 @@ class Equilibrium:
         self.free, self.slip = state
         return best
 
+    def settled(self, stress: Floats, traction: Floats) -> Floats:
+        """`stress` [Pa], [N, 3, 3], of layers on a slope, after its grains have taken what it leaves unbalanced.
+
+        traction: shear traction of the ground [Pa], [M, D]. What accelerates the layers as a whole stays.
+        """
+        self.inertia = self.loose_inertia / INERTIA
+        force = np.where(self.free, self.unbalanced(stress, traction), 0.0)
+        displacements, _ = conjugate_gradients(self.stiffness, force, self.preconditioner())
+        return self.admitted(stress + self.elastic(displacements))
+
     def pulled(self, force: Floats) -> NDArray[np.bool_]:
         """Which components of nodes a wall would have to pull against the unbalanced `force` [N], both [n, D]."""
         return np.asarray(~self.free & (force * self.walls > BALANCED * self.weight))

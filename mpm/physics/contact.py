@@ -242,12 +242,18 @@ def turbulence_at(scratch, density, arrays: ti.template()):
 
 @ti.func
 def motion_and_stress(block, scratch, arrays: ti.template()):
-    """The motion of a block, as `foot_velocity` takes it, and the stress of its particles; lists of vectors."""
+    """The motion of a block, as `foot_velocity` takes it, and the stress of its grains; lists of vectors.
+
+    Beside water that of the grains at the foot: the total stress of a particle less the pore pressure there.
+    """
     features = arrays.features
     first, moved = block * features.state.size, scratch + features.scratch.lowest + features.dimension
     velocity = vectors(arrays.scratch, moved, features.dimension)
     affine = vectors(arrays.state, first + features.state.affine, features.dimension**2)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
+    if ti.static(features.wet):
+        for k in ti.static(range(3)):
+            stress[k] = stress[k] + arrays.state[first + features.state.foot_pressure]
     return (velocity, affine, contact_of(block, arrays)), stress
 
 

@@ -306,6 +306,14 @@ def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
                 apart = arrays.scratch_lanes[own + (features.dimension + k) * lanes] - means[Pore.CENTRE_X + k]
                 p += given[Pore.SLOPE_X + k - NODE] * apart
             arrays.lanes[state + features.state.pore_pressure * lanes] = p
+            if ti.static(features.contact):
+                foot, at_contact = p, contact_at(block, 0, arrays) * lanes + lane
+                if arrays.lanes[at_contact + Contact.DELTA * lanes] > 0.0:
+                    away = arrays.lanes[at_contact + Contact.DISTANCE * lanes] / arrays.settings[scene, Setting.CELL]
+                    for k in ti.static(range(features.dimension)):
+                        normal = arrays.lanes[at_contact + (Contact.NORMAL + k) * lanes]
+                        foot -= given[Pore.SLOPE_X + k - NODE] * normal * away
+                arrays.lanes[state + features.state.foot_pressure * lanes] = ti.max(foot, 0.0) - ti.max(p, 0.0)
             strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
             arrays.scratch_lanes[own + (free + 1) * lanes] = strain
             arrays.lanes[state + features.state.volume_strain * lanes] = DAMPING * given[Pore.CHANGE - NODE]
