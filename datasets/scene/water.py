@@ -19,6 +19,8 @@ from datasets.scene.parts import SceneLayout
 
 DENSITY = 1000.0
 """Of water [kg/m^3]."""
+CAVITATION = 1.0e5
+"""Suction at which water boils [Pa]."""
 NO_GRAVITY = 1.0e-9
 """Less than any [m/s^2]."""
 STIFFER = 20.0

@@ -215,6 +215,7 @@ class Pore(TableColumn):
     PRESSURE = auto()  # [Pa]
     CLOSED = auto()  # bit f: a solid is beyond face f, x-, x+, y-, ...
     CENTRE_X, CENTRE_Y, CENTRE_Z = auto(), auto(), auto()  # from the middle of the cell [cells]
+    SUCTION = 7  # that water bears in it [Pa], where material dilates
     CHANGE = 8  # of the pressure in a step [Pa]
     SOURCE = 9  # of it, explicit in time [Pa]
     SHARE = 10  # of the cell that is full [-]

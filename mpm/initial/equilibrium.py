@@ -51,6 +51,8 @@ SHIFT = 1.0e-9
 EXTRA_STEPS = 60
 """Steps of conjugate gradients after which the block is factorised anew."""
 MOST_STEPS = 600
+SETTLING = 5
+"""Solutions for layers on a slope."""
 
 
 class Equilibrium:
@@ -156,9 +158,12 @@ class Equilibrium:
         traction: shear traction of the ground [Pa], [M, D]. What accelerates the layers as a whole stays.
         """
         self.inertia = self.loose_inertia / INERTIA
-        force = np.where(self.free, self.unbalanced(stress, traction), 0.0)
-        displacements, _ = conjugate_gradients(self.stiffness, force, self.preconditioner())
-        return self.admitted(stress + self.elastic(displacements))
+        precondition = self.preconditioner()
+        for _ in range(SETTLING):
+            force = np.where(self.free, self.unbalanced(stress, traction), 0.0)
+            displacements, _ = conjugate_gradients(self.stiffness, force, precondition)
+            stress = self.admitted(stress + self.elastic(displacements))
+        return stress
 
     def pulled(self, force: Floats) -> NDArray[np.bool_]:
         """Which components of nodes a wall would have to pull against the unbalanced `force` [N], both [n, D]."""

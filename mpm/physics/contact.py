@@ -57,7 +57,8 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 
 import taichi as ti
 
-from mpm.arrays.access import add, lane_numbers, maximum, minimum, no_overflow, over_lanes, vectors
+from datasets.scene.water import CAVITATION
+from mpm.arrays.access import add, clamp, lane_numbers, maximum, minimum, no_overflow, over_lanes, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.solids.face_lookup import TINY, entry_of, face_number, list_of, normal_of, solid_of
@@ -258,14 +259,25 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
 
 
 @ti.func
+def suction_held(stress: ti.template(), features: ti.template()):
+    """The largest suction of water [Pa] between grains with the `stress` [Pa]: none where nothing dilates, else what
+    presses the grains, up to cavitation. Together they pull nothing.
+    """
+    if ti.static(features.dilates):
+        return clamp((stress[0] + stress[1] + stress[2]) * (-1.0 / 3.0), 0.0, CAVITATION)
+    else:
+        return 0.0 * stress[0]
+
+
+@ti.func
 def total_stress(block, arrays: ti.template()):
     """Stress [Pa] of the particles of a block, that of the grains less the pore pressure; a list of vectors."""
     features = arrays.features
     first = no_overflow(block * features.state.size)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     if ti.static(features.wet):
-        held = arrays.state[first + features.state.pore_pressure]
-        p = maximum(held + arrays.state[first + features.state.volume_strain], 0.0)
+        p = arrays.state[first + features.state.pore_pressure] + arrays.state[first + features.state.volume_strain]
+        p = maximum(p, 0.0 - suction_held(stress, features))
         return [stress[k] - p if k < 3 else stress[k] for k in ti.static(range(features.stresses))]
     else:
         return stress

@@ -39,7 +39,7 @@ from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.columns import node_at
-from mpm.physics.contact import contact_at
+from mpm.physics.contact import contact_at, suction_held
 from mpm.physics.transfer import particles_in, property_of, volume_of
 
 MOST = 10.0
@@ -111,6 +111,10 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
             sums[Pore.PRESSURE] += volume * arrays.lanes[state + features.state.pore_pressure * lanes]
             bits = ti.cast(sums[Pore.CLOSED], ti.i32) | ti.cast(arrays.scratch_lanes[own + (free + 1) * lanes], ti.i32)
             sums[Pore.CLOSED] = ti.cast(bits, float)
+            if ti.static(features.dilates):
+                at_stress = state + features.state.stress * lanes
+                held = suction_held([arrays.lanes[at_stress + k * lanes] for k in ti.static(range(3))], features)
+                sums[Pore.SUCTION] += volume * held
             for k in ti.static(range(features.dimension)):
                 sums[Pore.CENTRE_X + k] += volume * arrays.scratch_lanes[own + (features.dimension + k) * lanes]
             arrays.cells[2 * at] = sums
@@ -149,8 +153,8 @@ def mean_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
     """Means of a cell in place of its sums."""
     sums = arrays.cells[2 * cell]
     per_volume = 1.0 / sums[Pore.VOLUME]
-    for k in ti.static((Pore.STRAIN, Pore.PRESSURE, Pore.CENTRE_X, Pore.CENTRE_Y, Pore.CENTRE_Z)):
-        if ti.static(k < Pore.CENTRE_X + arrays.features.dimension):
+    for k in ti.static((Pore.STRAIN, Pore.PRESSURE, Pore.CENTRE_X, Pore.CENTRE_Y, Pore.CENTRE_Z, Pore.SUCTION)):
+        if ti.static(k < Pore.CENTRE_X + arrays.features.dimension or k == Pore.SUCTION):
             sums[k] *= per_volume
     arrays.cells[2 * cell] = sums
 
@@ -219,10 +223,11 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                     if ti.static(k == axis):
                         part += away
                     weight += DENSITY * dx * pull[k] * part
-                step = ti.max(other[Pore.PRESSURE], 0.0) - ti.max(own, 0.0)
+                there, here = other[Pore.PRESSURE] + other[Pore.SUCTION], own + sums[Pore.SUCTION]
+                step = ti.max(there, 0.0) - ti.max(here, 0.0) - other[Pore.SUCTION] + sums[Pore.SUCTION]
                 flow = (step - weight) / apart
                 # Nothing flows out of pores that are not full.
-                if (flow > 0.0 and other[Pore.PRESSURE] > 0.0) or (flow < 0.0 and own > 0.0):
+                if (flow > 0.0 and there > 0.0) or (flow < 0.0 and here > 0.0):
                     inflow += flow
                 rise += away * (other[Pore.PRESSURE] - own)
                 run += apart
@@ -313,7 +318,8 @@ def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
                     for k in ti.static(range(features.dimension)):
                         normal = arrays.lanes[at_contact + (Contact.NORMAL + k) * lanes]
                         foot -= given[Pore.SLOPE_X + k - NODE] * normal * away
-                arrays.lanes[state + features.state.foot_pressure * lanes] = ti.max(foot, 0.0) - ti.max(p, 0.0)
+                least = 0.0 - means[Pore.SUCTION]
+                arrays.lanes[state + features.state.foot_pressure * lanes] = ti.max(foot, least) - ti.max(p, least)
             strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
             arrays.scratch_lanes[own + (free + 1) * lanes] = strain
             arrays.lanes[state + features.state.volume_strain * lanes] = DAMPING * given[Pore.CHANGE - NODE]
