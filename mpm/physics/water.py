@@ -229,7 +229,7 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                 # Nothing flows out of pores that are not full.
                 if (flow > 0.0 and there > 0.0) or (flow < 0.0 and here > 0.0):
                     inflow += flow
-                rise += away * (other[Pore.PRESSURE] - own)
+                rise += away * step
                 run += apart
             elif kind == Face.SURFACE or kind == Face.DRAIN:
                 distance = 0.5 + 0.0 * gap

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from datasets import Mass, Material, Scene, Solid, Trajectory
 from datasets.scene import water
@@ -23,6 +24,7 @@ from mpm import simulate
 from mpm.adjoint.tape import check as known_to_adjoint
 from mpm.arrays.features import features_of
 from mpm.output.recording import Recording
+from tests.mpm.element import follow
 from tests.refusals import refused
 from tests.scenes import scene_of
 
@@ -74,12 +76,14 @@ def test_water_at_rest_moves_nothing() -> None:
     assert np.allclose(pressures(flow)[-1].mean(), 0.5 * water.DENSITY * GRAVITY * HEIGHT, rtol=0.02)
 
 
-def squeezed(rate_x: float, rate_y: float) -> tuple[Trajectory, float, float]:
+def squeezed(
+    rate_x: float, rate_y: float, *, material: Material = WET, time: float = 2.0e-5
+) -> tuple[Trajectory, float, float]:
     """A saturated body of hardly any weight in a corner, that begins with v = (rate_x x, rate_y y), after a step.
 
     Returns its flow, the numerical modulus of the water [Pa] and the time [s].
     """
-    time, size = 2.0e-5, (1.2, 1.2)
+    size = (1.2, 1.2)
     places = {"origin": (0.0, 0.0), "spacing": size, "nodes": (2, 2)}
     fields = (
         Field(quantity="velocity_x", values=(0.0, 0.0, rate_x * size[0], rate_x * size[0]), **places),
@@ -88,7 +92,7 @@ def squeezed(rate_x: float, rate_y: float) -> tuple[Trajectory, float, float]:
     body = Mass(lower=(0.0, 0.0), size=size, k0=0.5, initial_pore_pressure_ratio=0.0)
     changes: dict[str, Any] = {"gravity": 1.0e-6, "duration": time, "frame_dt": time, "fields": fields, **EVEN}
     scene = scene_of(
-        body, size=(1.4, 1.4), particles_per_axis=1, material=dataclasses.replace(WET, young=2.0e6), **changes
+        body, size=(1.4, 1.4), particles_per_axis=1, material=dataclasses.replace(material, young=2.0e6), **changes
     )
     flow = simulate(scene, record=FIELDS, precision="f64")
     return flow, water.STIFFER * constrained_modulus(scene.material), time
@@ -111,6 +115,49 @@ def test_undrained_shear_makes_no_pressure() -> None:
     rate = 1.0e-3
     flow, modulus, time = squeezed(rate, -rate)
     assert np.abs(pressures(flow)[-1, inside(flow)]).max() < 1.0e-6 * modulus * rate * time
+
+
+@pytest.mark.double
+def test_grains_that_dilate_at_constant_volume_press_on_each_other() -> None:
+    """The mean effective stress by the flow of the plane F_13, in several steps, before waves come from the surface."""
+    soil = dataclasses.replace(WET, cohesion=1.0, tension_cutoff=9.0, dilation_deg=10.0, softening_length=1.0e9)
+    rate, time = 1.0e-2, 1.0e-3
+    flow, _, _ = squeezed(rate, -rate, material=soil, time=time)
+    sand = dataclasses.replace(soil, young=2.0e6)
+    phi, psi = math.radians(soil.friction_deg), math.radians(soil.dilation_deg)
+    excess = 4.0 * sand.shear_modulus * rate * time - 2.0 * soil.cohesion * math.cos(phi)
+    flowed = excess / (4.0 * (sand.shear_modulus + (sand.lame + sand.shear_modulus) * math.sin(phi) * math.sin(psi)))
+    assert flow.pressure is not None
+    expected = 2.0 * math.sin(psi) * (sand.lame + 2.0 / 3.0 * sand.shear_modulus) * flowed
+    assert flow.pressure[-1, inside(flow)] == pytest.approx(expected, rel=5.0e-4)
+    assert pressures(flow)[-1, inside(flow)].max() < 2.0e-3 * expected
+
+
+@pytest.mark.double
+@pytest.mark.parametrize("dilation_deg", [10.0, -10.0])
+def test_undrained_shear_moves_along_the_failure_line(dilation_deg: float) -> None:
+    """At a constant total stress: water bears what dilation takes from it, till contraction leaves grains nothing."""
+    soil = dataclasses.replace(WET, young=2.0e7, dilation_deg=dilation_deg, softening_length=1.0e9)
+    sin_phi, sin_psi = 0.5, math.sin(math.radians(dilation_deg))
+    shear, bulk = soil.shear_modulus, soil.lame + soil.shear_modulus
+    modulus = water.STIFFER * constrained_modulus(soil)
+    strain, total, p = 2.0e-3, 1.0e5, 0.0
+    stress = -total * np.array([1.0 - sin_phi, 1.0 + sin_phi, 2.0 * soil.poisson, 0.0])
+    matrix = np.array([[bulk + modulus, -bulk * sin_psi], [-sin_phi * bulk, shear + bulk * sin_phi * sin_psi]])
+    volume, _flowed = np.linalg.solve(matrix, np.array([0.0, shear * strain]))
+    for number in range(1, 11):
+
+        def unbalanced(e: float, start: np.ndarray[Any, Any] = stress, held: float = p) -> float:
+            xx, yy, *_ = follow(soil, np.diag([e + strain, e - strain])[None], start)[0]
+            return float(0.5 * (xx + yy) - held + 2.0 * modulus * e + total)
+
+        e = brentq(unbalanced, -strain, strain, xtol=1.0e-16)
+        stress, p = follow(soil, np.diag([e + strain, e - strain])[None], stress)[0], p - 2.0 * modulus * e
+        expected = min(-2.0 * modulus * volume * number, total)
+        assert p == pytest.approx(expected, rel=1.0e-6)
+        least, most = stress[:2]
+        assert most - least == pytest.approx(sin_phi * (most + least), abs=1.0e-6 * total)
+    assert (p == pytest.approx(total)) == (dilation_deg < 0.0)
 
 
 def sheet(
@@ -228,8 +275,8 @@ def test_scenes_that_water_cannot_be_in_are_refused() -> None:
     assert refused(simulate, scene_of(body, material=WET)).key == "masses[0].k0"
     for key, value in {"floor_friction": 0.4, "wall_friction": 0.4, "volume_correction": False}.items():
         assert refused(layer, None, **{key: value}).key == key
-    dense = dataclasses.replace(WET, dilation_deg=5.0)
-    assert refused(scene_of, dataclasses.replace(body, k0=0.5), material=dense).key == "material.dilation_deg"
+    for values in ({"dilation_deg": 5.0}, {"dilation_deg": -31.0, "softening_length": 0.1}):
+        assert refused(dataclasses.replace, WET, **values).key == "material.dilation_deg"
     assert refused(scene_of, water=Water(level=0.1)).key == "water"
     ratio = dataclasses.replace(body, initial_pore_pressure_ratio=0.5)
     assert refused(scene_of, ratio).key == "masses[0].initial_pore_pressure_ratio"
