@@ -133,7 +133,7 @@ def update_water(worker, scene, dt, arrays: ti.template()):
         relax(worker, scene, stiffness, diffusion, half % 2, arrays)
     table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        take_from_cells(scene, table, block, scratch, arrays)
+        take_from_cells(scene, table, block, scratch, 1.0 - diffusion / stiffness, arrays)
 
 
 @ti.func
@@ -293,7 +293,7 @@ def relax_cell(cell, column, j, deep, stiffness, diffusion, arrays: ti.template(
 
 
 @ti.func
-def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
+def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
     """Pore pressure of the particles of a block from that of their cells; their grains get the strain of these."""
     features, lanes, deep = arrays.features, arrays.features.lanes, columns_deep(scene, arrays)
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
@@ -306,10 +306,13 @@ def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
         if arrays.scratch_lanes[own + free * lanes] > 0.0:
             at, state = cell_of(scratch, lane, table, deep, arrays), no_overflow(first * lanes + lane)
             means, given = arrays.cells[2 * at], arrays.cells[2 * at + 1]
-            p = means[Pore.PRESSURE] + given[Pore.CHANGE - NODE]
+            change, modulus = given[Pore.CHANGE - NODE], arrays.settings[scene, Setting.WATER_MODULUS]
+            p = means[Pore.PRESSURE] + change
             for k in ti.static(range(features.dimension)):
                 apart = arrays.scratch_lanes[own + (features.dimension + k) * lanes] - means[Pore.CENTRE_X + k]
                 p += given[Pore.SLOPE_X + k - NODE] * apart
+            mixed = p - change - arrays.lanes[state + features.state.pore_pressure * lanes]
+            removed = waves * (change - given[Pore.SOURCE - NODE] / given[Pore.SHARE - NODE])
             arrays.lanes[state + features.state.pore_pressure * lanes] = p
             if ti.static(features.contact):
                 foot, at_contact = p, contact_at(block, 0, arrays) * lanes + lane
@@ -321,6 +324,7 @@ def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
                 least = 0.0 - means[Pore.SUCTION]
                 arrays.lanes[state + features.state.foot_pressure * lanes] = ti.max(foot, least) - ti.max(p, least)
             strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
+            strain -= (mixed + removed) / modulus
             arrays.scratch_lanes[own + (free + 1) * lanes] = strain
             arrays.lanes[state + features.state.volume_strain * lanes] = DAMPING * given[Pore.CHANGE - NODE]
     share_strain(scene, block, arrays.scratch[values + free + 1], arrays)
