@@ -51,7 +51,8 @@ def consolidation(material: Material, gravity: float) -> float:
 def mobility(material: Material, gravity: float) -> float:
     """kappa [m^2/(Pa s)] with which the mixture consolidates as `consolidation` says."""
     modulus = constrained_modulus(material)
-    return consolidation(material, gravity) * (1.0 + STIFFER) / (STIFFER * modulus)
+    deviator = 4.0 / 3.0 * material.shear_modulus / (STIFFER * modulus)
+    return consolidation(material, gravity) * (1.0 + deviator) / modulus
 
 
 def drainage(scene: SceneLayout, time: float) -> str:

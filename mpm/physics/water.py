@@ -311,7 +311,8 @@ def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
             for k in ti.static(range(features.dimension)):
                 apart = arrays.scratch_lanes[own + (features.dimension + k) * lanes] - means[Pore.CENTRE_X + k]
                 p += given[Pore.SLOPE_X + k - NODE] * apart
-            mixed = p - change - arrays.lanes[state + features.state.pore_pressure * lanes]
+            least, before = 0.0 - means[Pore.SUCTION], arrays.lanes[state + features.state.pore_pressure * lanes]
+            mixed = p - change - before - (ti.max(p, least) - ti.max(before, least))
             removed = waves * (change - given[Pore.SOURCE - NODE] / given[Pore.SHARE - NODE])
             arrays.lanes[state + features.state.pore_pressure * lanes] = p
             if ti.static(features.contact):
@@ -321,7 +322,6 @@ def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
                     for k in ti.static(range(features.dimension)):
                         normal = arrays.lanes[at_contact + (Contact.NORMAL + k) * lanes]
                         foot -= given[Pore.SLOPE_X + k - NODE] * normal * away
-                least = 0.0 - means[Pore.SUCTION]
                 arrays.lanes[state + features.state.foot_pressure * lanes] = ti.max(foot, least) - ti.max(p, least)
             strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
             strain -= (mixed + removed) / modulus
