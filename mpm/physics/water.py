@@ -199,14 +199,19 @@ def beyond_face(cell, place, face: ti.template(), table, scene, arrays: ti.templ
 
 
 @ti.func
+def below_surface(sums, face: ti.template()):
+    """How far the centre of mass of a cell lies below a surface beyond a face [cells]: what fills it lies opposite."""
+    return ti.max(0.5 + ti.static(2 * (face % 2) - 1) * sums[Pore.CENTRE_X + ti.static(face // 2)], 0.25)
+
+
+@ti.func
 def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
     """The change of the pressure of a cell explicit in time, its slope, and what lies around it."""
     features, dx = arrays.features, arrays.settings[scene, Setting.CELL]
-    sums, code, surfaces = arrays.cells[2 * cell], 0, 0
+    sums, code = arrays.cells[2 * cell], 0
     own, inflow, given = sums[Pore.PRESSURE], 0.0 * sums[Pore.PRESSURE], arrays.cells[2 * cell + 1]
     pull = ti.Vector([arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0 * dx])
-    full = ti.min(sums[Pore.VOLUME] / dx**features.dimension, 1.0)
-    gap = ti.max(0.5 * full, 0.25)
+    full = 1.0 + 0.0 * own
     for axis in ti.static(range(features.dimension)):
         rise, run = 0.0 * own, 0.0 * own
         for side in ti.static(range(2)):
@@ -232,15 +237,14 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                 rise += away * step
                 run += apart
             elif kind == Face.SURFACE or kind == Face.DRAIN:
-                distance = 0.5 + 0.0 * gap
+                distance = 0.5 + 0.0 * own
                 if kind == Face.SURFACE:
-                    distance, surfaces = gap, surfaces + 1
+                    distance = below_surface(sums, face)
+                    full *= ti.min(2.0 * distance, 1.0)
                 if own > 0.0:
                     inflow -= ti.max(own / distance + DENSITY * dx * pull[axis] * away, 0.0)
         if run > 0.0:
             given[Pore.SLOPE_X + axis - NODE] = rise / run
-    if surfaces == 0:
-        full = 1.0 + 0.0 * full
     source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
     given[Pore.CHANGE - NODE], given[Pore.SOURCE - NODE] = source / full, source
     given[Pore.SHARE - NODE], given[Pore.FACES - NODE] = full, ti.cast(code, float)
@@ -264,13 +268,12 @@ def relax(worker, scene, stiffness, diffusion, colour, arrays: ti.template()):
 @ti.func
 def relax_cell(cell, column, j, deep, stiffness, diffusion, arrays: ti.template()):
     """The same for one of them; j: its place in a column of nodes."""
-    given = arrays.cells[2 * cell + 1]
+    sums, given = arrays.cells[2 * cell], arrays.cells[2 * cell + 1]
     code, total, diagonal = (
         ti.cast(given[Pore.FACES - NODE], ti.i32),
         given[Pore.SOURCE - NODE],
         given[Pore.SHARE - NODE],
     )
-    gap = ti.max(0.5 * diagonal, 0.25)
     for face in ti.static(range(2 * arrays.features.dimension)):
         kind = (code >> (3 * face)) & 7
         if kind == Face.CELL:
@@ -282,12 +285,12 @@ def relax_cell(cell, column, j, deep, stiffness, diffusion, arrays: ti.template(
             total += stiffness * number(arrays.cells, other, Pore.CHANGE)
             diagonal += stiffness
         elif kind == Face.SURFACE:
-            diagonal += stiffness / gap
+            diagonal += stiffness / below_surface(sums, face)
         elif kind == Face.DRAIN:
             diagonal += diffusion / 0.5
         elif kind == Face.GAP:
             # Water does not pass it, but what is beside it gives way.
-            diagonal += (stiffness - diffusion) / gap
+            diagonal += (stiffness - diffusion) / below_surface(sums, face)
     given[Pore.CHANGE - NODE] = total / diagonal
     arrays.cells[2 * cell + 1] = given
 
