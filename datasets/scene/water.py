@@ -72,6 +72,13 @@ def drainage(scene: SceneLayout, time: float) -> str:
     return f"{kind}: {figures}, {float(f'{needed / time:.2g}'):g} times the {time:.3g} s of the run"
 
 
+def seepage(scene: SceneLayout) -> float:
+    """Whether water flows from cell to cell while a scene lasts: c_v time / cell^2 [-], at most 1; 0 where dry."""
+    material = saturated(scene)
+    rate = 0.0 if material is None else consolidation(material, scene.gravity)
+    return min(rate * scene.duration / scene.domain.cell**2, 1.0)
+
+
 def pore_numbers(scene: SceneLayout) -> tuple[float, float, float]:
     """Q [Pa], Q kappa [m^2/s] and Q over the density of the mixture [m^2/s^2]; 0 where a scene is dry."""
     material = saturated(scene)

@@ -57,6 +57,7 @@ class Setting(TableColumn):
     WATER_MODULUS = auto()  # Q (`mpm.physics.water`) [Pa]
     WATER_DIFFUSION = auto()  # Q kappa [m^2/s]
     WATER_WAVE = auto()  # Q over the density of the mixture [m^2/s^2]
+    SEEPAGE = auto()  # c_v times the duration over a cell squared [-], at most 1
     DRAINED = auto()  # 1 where floor and solids let water out, else 0
 
 

@@ -243,6 +243,9 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                     full *= ti.min(2.0 * distance, 1.0)
                 if own > 0.0:
                     inflow -= ti.max(own / distance + DENSITY * dx * pull[axis] * away, 0.0)
+            elif kind == Face.TIGHT:
+                rise += arrays.settings[scene, Setting.SEEPAGE] * DENSITY * dx * pull[axis]
+                run += arrays.settings[scene, Setting.SEEPAGE]
         if run > 0.0:
             given[Pore.SLOPE_X + axis - NODE] = rise / run
     source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
