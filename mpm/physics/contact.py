@@ -68,6 +68,10 @@ NO_FACE = -2.0 * FIRST_FACE
 """Less than the number of any face among reals."""
 SHEET = 0.55
 """What a thin sheet gives to itself over the grid, per cell of thickness [-]."""
+INFINITE = 1.0e30
+"""A length greater than any."""
+STRONGEST = 10.0
+"""Most that suction lets grains press on a wall, over what they and water do together [-]."""
 THINNEST = 0.1
 """Thickness [widths of contact] of the thinnest layer that feels the whole drag."""
 
@@ -281,6 +285,24 @@ def total_stress(block, arrays: ti.template()):
         return [stress[k] - p if k < 3 else stress[k] for k in ti.static(range(features.stresses))]
     else:
         return stress
+
+
+@ti.func
+def grain_share(scene, block, arrays: ti.template()):
+    """Which share of the pressure of particles on the nearest wall of the box grains bear beside water [-]."""
+    features = arrays.features
+    first, dx = no_overflow(block * features.state.size), arrays.settings[scene, Setting.CELL]
+    whole = total_stress(block, arrays)
+    nearest = 0.0 * arrays.state[first] + INFINITE
+    grains, total = nearest, nearest
+    for k in ti.static(range(features.dimension)):
+        x, length = arrays.state[first + k], arrays.offsets[scene, Offset.CELLS_X + k] * dx
+        away = minimum(x, length - x)
+        near = away < nearest
+        nearest = ti.select(near, away, nearest)
+        grains = ti.select(near, 0.0 - arrays.state[first + features.state.stress + k], grains)
+        total = ti.select(near, 0.0 - whole[k], total)
+    return clamp(grains / maximum(total, TINY), 0.0, STRONGEST)
 
 
 @ti.func
