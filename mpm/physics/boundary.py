@@ -2,10 +2,10 @@
 
 A node on or beyond a wall that moves into it by v_n loses v_n, and of its tangential velocity at most mu v_n
 (Bardenhagen et al. 2000, eq. 18): an impulse balance, so no step size appears in it. On an edge all walls stop it
-before any rubs: what presses on one is no sliding along the other. Beside water the grains alone rub, with their share of v_n,
-that of the normal stress around the node (`mpm.physics.contact.grain_share`). It is the contact of `mpm.physics.contact` where the
-surface lies on the nodes, at the price of a comparison. Where a solid covers a wall, under a terrain or behind a
-lining, there is no wall: its nodes are the solid's (`mpm.solids.obstacles`).
+before any rubs: what presses on one is no sliding along the other. Beside water grains alone rub, with their share of
+v_n, that of the normal stress around the node (`mpm.physics.contact.grain_share`). It is the contact of
+`mpm.physics.contact` where the surface lies on the nodes, at the price of a comparison. Where a solid covers a wall,
+under a terrain or behind a lining, there is no wall: its nodes are the solid's (`mpm.solids.obstacles`).
 """
 
 import taichi as ti

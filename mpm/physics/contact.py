@@ -68,8 +68,6 @@ NO_FACE = -2.0 * FIRST_FACE
 """Less than the number of any face among reals."""
 SHEET = 0.55
 """What a thin sheet gives to itself over the grid, per cell of thickness [-]."""
-INFINITE = 1.0e30
-"""A length greater than any."""
 STRONGEST = 10.0
 """Most that suction lets grains press on a wall, over what they and water do together [-]."""
 THINNEST = 0.1
@@ -293,7 +291,7 @@ def grain_share(scene, block, arrays: ti.template()):
     features = arrays.features
     first, dx = no_overflow(block * features.state.size), arrays.settings[scene, Setting.CELL]
     whole = total_stress(block, arrays)
-    nearest = 0.0 * arrays.state[first] + INFINITE
+    nearest = 0.0 * arrays.state[first] + 1.0e30
     grains, total = nearest, nearest
     for k in ti.static(range(features.dimension)):
         x, length = arrays.state[first + k], arrays.offsets[scene, Offset.CELLS_X + k] * dx
