@@ -5,12 +5,12 @@ The pore pressure p of a mixture whose grains and water move together follows
     dp/dt = Q (div(kappa (grad p - rho_w g)) - div v),    kappa = k / (rho_w g)
 
 with the permeability k [m/s] and a bulk modulus Q of the water per volume of the mixture. Q is numerical: `STIFFER`
-times the constrained modulus M of the skeleton, far below that of water, of which a flow does not take notice as long
-as Q >> M. The coefficient of consolidation is that of the mixture as it is computed,
+times the constrained modulus M of the skeleton, far below that of water. Grains change their volume by the water that
+flows alone (`mpm.physics.water`), their shape by all strain, so that the coefficient of consolidation is
 
-    c_v = kappa M Q / (M + Q)    (Terzaghi 1923; k M / (rho_w g) for stiff water),
+    c_v = kappa M / (1 + 4 G / (3 Q))    (Terzaghi 1923; k M / (rho_w g) for stiff water),
 
-so that a `consolidation` given as c_v is met whatever Q is.
+and a `consolidation` given as c_v is met whatever Q is.
 """
 
 from datasets.errors import require

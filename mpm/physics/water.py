@@ -11,12 +11,22 @@ slides grains at random (the locking of Nagtegaal, Parks & Rice 1974, cured as b
 
     p_c = sum_p V_p p_p / sum_p V_p,    e_c = sum_p V_p tr(D_p) / sum_p V_p        over the particles p in cell c
     (1 + L) delta = -Q e_c + dt Q kappa div(grad p_c - rho_w g)
-    p_p = p_c + delta_c + s_c . (x_p - x_c)
+    p_p <- p_c + delta_c + s_c . (x_p - x_c)
 
 with the slope s_c of p_c between the neighbours of a cell and its centre of mass x_c: so a linear pressure stays as it
 is, and what particles keep of other cells is gone. L = -(dt Q kappa + (dt c)^2) Laplace, c^2 = Q / rho: backward in
 time for the flow of water, and for its pressure waves as much, so that these do not shorten the step. At a wave number
 k 1 / Q + (dt k)^2 / rho then stands for 1 / Q, which over M is (step_fraction k dx)^2 more.
+
+**Grains** strain by the water that flows: full pores keep their volume, and what the numerical Q lets it change is no
+strain of the skeleton. The volume strain of the grains of a particle in a step is
+
+    e_g = e_c - w_c - (q_p - change of max(p_p, 0)) / Q,    w_c = waves (delta_c - source_c) / Q
+
+with q_p the part of the change of p_p that is not delta_c, by which particles of a cell share their pressure, and w_c
+the strain that the waves' part of L takes away. Where p > 0 that is the flow alone, kappa div(grad p - rho_w g) dt:
+undrained grains keep their mean effective stress to rounding, whatever Q, E and the scatter of e_c. Where water has
+opened, it is e_c but for the sharing, and the stress comes back as p does.
 
 Gauss-Seidel sweeps over red and black cells solve the system, from delta without L on: a few keep it stable, and a
 uniform strain is exact before the first.
@@ -25,7 +35,14 @@ Where a cell has no saturated neighbour is a surface, with p = 0, through which 
 something solid, which is tight or a drain: a wall of the box or what particles in the cell touch. A gap of one cell
 between two others is neither.
 
-**Opening.** Water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes before
+At a tight solid nothing flows, and the slope there is that at rest; a surface lies as far from the centre of mass of
+a cell as what fills it from the other side tells.
+
+**Dilation.** Grains that dilate while they shear suck, those that contract press on their water: the return map does
+that, at the volume that water keeps. Where a material of the scene dilates, water bears a suction up to that of
+cavitation, and no more than presses grains on each other; it ends with the dilation (`softening_length`).
+
+**Opening.** Else water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes before
 it presses again. Grains do the same with their gap (`mpm.physics.volume_correction`), which here follows the volume
 strain of the cell alone: one that grew with the grid's density could never close while water fills it, and the grains
 would have lost their friction for good. For the same reason all that opens at a solid is strain.
