@@ -42,10 +42,10 @@ a cell as what fills it from the other side tells.
 that, at the volume that water keeps. Where a material of the scene dilates, water bears a suction up to that of
 cavitation, and no more than presses grains on each other; it ends with the dilation (`softening_length`).
 
-**Opening.** Else water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes before
-it presses again. Grains do the same with their gap (`mpm.physics.volume_correction`), which here follows the volume
-strain of the cell alone: one that grew with the grid's density could never close while water fills it, and the grains
-would have lost their friction for good. For the same reason all that opens at a solid is strain.
+**Opening.** Else water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes
+before it presses again. Grains do the same with their gap (`mpm.physics.volume_correction`), which here follows strain
+alone: one that grew with the grid's density could never close while water fills it, and the grains would have lost
+their friction for good. For the same reason all that opens at a solid is strain.
 """
 
 import taichi as ti
