@@ -175,16 +175,6 @@ def check_water(scene: SceneLayout) -> None:
     if saturated(scene) is None:
         require(scene.water is None, "water", "a saturated material beside it", "none")
     elif not water.fixed:
-        # The box takes friction of a node's whole impulse, of water and grains together.
-        ground = any(solid.kind == "terrain" for solid in scene.solids) or "y-" in scene.open_sides
-        floor = scene.floor_friction if not ground else 0.0
-        expected = "0 under a saturated mass, and a terrain with friction on the floor"
-        require(floor == 0.0, "floor_friction", expected, floor)
-        require(scene.wall_friction == 0.0, "wall_friction", "0 beside a saturated mass", scene.wall_friction)
-        # Without a softening it would go on for ever, and with it the pull of the water.
-        dilation = max(scene.material_of(mass).dilation_deg for mass in scene.masses)
-        dilation = max(dilation, *(stage.dilation_deg or 0.0 for stage in scene.stages), 0.0)
-        require(dilation == 0.0, "material.dilation_deg", "0 in a scene with saturated material", dilation)
         enters = any(mass.kind == INFLOW for mass in scene.masses)
         require(not enters, "masses", "no inflow in a scene with saturated material", "one")
         keeps = scene.volume_correction is not False

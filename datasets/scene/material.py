@@ -102,7 +102,8 @@ class Material(Record):
     poisson: Ratio = 0.3
     """Poisson's ratio [-], in [0, 0.4999]."""
     dilation_deg: float = 0.0
-    """Angle of dilation [deg], in [0, friction_deg]; for ever where there is no `softening_length`."""
+    """Angle of dilation [deg], in [0, friction_deg]; for ever where there is no `softening_length`. Saturated material
+    needs one, and contracts where the angle is negative, down to -friction_deg."""
     cohesion: Strength = 0.0
     """Cohesion [Pa], where `strength_gradient` at the top of the body."""
     strength_gradient: Growth = 0.0
@@ -155,7 +156,11 @@ class Material(Record):
         highest = ANGLES[self.angle]
         kind = "an angle" if self.angle == "triaxial" else "the angle of a slope"
         require(0.0 <= self.friction_deg < highest, "friction_deg", f"{kind} in [0, {highest:g}) degrees")
-        require(0.0 <= self.dilation_deg <= self.friction_deg, "dilation_deg", "an angle in [0, friction_deg]")
+        loosest, span = (-self.friction_deg, "[-friction_deg") if self.saturated else (0.0, "[0")
+        dilates = loosest <= self.dilation_deg <= self.friction_deg
+        require(dilates, "dilation_deg", f"an angle in {span}, friction_deg]")
+        ends = self.dilation_deg == 0.0 or not self.saturated or self.softening_length is not None
+        require(ends, "dilation_deg", "0 of saturated material without a softening_length, over which dilation ends,")
         strong = self.friction_deg > 0.0 or self.cohesion > 0.0 or self.law != MOHR_COULOMB
         require(strong, "friction_deg", "an angle above 0 degrees where there is no cohesion")
         for key, peak in zip(SOFTENING, (self.friction_deg, self.cohesion, self.cutoff_at(0.0)), strict=True):

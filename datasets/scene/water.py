@@ -5,12 +5,12 @@ The pore pressure p of a mixture whose grains and water move together follows
     dp/dt = Q (div(kappa (grad p - rho_w g)) - div v),    kappa = k / (rho_w g)
 
 with the permeability k [m/s] and a bulk modulus Q of the water per volume of the mixture. Q is numerical: `STIFFER`
-times the constrained modulus M of the skeleton, far below that of water, of which a flow does not take notice as long
-as Q >> M. The coefficient of consolidation is that of the mixture as it is computed,
+times the constrained modulus M of the skeleton, far below that of water. Grains change their volume by the water that
+flows alone (`mpm.physics.water`), their shape by all strain, so that the coefficient of consolidation is
 
-    c_v = kappa M Q / (M + Q)    (Terzaghi 1923; k M / (rho_w g) for stiff water),
+    c_v = kappa M / (1 + 4 G / (3 Q))    (Terzaghi 1923; k M / (rho_w g) for stiff water),
 
-so that a `consolidation` given as c_v is met whatever Q is.
+and a `consolidation` given as c_v is met whatever Q is.
 """
 
 from datasets.errors import require
@@ -19,6 +19,8 @@ from datasets.scene.parts import SceneLayout
 
 DENSITY = 1000.0
 """Of water [kg/m^3]."""
+CAVITATION = 1.0e5
+"""Suction at which water boils [Pa]."""
 NO_GRAVITY = 1.0e-9
 """Less than any [m/s^2]."""
 STIFFER = 20.0
@@ -49,7 +51,8 @@ def consolidation(material: Material, gravity: float) -> float:
 def mobility(material: Material, gravity: float) -> float:
     """kappa [m^2/(Pa s)] with which the mixture consolidates as `consolidation` says."""
     modulus = constrained_modulus(material)
-    return consolidation(material, gravity) * (1.0 + STIFFER) / (STIFFER * modulus)
+    deviator = 4.0 / 3.0 * material.shear_modulus / (STIFFER * modulus)
+    return consolidation(material, gravity) * (1.0 + deviator) / modulus
 
 
 def drainage(scene: SceneLayout, time: float) -> str:
@@ -69,6 +72,13 @@ def drainage(scene: SceneLayout, time: float) -> str:
     kind = "drained" if time > DRAINED * needed else "undrained" if time < UNDRAINED * needed else "partly drained"
     figures = f"consolidation over {tall:.3g} m takes {needed:.3g} s"
     return f"{kind}: {figures}, {float(f'{needed / time:.2g}'):g} times the {time:.3g} s of the run"
+
+
+def seepage(scene: SceneLayout) -> float:
+    """Whether water flows from cell to cell while a scene lasts: c_v time / cell^2 [-], at most 1; 0 where dry."""
+    material = saturated(scene)
+    rate = 0.0 if material is None else consolidation(material, scene.gravity)
+    return min(rate * scene.duration / scene.domain.cell**2, 1.0)
 
 
 def pore_numbers(scene: SceneLayout) -> tuple[float, float, float]:

@@ -57,6 +57,7 @@ class Setting(TableColumn):
     WATER_MODULUS = auto()  # Q (`mpm.physics.water`) [Pa]
     WATER_DIFFUSION = auto()  # Q kappa [m^2/s]
     WATER_WAVE = auto()  # Q over the density of the mixture [m^2/s^2]
+    SEEPAGE = auto()  # c_v times the duration over a cell squared [-], at most 1
     DRAINED = auto()  # 1 where floor and solids let water out, else 0
 
 
@@ -216,6 +217,7 @@ class Pore(TableColumn):
     PRESSURE = auto()  # [Pa]
     CLOSED = auto()  # bit f: a solid is beyond face f, x-, x+, y-, ...
     CENTRE_X, CENTRE_Y, CENTRE_Z = auto(), auto(), auto()  # from the middle of the cell [cells]
+    SUCTION = 7  # that water bears in it [Pa], where material dilates
     CHANGE = 8  # of the pressure in a step [Pa]
     SOURCE = 9  # of it, explicit in time [Pa]
     SHARE = 10  # of the cell that is full [-]

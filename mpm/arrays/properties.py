@@ -22,7 +22,7 @@ from datasets.geometry.placement import remembers_gaps
 from datasets.scene import NO_SLIP, Scene, coefficient
 from datasets.scene.material import Material
 from datasets.scene.particles import Particles
-from datasets.scene.water import pore_numbers
+from datasets.scene.water import pore_numbers, seepage
 from mpm.arrays.features import drags_of, features_of
 from mpm.arrays.layout import Property, Setting
 from mpm.laws import law_named
@@ -89,6 +89,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,
         Setting.WEIGHT: weight,
         Setting.REST_ENERGY: REST_ENERGY * weight * scene_height(scene),
+        Setting.SEEPAGE: seepage(scene),
         Setting.DRAINED: float(scene.water is not None and scene.water.drained),
         **dict(zip((Setting.WATER_MODULUS, Setting.WATER_DIFFUSION, Setting.WATER_WAVE), pores, strict=True)),
     }

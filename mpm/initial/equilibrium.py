@@ -51,6 +51,8 @@ SHIFT = 1.0e-9
 EXTRA_STEPS = 60
 """Steps of conjugate gradients after which the block is factorised anew."""
 MOST_STEPS = 600
+SETTLING = {2: 20, 3: 5}
+"""Solutions for layers on a slope, by dimension."""
 
 
 class Equilibrium:
@@ -155,6 +157,24 @@ class Equilibrium:
                 precondition = None
         self.free, self.slip = state
         return best
+
+    def settled(self, stress: Floats, traction: Floats) -> Floats:
+        """`stress` [Pa], [N, 3, 3], of layers on a slope, after its grains have taken what it leaves unbalanced.
+
+        traction: shear traction of the ground [Pa], [M, D]. What accelerates the layers as a whole stays.
+        """
+        self.inertia = self.loose_inertia / INERTIA
+        # That inertia leaves little for a factorisation to do, whose memory a wide layer could not pay.
+        self.direct = self.direct[:0]
+        precondition = self.preconditioner()
+        for _ in range(SETTLING[self.dimension]):
+            force = np.where(self.free, self.unbalanced(stress, traction), 0.0)
+            displacements, _ = conjugate_gradients(self.stiffness, force, precondition)
+            free = stress + self.elastic(displacements)
+            stress = self.admitted(free)
+            if np.abs(stress - free).max() <= ROUNDING * np.abs(stress).max():
+                break
+        return stress
 
     def pulled(self, force: Floats) -> NDArray[np.bool_]:
         """Which components of nodes a wall would have to pull against the unbalanced `force` [N], both [n, D]."""
@@ -265,6 +285,8 @@ class Equilibrium:
         contact = self.theta * self.lame, self.theta * self.shear
         diagonal += self.contact.diagonal(*contact) + self.inertia
         inverse = np.where(self.free & (diagonal > 0.0), 1.0 / np.where(diagonal > 0.0, diagonal, 1.0), 0.0)
+        if len(self.direct) == 0:
+            return lambda force: inverse * force
         parts = [matrix[:, self.direct].tocsr() for matrix in each]
         used = np.flatnonzero(np.diff(parts[0].indptr))
         parts = [part[used] for part in parts]

@@ -68,6 +68,12 @@ def initial_tractions(
     rounded = particles.positions if positions is None else np.asarray(positions, np.float64)
     stress, shear = slope_stress(scene, particles, rounded, None if water is None else water[:, 2])
     chosen = np.array([mass.k0 is not None for mass in scene.masses])[particles.mass]
+    if water is not None and not chosen.all() and scene.gravity > 0.0:
+        # Else water would take what is unbalanced on the grid: it is the stiffer.
+        numbers = np.flatnonzero(~chosen)
+        problem = Equilibrium(scene, particles, rounded, numbers)
+        problem.carry(water[numbers, 0], None if seepage is None else seepage[numbers])
+        stress[numbers] = problem.settled(stress[numbers], shear[numbers[problem.contact.touching]])
     if chosen.any() and scene.gravity > 0.0:
         guess, numbers = geostatic(scene, particles, rounded), np.flatnonzero(chosen)
         problem = Equilibrium(scene, particles, rounded, numbers)

@@ -154,7 +154,10 @@ def moved_node(node, index: ti.template(), worker, scene, dt, kappa, arrays: ti.
         a = a - arrays.settings[scene, Setting.DAMPING] * size * sign
     new = ti.Vector([old[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
     indices = ti.Vector([index[axis] for axis in ti.static(range(features.dimension))])
-    new = apply_walls(new, indices, box_cells(scene, arrays), features.dimension, mass, worker, scene, arrays)
+    share = 0.0 * mass + 1.0
+    if ti.static(features.wet_walls):
+        share = node[features.node.grains] / mass
+    new = apply_walls(new, indices, box_cells(scene, arrays), features.dimension, mass, share, worker, scene, arrays)
     if ti.static(features.contact):
         new = apply_solids(new, mass, indices, worker, scene, True, arrays)
     if ti.static(features.channel):

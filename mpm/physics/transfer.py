@@ -35,7 +35,7 @@ from mpm.arrays.features import NODE, REGISTER
 from mpm.arrays.layout import CACHE_LINE, PADDING, Offset, Property, Setting, Worker, component
 from mpm.physics.channel import side_friction
 from mpm.physics.columns import node_at
-from mpm.physics.contact import distance_in_widths, push, total_stress, touches
+from mpm.physics.contact import distance_in_widths, grain_share, push, total_stress, touches
 from mpm.physics.inflow import waits
 from mpm.physics.volume_correction import held_affine, is_loose, looseness
 
@@ -228,6 +228,8 @@ def leave_contributions(
         arrays.scratch[values + features.node.side_friction] = side_friction(grains, volume, grip)
     if ti.static(features.turbulent):
         arrays.scratch[values + features.node.distance] = mass * distance_in_widths(scene, block, arrays)
+    if ti.static(features.wet_walls):
+        arrays.scratch[values + features.node.grains] = mass * grain_share(scene, block, arrays)
 
 
 @ti.func

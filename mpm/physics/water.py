@@ -11,12 +11,22 @@ slides grains at random (the locking of Nagtegaal, Parks & Rice 1974, cured as b
 
     p_c = sum_p V_p p_p / sum_p V_p,    e_c = sum_p V_p tr(D_p) / sum_p V_p        over the particles p in cell c
     (1 + L) delta = -Q e_c + dt Q kappa div(grad p_c - rho_w g)
-    p_p = p_c + delta_c + s_c . (x_p - x_c)
+    p_p <- p_c + delta_c + s_c . (x_p - x_c)
 
 with the slope s_c of p_c between the neighbours of a cell and its centre of mass x_c: so a linear pressure stays as it
 is, and what particles keep of other cells is gone. L = -(dt Q kappa + (dt c)^2) Laplace, c^2 = Q / rho: backward in
 time for the flow of water, and for its pressure waves as much, so that these do not shorten the step. At a wave number
 k 1 / Q + (dt k)^2 / rho then stands for 1 / Q, which over M is (step_fraction k dx)^2 more.
+
+**Grains** strain by the water that flows: full pores keep their volume, and what the numerical Q lets it change is no
+strain of the skeleton. The volume strain of the grains of a particle in a step is
+
+    e_g = e_c - w_c - (q_p - change of max(p_p, 0)) / Q,    w_c = waves (delta_c - source_c) / Q
+
+with q_p the part of the change of p_p that is not delta_c, by which particles of a cell share their pressure, and w_c
+the strain that the waves' part of L takes away. Where p > 0 that is the flow alone, kappa div(grad p - rho_w g) dt:
+undrained grains keep their mean effective stress to rounding, whatever Q, E and the scatter of e_c. Where water has
+opened, it is e_c but for the sharing, and the stress comes back as p does.
 
 Gauss-Seidel sweeps over red and black cells solve the system, from delta without L on: a few keep it stable, and a
 uniform strain is exact before the first.
@@ -25,10 +35,17 @@ Where a cell has no saturated neighbour is a surface, with p = 0, through which 
 something solid, which is tight or a drain: a wall of the box or what particles in the cell touch. A gap of one cell
 between two others is neither.
 
-**Opening.** Water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes before
-it presses again. Grains do the same with their gap (`mpm.physics.volume_correction`), which here follows the volume
-strain of the cell alone: one that grew with the grid's density could never close while water fills it, and the grains
-would have lost their friction for good. For the same reason all that opens at a solid is strain.
+At a tight solid nothing flows, and the slope there is that at rest; a surface lies as far from the centre of mass of
+a cell as what fills it from the other side tells.
+
+**Dilation.** Grains that dilate while they shear suck, those that contract press on their water: the return map does
+that, at the volume that water keeps. Where a material of the scene dilates, water bears a suction up to that of
+cavitation, and no more than presses grains on each other; it ends with the dilation (`softening_length`).
+
+**Opening.** Else water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes
+before it presses again. Grains do the same with their gap (`mpm.physics.volume_correction`), which here follows strain
+alone: one that grew with the grid's density could never close while water fills it, and the grains would have lost
+their friction for good. For the same reason all that opens at a solid is strain.
 """
 
 import taichi as ti
@@ -39,7 +56,7 @@ from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.columns import node_at
-from mpm.physics.contact import contact_at
+from mpm.physics.contact import contact_at, suction_held
 from mpm.physics.transfer import particles_in, property_of, volume_of
 
 MOST = 10.0
@@ -111,6 +128,10 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
             sums[Pore.PRESSURE] += volume * arrays.lanes[state + features.state.pore_pressure * lanes]
             bits = ti.cast(sums[Pore.CLOSED], ti.i32) | ti.cast(arrays.scratch_lanes[own + (free + 1) * lanes], ti.i32)
             sums[Pore.CLOSED] = ti.cast(bits, float)
+            if ti.static(features.dilates):
+                at_stress = state + features.state.stress * lanes
+                held = suction_held([arrays.lanes[at_stress + k * lanes] for k in ti.static(range(3))], features)
+                sums[Pore.SUCTION] += volume * held
             for k in ti.static(range(features.dimension)):
                 sums[Pore.CENTRE_X + k] += volume * arrays.scratch_lanes[own + (features.dimension + k) * lanes]
             arrays.cells[2 * at] = sums
@@ -129,7 +150,7 @@ def update_water(worker, scene, dt, arrays: ti.template()):
         relax(worker, scene, stiffness, diffusion, half % 2, arrays)
     table, scratch = arrays.workers[worker, Worker.COLUMN], arrays.workers[worker, Worker.SCRATCH]
     for block in range(arrays.workers[worker, Worker.FIRST], arrays.workers[worker, Worker.LAST]):
-        take_from_cells(scene, table, block, scratch, arrays)
+        take_from_cells(scene, table, block, scratch, 1.0 - diffusion / stiffness, arrays)
 
 
 @ti.func
@@ -149,8 +170,8 @@ def mean_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
     """Means of a cell in place of its sums."""
     sums = arrays.cells[2 * cell]
     per_volume = 1.0 / sums[Pore.VOLUME]
-    for k in ti.static((Pore.STRAIN, Pore.PRESSURE, Pore.CENTRE_X, Pore.CENTRE_Y, Pore.CENTRE_Z)):
-        if ti.static(k < Pore.CENTRE_X + arrays.features.dimension):
+    for k in ti.static((Pore.STRAIN, Pore.PRESSURE, Pore.CENTRE_X, Pore.CENTRE_Y, Pore.CENTRE_Z, Pore.SUCTION)):
+        if ti.static(k < Pore.CENTRE_X + arrays.features.dimension or k == Pore.SUCTION):
             sums[k] *= per_volume
     arrays.cells[2 * cell] = sums
 
@@ -195,14 +216,19 @@ def beyond_face(cell, place, face: ti.template(), table, scene, arrays: ti.templ
 
 
 @ti.func
+def below_surface(sums, face: ti.template()):
+    """How far the centre of mass of a cell lies below a surface beyond a face [cells]: what fills it lies opposite."""
+    return ti.max(0.5 + ti.static(2 * (face % 2) - 1) * sums[Pore.CENTRE_X + ti.static(face // 2)], 0.25)
+
+
+@ti.func
 def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
     """The change of the pressure of a cell explicit in time, its slope, and what lies around it."""
     features, dx = arrays.features, arrays.settings[scene, Setting.CELL]
-    sums, code, surfaces = arrays.cells[2 * cell], 0, 0
+    sums, code = arrays.cells[2 * cell], 0
     own, inflow, given = sums[Pore.PRESSURE], 0.0 * sums[Pore.PRESSURE], arrays.cells[2 * cell + 1]
     pull = ti.Vector([arrays.settings[scene, Setting.GRAVITY_X], arrays.settings[scene, Setting.GRAVITY_Y], 0.0 * dx])
-    full = ti.min(sums[Pore.VOLUME] / dx**features.dimension, 1.0)
-    gap = ti.max(0.5 * full, 0.25)
+    full = 1.0 + 0.0 * own
     for axis in ti.static(range(features.dimension)):
         rise, run = 0.0 * own, 0.0 * own
         for side in ti.static(range(2)):
@@ -219,23 +245,26 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                     if ti.static(k == axis):
                         part += away
                     weight += DENSITY * dx * pull[k] * part
-                step = ti.max(other[Pore.PRESSURE], 0.0) - ti.max(own, 0.0)
+                there, here = other[Pore.PRESSURE] + other[Pore.SUCTION], own + sums[Pore.SUCTION]
+                step = ti.max(there, 0.0) - ti.max(here, 0.0) - other[Pore.SUCTION] + sums[Pore.SUCTION]
                 flow = (step - weight) / apart
                 # Nothing flows out of pores that are not full.
-                if (flow > 0.0 and other[Pore.PRESSURE] > 0.0) or (flow < 0.0 and own > 0.0):
+                if (flow > 0.0 and there > 0.0) or (flow < 0.0 and here > 0.0):
                     inflow += flow
-                rise += away * (other[Pore.PRESSURE] - own)
+                rise += away * step
                 run += apart
             elif kind == Face.SURFACE or kind == Face.DRAIN:
-                distance = 0.5 + 0.0 * gap
+                distance = 0.5 + 0.0 * own
                 if kind == Face.SURFACE:
-                    distance, surfaces = gap, surfaces + 1
+                    distance = below_surface(sums, face)
+                    full *= ti.min(2.0 * distance, 1.0)
                 if own > 0.0:
                     inflow -= ti.max(own / distance + DENSITY * dx * pull[axis] * away, 0.0)
+            elif kind == Face.TIGHT:
+                rise += arrays.settings[scene, Setting.SEEPAGE] * DENSITY * dx * pull[axis]
+                run += arrays.settings[scene, Setting.SEEPAGE]
         if run > 0.0:
             given[Pore.SLOPE_X + axis - NODE] = rise / run
-    if surfaces == 0:
-        full = 1.0 + 0.0 * full
     source = diffusion * inflow - full * arrays.settings[scene, Setting.WATER_MODULUS] * sums[Pore.STRAIN]
     given[Pore.CHANGE - NODE], given[Pore.SOURCE - NODE] = source / full, source
     given[Pore.SHARE - NODE], given[Pore.FACES - NODE] = full, ti.cast(code, float)
@@ -259,13 +288,12 @@ def relax(worker, scene, stiffness, diffusion, colour, arrays: ti.template()):
 @ti.func
 def relax_cell(cell, column, j, deep, stiffness, diffusion, arrays: ti.template()):
     """The same for one of them; j: its place in a column of nodes."""
-    given = arrays.cells[2 * cell + 1]
+    sums, given = arrays.cells[2 * cell], arrays.cells[2 * cell + 1]
     code, total, diagonal = (
         ti.cast(given[Pore.FACES - NODE], ti.i32),
         given[Pore.SOURCE - NODE],
         given[Pore.SHARE - NODE],
     )
-    gap = ti.max(0.5 * diagonal, 0.25)
     for face in ti.static(range(2 * arrays.features.dimension)):
         kind = (code >> (3 * face)) & 7
         if kind == Face.CELL:
@@ -277,18 +305,18 @@ def relax_cell(cell, column, j, deep, stiffness, diffusion, arrays: ti.template(
             total += stiffness * number(arrays.cells, other, Pore.CHANGE)
             diagonal += stiffness
         elif kind == Face.SURFACE:
-            diagonal += stiffness / gap
+            diagonal += stiffness / below_surface(sums, face)
         elif kind == Face.DRAIN:
             diagonal += diffusion / 0.5
         elif kind == Face.GAP:
             # Water does not pass it, but what is beside it gives way.
-            diagonal += (stiffness - diffusion) / gap
+            diagonal += (stiffness - diffusion) / below_surface(sums, face)
     given[Pore.CHANGE - NODE] = total / diagonal
     arrays.cells[2 * cell + 1] = given
 
 
 @ti.func
-def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
+def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
     """Pore pressure of the particles of a block from that of their cells; their grains get the strain of these."""
     features, lanes, deep = arrays.features, arrays.features.lanes, columns_deep(scene, arrays)
     first, values = no_overflow(block * features.state.size), scratch + features.scratch.values
@@ -301,12 +329,25 @@ def take_from_cells(scene, table, block, scratch, arrays: ti.template()):
         if arrays.scratch_lanes[own + free * lanes] > 0.0:
             at, state = cell_of(scratch, lane, table, deep, arrays), no_overflow(first * lanes + lane)
             means, given = arrays.cells[2 * at], arrays.cells[2 * at + 1]
-            p = means[Pore.PRESSURE] + given[Pore.CHANGE - NODE]
+            change, modulus = given[Pore.CHANGE - NODE], arrays.settings[scene, Setting.WATER_MODULUS]
+            p = means[Pore.PRESSURE] + change
             for k in ti.static(range(features.dimension)):
                 apart = arrays.scratch_lanes[own + (features.dimension + k) * lanes] - means[Pore.CENTRE_X + k]
                 p += given[Pore.SLOPE_X + k - NODE] * apart
+            least, before = 0.0 - means[Pore.SUCTION], arrays.lanes[state + features.state.pore_pressure * lanes]
+            mixed = p - change - before - (ti.max(p, least) - ti.max(before, least))
+            removed = waves * (change - given[Pore.SOURCE - NODE] / given[Pore.SHARE - NODE])
             arrays.lanes[state + features.state.pore_pressure * lanes] = p
+            if ti.static(features.contact):
+                foot, at_contact = p, contact_at(block, 0, arrays) * lanes + lane
+                if arrays.lanes[at_contact + Contact.DELTA * lanes] > 0.0:
+                    away = arrays.lanes[at_contact + Contact.DISTANCE * lanes] / arrays.settings[scene, Setting.CELL]
+                    for k in ti.static(range(features.dimension)):
+                        normal = arrays.lanes[at_contact + (Contact.NORMAL + k) * lanes]
+                        foot -= given[Pore.SLOPE_X + k - NODE] * normal * away
+                arrays.lanes[state + features.state.foot_pressure * lanes] = ti.max(foot, least) - ti.max(p, least)
             strain = means[Pore.STRAIN] - arrays.lanes[state + features.state.volume_strain * lanes]
+            strain -= (mixed + removed) / modulus
             arrays.scratch_lanes[own + (free + 1) * lanes] = strain
             arrays.lanes[state + features.state.volume_strain * lanes] = DAMPING * given[Pore.CHANGE - NODE]
     share_strain(scene, block, arrays.scratch[values + free + 1], arrays)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from datasets import Mass, Material, Scene, Solid, Trajectory
 from datasets.scene import water
@@ -23,6 +24,7 @@ from mpm import simulate
 from mpm.adjoint.tape import check as known_to_adjoint
 from mpm.arrays.features import features_of
 from mpm.output.recording import Recording
+from tests.mpm.element import follow
 from tests.refusals import refused
 from tests.scenes import scene_of
 
@@ -74,12 +76,14 @@ def test_water_at_rest_moves_nothing() -> None:
     assert np.allclose(pressures(flow)[-1].mean(), 0.5 * water.DENSITY * GRAVITY * HEIGHT, rtol=0.02)
 
 
-def squeezed(rate_x: float, rate_y: float) -> tuple[Trajectory, float, float]:
+def squeezed(
+    rate_x: float, rate_y: float, *, material: Material = WET, time: float = 2.0e-5
+) -> tuple[Trajectory, float, float]:
     """A saturated body of hardly any weight in a corner, that begins with v = (rate_x x, rate_y y), after a step.
 
     Returns its flow, the numerical modulus of the water [Pa] and the time [s].
     """
-    time, size = 2.0e-5, (1.2, 1.2)
+    size = (1.2, 1.2)
     places = {"origin": (0.0, 0.0), "spacing": size, "nodes": (2, 2)}
     fields = (
         Field(quantity="velocity_x", values=(0.0, 0.0, rate_x * size[0], rate_x * size[0]), **places),
@@ -88,7 +92,7 @@ def squeezed(rate_x: float, rate_y: float) -> tuple[Trajectory, float, float]:
     body = Mass(lower=(0.0, 0.0), size=size, k0=0.5, initial_pore_pressure_ratio=0.0)
     changes: dict[str, Any] = {"gravity": 1.0e-6, "duration": time, "frame_dt": time, "fields": fields, **EVEN}
     scene = scene_of(
-        body, size=(1.4, 1.4), particles_per_axis=1, material=dataclasses.replace(WET, young=2.0e6), **changes
+        body, size=(1.4, 1.4), particles_per_axis=1, material=dataclasses.replace(material, young=2.0e6), **changes
     )
     flow = simulate(scene, record=FIELDS, precision="f64")
     return flow, water.STIFFER * constrained_modulus(scene.material), time
@@ -113,25 +117,77 @@ def test_undrained_shear_makes_no_pressure() -> None:
     assert np.abs(pressures(flow)[-1, inside(flow)]).max() < 1.0e-6 * modulus * rate * time
 
 
+@pytest.mark.double
+def test_grains_that_dilate_at_constant_volume_press_on_each_other() -> None:
+    """The mean effective stress by the flow of the plane F_13, in several steps, before waves come from the surface."""
+    soil = dataclasses.replace(WET, cohesion=1.0, tension_cutoff=9.0, dilation_deg=10.0, softening_length=1.0e9)
+    rate, time = 1.0e-2, 1.0e-3
+    flow, _, _ = squeezed(rate, -rate, material=soil, time=time)
+    sand = dataclasses.replace(soil, young=2.0e6)
+    phi, psi = math.radians(soil.friction_deg), math.radians(soil.dilation_deg)
+    excess = 4.0 * sand.shear_modulus * rate * time - 2.0 * soil.cohesion * math.cos(phi)
+    flowed = excess / (4.0 * (sand.shear_modulus + (sand.lame + sand.shear_modulus) * math.sin(phi) * math.sin(psi)))
+    assert flow.pressure is not None
+    expected = 2.0 * math.sin(psi) * (sand.lame + 2.0 / 3.0 * sand.shear_modulus) * flowed
+    assert flow.pressure[-1, inside(flow)] == pytest.approx(expected, rel=5.0e-4)
+    assert pressures(flow)[-1, inside(flow)].max() < 2.0e-3 * expected
+
+
+@pytest.mark.double
+@pytest.mark.parametrize("dilation_deg", [10.0, -10.0])
+def test_undrained_shear_moves_along_the_failure_line(dilation_deg: float) -> None:
+    """At a constant total stress: water bears what dilation takes from it, till contraction leaves grains nothing."""
+    soil = dataclasses.replace(WET, young=2.0e7, dilation_deg=dilation_deg, softening_length=1.0e9)
+    sin_phi, sin_psi = 0.5, math.sin(math.radians(dilation_deg))
+    shear, bulk = soil.shear_modulus, soil.lame + soil.shear_modulus
+    modulus = water.STIFFER * constrained_modulus(soil)
+    strain, total, p = 2.0e-3, 1.0e5, 0.0
+    stress = -total * np.array([1.0 - sin_phi, 1.0 + sin_phi, 2.0 * soil.poisson, 0.0])
+    matrix = np.array([[bulk + modulus, -bulk * sin_psi], [-sin_phi * bulk, shear + bulk * sin_phi * sin_psi]])
+    volume, _flowed = np.linalg.solve(matrix, np.array([0.0, shear * strain]))
+    for number in range(1, 11):
+
+        def unbalanced(e: float, start: np.ndarray[Any, Any] = stress, held: float = p) -> float:
+            xx, yy, *_ = follow(soil, np.diag([e + strain, e - strain])[None], start)[0]
+            return float(0.5 * (xx + yy) - held + 2.0 * modulus * e + total)
+
+        e = brentq(unbalanced, -strain, strain, xtol=1.0e-16)
+        stress, p = follow(soil, np.diag([e + strain, e - strain])[None], stress)[0], p - 2.0 * modulus * e
+        expected = min(-2.0 * modulus * volume * number, total)
+        assert p == pytest.approx(expected, rel=1.0e-6)
+        least, most = stress[:2]
+        assert most - least == pytest.approx(sin_phi * (most + least), abs=1.0e-6 * total)
+    assert (p == pytest.approx(total)) == (dilation_deg < 0.0)
+
+
 def sheet(
-    ratio: float, *, slope_deg: float, friction: float, c_v: float | None = None, width: float = 0.0, **changes: Any
+    ratio: float,
+    *,
+    slope_deg: float,
+    friction: float,
+    width: float = 0.0,
+    length: float = 2.0,
+    material: dict[str, Any] | None = None,
+    **changes: Any,
 ) -> Scene:
     """A sheet of five cells on an incline, in a tilted box; in 3D with a width [m]."""
-    material = dataclasses.replace(WET, friction_deg=35.0, consolidation=c_v)
-    bed = Solid(kind="terrain", points=((0.0, 0.0), (3.0, 0.0)), friction=friction)
+    soil = dataclasses.replace(WET, **{"friction_deg": 35.0} | (material or {}))
+    bed = Solid(kind="terrain", points=((0.0, 0.0), (length + 1.0, 0.0)), friction=friction)
     across = (width,) if width else ()
     if width:
         level = ((0.0, 0.0), (0.0, 0.0))
-        bed = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(3.0, width), heights=level, friction=friction)
-    body = Mass(lower=(0.1, 0.0, 0.0)[: 2 + len(across)], size=(2.0, 0.1, *across), initial_pore_pressure_ratio=ratio)
+        spacing = (length + 1.0, width)
+        bed = Solid(kind="terrain", origin=(0.0, 0.0), spacing=spacing, heights=level, friction=friction)
+    place, size = (0.1, 0.0, 0.0)[: 2 + len(across)], (length, 0.1, *across)
+    body = Mass(lower=place, size=size, initial_pore_pressure_ratio=ratio)
     given = {"solids": (bed,), "slope_deg": slope_deg, "duration": 0.3, "frame_dt": 0.03} | EVEN | changes
-    return scene_of(body, size=(3.0, 0.3, *across), material=material, **given)
+    return scene_of(body, size=(length + 1.0, 0.3, *across), material=soil, **given)
 
 
 def travelled(flow: Trajectory) -> np.ndarray[Any, Any]:
     """Displacement of the middle of a sheet along its bed [m], [T]."""
     x = flow.positions[:, :, 0]
-    middle = np.abs(x[0] - 1.1) < 0.2
+    middle = np.abs(x[0] - 0.5 * (x[0].min() + x[0].max())) < 0.2
     return np.asarray((x[:, middle] - x[0, middle]).mean(axis=1))
 
 
@@ -143,60 +199,107 @@ def test_a_sheet_slides_by_its_effective_stress(ratio: float, changes: dict[str,
     flow = simulate(sheet(ratio, slope_deg=slope_deg, friction=friction, **changes))
     steep = math.radians(slope_deg)
     acceleration = GRAVITY * (math.sin(steep) - (1.0 - ratio) * friction * math.cos(steep))
-    assert travelled(flow)[-1] == pytest.approx(0.5 * acceleration * flow.time[-1] ** 2, rel=0.025)
+    # A single row of particles in each cell does not tell the pressure at the bed.
+    miss = 0.06 if "particles_per_axis" in changes else 0.035
+    assert travelled(flow)[-1] == pytest.approx(0.5 * acceleration * flow.time[-1] ** 2, rel=miss)
 
 
 @pytest.mark.slow
-def test_a_sheet_stops_as_its_water_drains() -> None:
-    slope_deg, friction, ratio, c_v, thickness = 12.0, 0.5, 0.9, 0.02, 0.1
-    scene = sheet(ratio, slope_deg=slope_deg, friction=friction, c_v=c_v, duration=1.0, frame_dt=0.05)
-    # So strong that its grains stay elastic: c_v is less where they yield.
-    flow = simulate(dataclasses.replace(scene, material=dataclasses.replace(scene.material, friction_deg=50.0)))
-    steep, step = math.radians(slope_deg), 5.0e-4
-    time = step * np.arange(1001)
-    excess = (2.0 / MODES**2 * np.exp(-(MODES**2) * c_v / thickness**2 * time[:, None])).sum(axis=1)
-    share = 0.5 + (ratio - 0.5) * excess
-    acceleration = GRAVITY * (math.sin(steep) - (1.0 - share) * friction * math.cos(steep))
-    exact = np.sum(np.cumsum(acceleration)) * step**2
+@pytest.mark.parametrize("ratio", [0.2, 0.5, 0.8])
+def test_the_floor_of_the_box_rubs_on_grains_alone(ratio: float) -> None:
+    slope_deg, friction = 25.0, 0.3
+    scene = sheet(ratio, slope_deg=slope_deg, friction=0.0)
+    flow = simulate(dataclasses.replace(scene, solids=(), floor_friction=friction))
+    steep = math.radians(slope_deg)
+    acceleration = GRAVITY * (math.sin(steep) - (1.0 - ratio) * friction * math.cos(steep))
+    assert travelled(flow)[-1] == pytest.approx(0.5 * acceleration * flow.time[-1] ** 2, rel=0.06)
+
+
+def draining(c_v: float, ratio: float, duration: float) -> tuple[Trajectory, float]:
+    """A sheet whose water drains at its top: its flow, and the mean share of its weight that grains bear at the bed.
+
+    So long that waves from its ends do not reach the middle, and so strong that its grains stay elastic.
+    """
+    soil: dict[str, Any] = {"friction_deg": 50.0, "young": 2.0e5, "consolidation": c_v}
+    times: dict[str, Any] = {"duration": duration, "frame_dt": 0.02}
+    flow = simulate(sheet(ratio, slope_deg=8.0, friction=0.35, length=16.0, material=soil, **times), record=FIELDS)
+    time = np.linspace(0.0, duration, 1001)
+    excess = (2.0 / MODES**2 * np.exp(-(MODES**2) * c_v / 0.1**2 * time[:, None])).sum(axis=1)
+    return flow, float(np.mean(0.5 - (ratio - 0.5) * excess))
+
+
+@pytest.mark.slow
+def test_a_sheet_is_braked_as_its_water_drains() -> None:
+    """The impulse of the bed is that of the effective stress of a one-dimensional layer (Terzaghi)."""
+    flow, share = draining(0.01, 0.8, 0.3)
+    steep, time = math.radians(8.0), float(flow.time[-1])
+    assert flow.velocities is not None
+    x = flow.positions[0, :, 0]
+    speed = flow.velocities[-1, np.abs(x - 8.1) < 0.2, 0].mean()
+    braked = math.sin(steep) - speed / (GRAVITY * time)
+    assert braked / (0.35 * math.cos(steep)) == pytest.approx(share, rel=0.04)
+
+
+@pytest.mark.slow
+def test_a_sheet_stops_once_its_water_has_drained() -> None:
+    flow, _ = draining(0.03, 0.9, 0.6)
     moved = travelled(flow)
-    assert moved[10] == pytest.approx(exact, rel=0.05)
-    assert moved[-1] - moved[-3] < 0.01 * moved[10]
+    assert moved[5] < 0.9 * moved[-1]
+    assert moved[-1] - moved[-6] < 0.02 * moved[-1]
 
 
 @pytest.mark.slow
-def test_the_modulus_of_the_water_is_numerical(monkeypatch: pytest.MonkeyPatch) -> None:
-    fronts = {}
-    for stiffer in (20.0, 200.0):
-        monkeypatch.setattr(water, "STIFFER", stiffer)
-        scene = sheet(0.5, slope_deg=25.0, friction=0.3)
-        fronts[stiffer] = travelled(simulate(scene))[-1]
-    assert fronts[200.0] == pytest.approx(fronts[20.0], rel=0.02)
+def test_the_moduli_of_water_and_grains_are_numerical(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = front(0.8, seeds=1, **EVEN)
+    assert front(0.8, seeds=1, young=2.0e6, **EVEN) == pytest.approx(usual, rel=0.04)
+    monkeypatch.setattr(water, "STIFFER", 80.0)
+    assert front(0.8, seeds=1, **EVEN) == pytest.approx(usual, rel=0.04)
 
 
-def front(ratio: float | None, *, cell: float = 0.01, young: float = 2.0e5, **changes: Any) -> float:
-    """Mean front of a column of 0.2 m over three jitters [m]; dry without a ratio."""
-    material = dataclasses.replace(WET, saturated=ratio is not None, young=young)
+def column(
+    ratio: float | None, *, cell: float = 0.01, young: float = 2.0e5, seed: int = 0, **changes: Any
+) -> Trajectory:
+    """The flow of a column of 0.2 m; dry without a ratio. changes: of the scene, and its `material`."""
+    soil = dataclasses.replace(WET, saturated=ratio is not None, young=young, **changes.pop("material", {}))
     bed = Solid(kind="terrain", points=((0.0, 0.0), (1.6, 0.0)), friction=0.4)
     body = Mass(lower=(0.0, 0.0), size=(0.2, 0.2), k0=0.5, initial_pore_pressure_ratio=ratio)
-    given: dict[str, Any] = {"solids": (bed,), "duration": 1.2, "frame_dt": 0.02, "material": material} | changes
+    given: dict[str, Any] = {"solids": (bed,), "duration": 1.2, "frame_dt": 0.02, "material": soil} | changes
     with warnings.catch_warnings():
         # That no stress within yield balances gravity on a jittered grid; the column falls at once.
         warnings.simplefilter("ignore")
-        flows = [simulate(scene_of(body, size=(1.6, 0.3), cell=cell, seed=seed, **given)) for seed in range(3)]
-    return float(np.mean([flow.summary["front"] for flow in flows]))
+        return simulate(scene_of(body, size=(1.6, 0.3), cell=cell, seed=seed, **given))
+
+
+def front(ratio: float | None, *, seeds: int = 3, **changes: Any) -> float:
+    """Mean front of such columns over several jitters [m]."""
+    return float(np.mean([column(ratio, seed=seed, **changes).summary["front"] for seed in range(seeds)]))
 
 
 @pytest.mark.slow
-def test_columns_run_farther_the_more_water_bears(monkeypatch: pytest.MonkeyPatch) -> None:
-    fronts = [front(ratio) for ratio in (None, 0.2, 0.5, 0.8, 1.0)]
+def test_columns_run_farther_the_more_water_bears() -> None:
+    dry, *fronts = [front(ratio) for ratio in (None, 0.2, 0.5, 0.8, 1.0)]
     assert fronts == sorted(fronts)
-    assert fronts[1] > 1.05 * fronts[0]
-    assert fronts[-1] > 1.7 * fronts[0]
-    assert front(0.5, cell=0.02) == pytest.approx(fronts[2], rel=0.08)
-    assert front(0.5, step_fraction=0.2) == pytest.approx(fronts[2], rel=0.08)
-    assert front(0.5, young=2.0e6) == pytest.approx(fronts[2], rel=0.12)
-    monkeypatch.setattr(water, "STIFFER", 80.0)
-    assert front(0.5) == pytest.approx(fronts[2], rel=0.08)
+    # Grains keep the stress in which they shear, without drainage: a column that thins is then stronger than dry sand.
+    assert fronts[0] == pytest.approx(dry, rel=0.05)
+    assert fronts[-1] > 1.7 * dry
+    assert front(0.5, cell=0.02) == pytest.approx(fronts[1], rel=0.08)
+    assert front(0.5, step_fraction=0.2) == pytest.approx(fronts[1], rel=0.12)
+
+
+@pytest.mark.slow
+def test_dense_columns_suck_and_loose_ones_liquefy() -> None:
+    def psi(degrees: float) -> dict[str, Any]:
+        return {"material": {"dilation_deg": degrees, "softening_length": 0.02 if degrees else None}}
+
+    flows = [column(0.3, **psi(degrees)) for degrees in (-5.0, 0.0, 1.0, 10.0)]
+    fronts = [flow.summary["front"] for flow in flows]
+    assert fronts == sorted(fronts, reverse=True)
+    assert fronts[-1] < 1.1 * 0.2
+    assert fronts[0] > 1.4 * fronts[1]
+    for flow in flows:
+        energy = flow.summary["energy"]
+        total = np.sum([energy[part] for part in ("kinetic", "potential", "elastic")], axis=0)
+        assert np.diff(total).max() < 0.01 * total[0]
 
 
 def test_a_water_table_fills_what_lies_below_it() -> None:
@@ -227,10 +330,12 @@ def test_reports_say_whether_water_drains() -> None:
 def test_scenes_that_water_cannot_be_in_are_refused() -> None:
     body = Mass(lower=(0.0, 0.0), size=(0.2, 0.4))
     assert refused(simulate, scene_of(body, material=WET)).key == "masses[0].k0"
-    for key, value in {"floor_friction": 0.4, "wall_friction": 0.4, "volume_correction": False}.items():
-        assert refused(layer, None, **{key: value}).key == key
-    dense = dataclasses.replace(WET, dilation_deg=5.0)
-    assert refused(scene_of, dataclasses.replace(body, k0=0.5), material=dense).key == "material.dilation_deg"
+    assert refused(layer, None, volume_correction=False).key == "volume_correction"
+    rough = sheet(0.5, slope_deg=25.0, friction=0.3, width=0.12, floor_friction=0.4)
+    voellmy = dataclasses.replace(rough, solids=(dataclasses.replace(rough.solids[0], turbulence=500.0),))
+    assert refused(features_of, [voellmy], "f32").key == "wall_friction"
+    for values in ({"dilation_deg": 5.0}, {"dilation_deg": -31.0, "softening_length": 0.1}):
+        assert refused(dataclasses.replace, WET, **values).key == "material.dilation_deg"
     assert refused(scene_of, water=Water(level=0.1)).key == "water"
     ratio = dataclasses.replace(body, initial_pore_pressure_ratio=0.5)
     assert refused(scene_of, ratio).key == "masses[0].initial_pore_pressure_ratio"
