@@ -20,12 +20,10 @@ affine motion, m_p dx^2 / 8 C_p : C_p, would come from nowhere. With volume corr
 without the forces of the step therefore never grows beyond C_s = sqrt(2 g / dx), which lifts it by a quarter of a cell:
 
     C_p = C_p* - kappa (1 - max(|C_p|, C_s) / |C_p'|)_+ C_p',    C_p' = (4 / dx^2) sum_i w_ip v_i x_ip^T
-
 with C_p* the above. C carries no momentum, so that none is lost.
 
-Everything that belongs to a particle is computed for a block of particles at once, in vectors of lanes, and left in
-`scratch`; then single lanes are summed at the nodes, where a node (momentum, mass, force) is one short vector. What
-a particle gives to a node is linear in the node's position: its value at the lowest node, and one slope per axis.
+What belongs to a particle is computed for a block of them at once, in vectors of lanes, and left in `scratch`; then
+single lanes are summed at the nodes. A node is given its value at the lowest one, and a slope per axis.
 """
 
 import taichi as ti
