@@ -309,7 +309,7 @@ class Batch:
         state, features, cell = self.state_of(index), self.features, self.scenes[index].domain.cell
         x, y, *z = (np.floor(state[:, axis].ravel() / cell).astype(np.int64) for axis in range(features.dimension))
         key = np.zeros_like(x)
-        for number in (x // TILE, z[0] // TILE, x, z[0], y) if z else (x, y):
+        for number in (x // TILE, z[0] // TILE, x % TILE, z[0] % TILE, y) if z else (x, y):
             key = key * (number.max() + 1) + number
         count = len(self.particles[index].positions)
         key[count:] = np.iinfo(np.int64).max

@@ -87,8 +87,14 @@ def on_gpu(quantity: str, scenes: Sequence[Scene]) -> list[float]:
 def on_processors(quantity: str, scenes: Sequence[Scene]) -> list[float]:
     """By the surrogate on every processor: a thread each, which together would be no faster."""
     share = max(1, len(scenes) // processors())
-    with without_main(), ProcessPoolExecutor(processors(), get_context("spawn"), end_with_parent) as pool:
-        return list(pool.map(partial(predicted, quantity), scenes, chunksize=share))
+    with without_main():
+        return list(predicting_processes().map(partial(predicted, quantity), scenes, chunksize=share))
+
+
+@lru_cache(maxsize=1)
+def predicting_processes() -> ProcessPoolExecutor:
+    """Those of all batches: each of them takes seconds to start and to load the model."""
+    return ProcessPoolExecutor(processors(), get_context("spawn"), end_with_parent)
 
 
 def predicted(quantity: str, scene: Scene) -> float:

@@ -18,11 +18,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import beta, binomtest, qmc
+from scipy.stats import beta, qmc
 
 from inverse.answer import Verdict
 from inverse.posterior import Matrix, Row
 from validation.design.problem import DesignProblem
+from validation.design.search import Checked
 
 Predict = Callable[[Matrix], Row]
 """All numbers [n, K + Q] in fractions of their ranges -> responses [n]."""
@@ -139,50 +140,24 @@ class Race:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RacedDesign:
-    """A design by predictions, with what the MPM says of it."""
+class RacedDesign(Checked):
+    """One that predictions found."""
 
-    problem: DesignProblem
     race: Race
-    best: Entry
+    winner: Entry
     pairs: tuple[Row, Row]
     """What the predictor and the MPM say of the same flows, shape [P] each."""
-    points: Matrix
-    """Of the flows of the check, in fractions of the ranges, shape [N, K + Q]."""
-    responses: Row
-    """Of the flows of the check by the MPM, shape [N]."""
-    spent: int
-    """Runs of the MPM in all."""
-    seconds: float
     predicting: float
-    """Of these by the predictor [s]."""
-    remark: str = ""
+    """Seconds of the predictor."""
 
     @property
-    def design(self) -> dict[str, float]:
-        """Each variable by name."""
-        return self.problem.named(self.best.design)
+    def expected(self) -> float:
+        return self.race.probability(self.winner)
 
     @property
-    def exceeding(self) -> int:
-        """Flows of the check at the limit or beyond."""
-        return int(np.sum(self.responses >= self.problem.limit.below))
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Of the probability that the limit is kept, by the check (Clopper & Pearson, 95 %)."""
-        found = binomtest(len(self.responses) - self.exceeding, len(self.responses)).proportion_ci(0.95)
-        return float(found.low), float(found.high)
-
-    @property
-    def verdict(self) -> Verdict:
-        """Confirmed where no larger share of the check exceeds the limit than 1 - p; unreachable where no design that
-        was predicted has p.
-        """
-        if self.exceeding <= self.problem.allowed:
-            return Verdict.CONFIRMED
-        reachable = self.race.probability(self.best) >= self.problem.limit.probability
-        return Verdict.UNCONFIRMED if reachable else Verdict.UNREACHABLE
+    def spent(self) -> int:
+        """Runs of the MPM in all."""
+        return len(self.pairs[0])
 
 
 def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, int], Row]) -> RacedDesign:
@@ -217,11 +192,11 @@ def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, i
         found = RacedDesign(
             problem=problem,
             race=race,
-            best=best,
+            winner=best,
+            best=best.design,
             pairs=(ours, theirs),
             points=points,
             responses=shown,
-            spent=len(theirs),
             seconds=time.perf_counter() - began,
             predicting=predicting,
         )

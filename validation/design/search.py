@@ -33,40 +33,33 @@ ROUNDS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Design:
+class Checked:
     """A design, with what the MPM says of it."""
 
     problem: DesignProblem
-    search: WaveSearch[ModelRun, Reliability]
-    """Its last runs are the flows of the check."""
+    best: Row
+    """In fractions of the ranges, shape [K]."""
+    points: Matrix
+    """Of the flows of the check, in fractions of the ranges, shape [N, K + Q]."""
+    responses: Row
+    """Of the flows of the check, shape [N]."""
     seconds: float
     remark: str = ""
     """What must be known of these flows besides."""
 
     @property
-    def reliability(self) -> Reliability:
-        """What the runs before the check say."""
-        return self.search.knowledge
+    def expected(self) -> float:
+        """The probability that the design keeps the limit, before the check."""
+        raise NotImplementedError
 
     @property
     def design(self) -> dict[str, float]:
         """Each variable by name."""
-        return self.problem.named(self.reliability.best)
+        return self.problem.named(self.best)
 
     @property
-    def points(self) -> Matrix:
-        """Of the flows of the check, in fractions of the ranges, shape [N, K + Q]."""
-        return self.search.points[-self.problem.budget.checks :]
-
-    @property
-    def responses(self) -> Row:
-        """Of the flows of the check, shape [N]."""
-        return self.search.numbers[-self.problem.budget.checks :, 0]
-
-    @property
-    def spent(self) -> int:
-        """Runs that were no check."""
-        return self.problem.runs - self.search.left
+    def price(self) -> float:
+        return float(self.problem.price(self.best[None])[0])
 
     @property
     def exceeding(self) -> int:
@@ -87,8 +80,29 @@ class Design:
         """
         if self.exceeding <= self.problem.allowed:
             return Verdict.CONFIRMED
-        reachable = self.reliability.expected >= self.problem.limit.probability
-        return Verdict.UNCONFIRMED if reachable else Verdict.UNREACHABLE
+        return Verdict.UNCONFIRMED if self.expected >= self.problem.limit.probability else Verdict.UNREACHABLE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design(Checked):
+    """One that waves of runs found."""
+
+    search: WaveSearch[ModelRun, Reliability]
+    """Its last runs are the flows of the check."""
+
+    @property
+    def reliability(self) -> Reliability:
+        """What the runs before the check say."""
+        return self.search.knowledge
+
+    @property
+    def expected(self) -> float:
+        return self.reliability.expected
+
+    @property
+    def spent(self) -> int:
+        """Runs that were no check."""
+        return self.problem.runs - self.search.left
 
 
 def designed(problem: DesignProblem, respond: Respond) -> Design:
@@ -108,7 +122,14 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
         points = np.hstack([np.tile(search.knowledge.best, (len(draws), 1)), draws])
         # Checks are no part of the budget.
         search = replace(search, budget=search.budget + len(points)).ran(points)
-        found = Design(problem=problem, search=search, seconds=time.perf_counter() - began)
+        found = Design(
+            problem=problem,
+            search=search,
+            best=search.knowledge.best,
+            points=points,
+            responses=search.numbers[-len(points) :, 0],
+            seconds=time.perf_counter() - began,
+        )
         if found.verdict is not Verdict.UNCONFIRMED:
             break
     return found

@@ -110,8 +110,7 @@ def summary(found: Design | RacedDesign) -> list[str]:
     problem, limit, checks = found.problem, found.problem.limit, len(found.responses)
     both = zip(problem.kinds, found.design.items(), strict=False)
     design = ", ".join(f"{name} = {kind.text(value)}" for kind, (name, value) in both)
-    price = problem.price(found.reliability.best[None] if isinstance(found, Design) else found.best.design[None])[0]
-    cost = f"; cost {price:.4g}" if problem.cost else ""
+    cost = f"; cost {found.price:.4g}" if problem.cost else ""
     low, high = found.interval
     if isinstance(found, Design):
         known = found.reliability
@@ -121,9 +120,9 @@ def summary(found: Design | RacedDesign) -> list[str]:
         )
         spent = f"{found.spent} runs for the emulator, {len(found.search.runs) - found.spent} of checks"
     else:
-        race, share = found.race, 100.0 * found.race.probability(found.best)
+        race, share = found.race, 100.0 * found.expected
         before = (
-            f"by {len(found.best.responses)} of {race.spent} predictions, over {len(race.entries)} designs, of "
+            f"by {len(found.winner.responses)} of {race.spent} predictions, over {len(race.entries)} designs, of "
             f"{share:.1f} %; the MPM differs from predictions by {race.errors.mean():+.3g} {problem.unit} on average "
             f"and {race.errors.std():.3g} about that, which is counted"
         )
@@ -148,12 +147,12 @@ def race_record(found: RacedDesign) -> dict[str, Any]:
         "problem": problem.name,
         "verdict": found.verdict,
         "design": found.design,
-        "cost": float(problem.price(found.best.design[None])[0]),
+        "cost": found.price,
         "limit": {"quantity": problem.limit.quantity, "below": problem.limit.below, "unit": problem.unit},
         "probability": {
             "asked": problem.limit.probability,
             "required": problem.required,
-            "predicted": race.probability(found.best),
+            "predicted": found.expected,
             "mpm": 1.0 - found.exceeding / len(found.responses),
             "interval": found.interval,
         },
@@ -198,7 +197,7 @@ def draw_race(found: RacedDesign, path: Path) -> None:
         prices = problem.price(np.stack([each.design for each in race.entries]))
         sizes = [4.0 + len(each.responses) / 16.0 for each in race.entries]
         left.scatter(prices, [race.probability(each) for each in race.entries], s=sizes, c=BLUE)
-        left.scatter(problem.price(found.best.design[None]), [race.probability(found.best)], c=ORANGE)
+        left.scatter(found.price, found.expected, c=ORANGE)
         left.axhline(problem.required, color=GREY, linestyle="--")
         left.set(xlabel="cost", ylabel="probability", ylim=(0.0, 1.02))
         right.scatter(*found.pairs, s=10, c=BLUE)
