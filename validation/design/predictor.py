@@ -39,7 +39,8 @@ def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> "Pr
     require(not problem.limit.force, "limit.quantity", expected, problem.limit.quantity)
     model = gns.load(shipped(problem.scene.dimension))
     check(problem.scene, model.settings)
-    return Predictor(problem, partial(on_gpu if torch.cuda.is_available() else on_processors, problem.limit.quantity))
+    respond = partial(in_batches, "cuda") if torch.cuda.is_available() else on_processors
+    return Predictor(problem, partial(respond, problem.limit.quantity))
 
 
 class Predictor:
@@ -66,15 +67,15 @@ def coarse(limit: Limit, simulate: Simulate, scenes: Sequence[Scene]) -> list[fl
     return [float(limit.kept(each).summary[limit.quantity]) for each in flows]
 
 
-def on_gpu(quantity: str, scenes: Sequence[Scene]) -> list[float]:
-    """By the surrogate, scenes of one size side by side in one batch."""
-    model, found = gns.load(shipped(scenes[0].dimension)).to("cuda"), dict[int, float]()
+def in_batches(device: str, quantity: str, scenes: Sequence[Scene]) -> list[float]:
+    """By the surrogate, scenes of one size side by side in one batch, as a GPU wants them."""
+    model, found = known_model(scenes[0].dimension).to(device), dict[int, float]()
     begun = [initial_state(each, model.settings) for each in scenes]
     for units in {each.conditions.units for each in begun}:
         numbers = [number for number, each in enumerate(begun) if each.conditions.units == units]
         starts = [begun[number] for number in numbers]
-        state = State.joined([each.state for each in starts]).to("cuda")
-        conditions = Conditions.joined([each.conditions for each in starts]).to("cuda")
+        state = State.joined([each.state for each in starts]).to(device)
+        conditions = Conditions.joined([each.conditions for each in starts]).to(device)
         with torch.no_grad():
             moved = unroll(model, state, conditions, starts[0].steps)[-1].cpu().numpy()
         ends = np.cumsum([len(each.indices) for each in starts])[:-1]

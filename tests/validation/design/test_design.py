@@ -10,6 +10,7 @@ from scipy.stats import norm
 
 from datasets import Baffle, Mass, write_scene
 from datasets.forces import forces_of
+from datasets.scene.library import read_scene
 from inverse import Correlation, Parameter, Prior
 from inverse.answer import Verdict
 from inverse.posterior import Matrix, Row
@@ -18,6 +19,7 @@ from tests.refusals import refused
 from tests.scenes import scene_of
 from validation import find_design
 from validation.design.__main__ import main
+from validation.design.predictor import in_batches, on_processors, predicted
 from validation.design.problem import Budget, DesignProblem, Limit, read_design
 from validation.design.race import Race, raced
 from validation.design.search import designed
@@ -250,6 +252,15 @@ def test_errors_of_the_predictor_are_those_of_the_design() -> None:
     assert found.race.errors.mean() == pytest.approx(0.06, abs=0.015)
     assert found.spent in (52, 92)
     assert found.design["baffles[0].height"] + 1.5 * found.design["baffles[1].height"] > 0.23
+
+
+def test_batches_and_processes_predict_what_single_flows_do() -> None:
+    column = read_scene("column-short-21")
+    scenes = [column, replace(column, material=replace(column.material, friction_deg=35.0))]
+    single = [predicted("front", each) for each in scenes]
+    assert single[0] > single[1] + 0.05
+    assert in_batches("cpu", "front", scenes) == pytest.approx(single, abs=1.0e-3)
+    assert on_processors("front", scenes) == pytest.approx(single, abs=1.0e-3)
 
 
 def test_no_design_that_is_predicted_keeps_the_limit() -> None:
