@@ -333,6 +333,6 @@ def gradient_of(tape: Tape, index: int, adj: dict[str, Any]) -> Gradient:
         faces=adj["face_adjoints"][faces],
         cut=float(adj["cut"][index]),
         holds=adj["hold_adjoints"][nodes],
-        terrain=adj["terrain_adjoints"][index, tape.posts(index)],
+        terrain=tape.of_posts(index, adj["terrain_adjoints"][index]),
         drags=adj["drag_adjoints"][index, : len(drags_of(scene))],
     )
