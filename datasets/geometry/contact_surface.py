@@ -9,14 +9,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datasets.geometry.closed import pseudonormals
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, grid_triangles, interpolated
 from datasets.geometry.ground import ground_grid as grid_of
 from datasets.geometry.surface import Surface, body_of, boundary, near_box, solids_of, surface_in, without_slip
 from datasets.scene.parts import Domain, SceneLayout, Solid
-
 
 DOWNWARD = -0.5
 """Upward component of the normal of faces that a solid stands on, where they lie in the ground."""
@@ -53,10 +51,11 @@ class HeightField:
 
         With the cells around them, so that the normals inside are those of the whole raster.
         """
-        rows, columns = (
-            slice(max(int(np.searchsorted(axis, near - TOUCHING)) - 2, 0), int(np.searchsorted(axis, far + TOUCHING)) + 2)
+        ends = [
+            np.searchsorted(axis, (near - TOUCHING, far + TOUCHING)).tolist()
             for axis, near, far in ((self.x, low[0], high[0]), (self.z, low[1], high[1]))
-        )
+        ]
+        rows, columns = (slice(max(first - 2, 0), last + 2) for first, last in ends)
         friction = np.broadcast_to(self.friction, self.heights.shape)[rows, columns]
         return self.x[rows], self.z[columns], self.heights[rows, columns], friction
 
@@ -83,7 +82,9 @@ class ContactSurface:
             return self.faces
         plan = points[:, ::2]
         ground = self.field.triangles(plan.min(axis=0) - reach, plan.max(axis=0) + reach)
-        return Surface(**{name: np.concatenate([array, vars(ground)[name]]) for name, array in vars(self.faces).items()})
+        return Surface(
+            **{name: np.concatenate([array, vars(ground)[name]]) for name, array in vars(self.faces).items()}
+        )
 
 
 def has_field(scene: SceneLayout) -> bool:

@@ -253,7 +253,7 @@ def hold_reverse(adj, v, normal, friction, share):
 
 @ti.func
 def bed_hold_reverse(adj, v, node, scene, arrays: ti.template()):
-    """Adjoint of a node's velocity `v` [m/s] from that of what the bed takes of it, shape [D]; adds that of friction."""
+    """Adjoint of a node's velocity `v` [m/s] from that of what the bed takes of it; adds that of its friction."""
     adj_v = 0.0 * v
     if in_bed(node, scene, arrays):
         share, normal, friction = bed_hold(node, scene, arrays)

@@ -24,7 +24,7 @@ from mpm.adjoint.layout import Layout
 from mpm.arrays.batch import Batch, aligned, particles_of, put_vectors
 from mpm.arrays.features import Features, features_of
 from mpm.arrays.kernel_arguments import ADJOINT, STEP, arguments
-from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, TerrainNumber, Worker
+from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
 from mpm.kernel import compute
 from mpm.output.outcome import failure
 from mpm.output.recording import LAST

@@ -123,7 +123,7 @@ class Contact(TableColumn):
     DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
     FACE = auto()  # the number of that face, less FIRST_FACE
-    FREE = auto()  # how far a particle may move before another face, or an edge, may be nearest; on terrain: any face [m]
+    FREE = auto()  # how far a particle may move before another face or an edge, on terrain any face, may be near [m]
     NORMAL = auto()  # D vectors: n, out of the solid [-]; behind them D of the shear traction [Pa]
 
 

@@ -1,8 +1,8 @@
 """The bed of a terrain in 3D: elevations and friction of its raster on a lattice in plan, half a cell apart.
 
-Its B-spline (`mpm.solids.terrain`) is what contact meets. Of a raster whose posts are closer than the lattice a node has
-the mean over the square around it, else the elevation there, on the triangles of `datasets.geometry.ground`. Both leave
-planes as they are. Friction is bilinear between posts.
+Its B-spline (`mpm.solids.terrain`) is what contact meets. A node has the elevation of the raster's triangles there
+(`datasets.geometry.ground`) or, where posts are closer than nodes, their mean over the square around it; planes stay as
+they are. Friction is bilinear between posts.
 """
 
 import math
@@ -91,7 +91,7 @@ class Bed:
         found = self.heights
         for _ in range(2):
             count = (len(found) - 3) // BED_PER_CELL + 1
-            rows = [found[first :: BED_PER_CELL][:count] for first in range(3)]
+            rows = [found[first::BED_PER_CELL][:count] for first in range(3)]
             found = (0.125 * rows[0] + 0.75 * rows[1] + 0.125 * rows[2]).T
         return found.ravel()
 
@@ -114,8 +114,8 @@ def spline(at: Floats, nodes: Floats, spacing: float) -> tuple[NDArray[np.int64]
 @lru_cache(maxsize=4)
 def bed_of(field: HeightField, domain: Domain) -> Bed:
     """The bed of a height field in a box; the same for the same field and box."""
-    spacing, shape = domain.cell / BED_PER_CELL, node_shape(domain)
-    x, z = (spacing * (np.arange(BED_PER_CELL * (n - 1) + 1 + 2 * BED_EDGE) - BED_PER_CELL * PADDING - BED_EDGE) for n in shape[::2])
+    spacing = domain.cell / BED_PER_CELL
+    x, z = (lattice_axis(count, spacing) for count in node_shape(domain)[::2])
     heights = np.zeros((len(x), len(z)))
     offsets = [sample_offsets(spacing, posts) for posts in (field.x, field.z)]
     for dz in offsets[1].tolist():
@@ -127,6 +127,12 @@ def bed_of(field: HeightField, domain: Domain) -> Bed:
                 part = slice(first, first + rows)
                 heights[part] += on_triangles(field.heights, i[part, None], k, u[part, None], v)
     return Bed(field=field, spacing=spacing, x=x, z=z, heights=heights / (len(offsets[0]) * len(offsets[1])))
+
+
+def lattice_axis(nodes: int, spacing: float) -> Floats:
+    """Coordinates [m] of the lattice along an axis of a grid with so many nodes."""
+    first = BED_PER_CELL * PADDING + BED_EDGE
+    return np.asarray(spacing * (np.arange(BED_PER_CELL * (nodes - 1) + 1 + 2 * BED_EDGE) - first), np.float64)
 
 
 def bed_arrays(

@@ -151,7 +151,7 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
     shifted = []
     for part, (_, face, hold, near) in zip(parts, firsts[:-1].tolist(), strict=True):
         starts = {"cell_faces": part.cell_faces + near, "node_holds": part.node_holds + hold}
-        numbers = {"near_faces": part.near_faces + face, "holds": part.holds + [face, 0.0, 0.0]}
+        numbers = {"near_faces": part.near_faces + face, "holds": part.holds + np.array([face, 0.0, 0.0])}
         shifted.append(vars(part) | starts | numbers)
     together: dict[str, Any] = {name: np.concatenate([each[name] for each in shifted]) for name in TABLES}
     for name in ("windows", "beds", "frictions"):
@@ -205,7 +205,7 @@ def bed_holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[
     if solid.field is None:
         return np.zeros(len(nodes)), np.zeros(nodes.shape), np.zeros(len(nodes))
     bed, friction = bed_of(solid.field, scene.domain), np.minimum(solid.field.friction, roughest(scene))
-    d, normal, rough = bed.contact((nodes - PADDING) * scene.domain.cell, friction)
+    d, normal, rough = bed.contact(np.asarray((nodes - PADDING) * scene.domain.cell, np.float64), friction)
     part = np.clip(-d / (FADE * scene.domain.cell), 0.0, 1.0)
     return part * part * (3.0 - 2.0 * part), normal, rough
 

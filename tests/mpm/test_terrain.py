@@ -12,7 +12,8 @@ from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.scene.material import Material
 from mpm import simulate
 from mpm.arrays.layout import PADDING, node_shape
-from mpm.solids.obstacles import BLEND, FADE, Window, faces_near, holds_of, obstacles_in
+from mpm.solids.obstacles import BLEND, Window, faces_near, holds_of, obstacles_in
+from mpm.solids.terrain import FADE
 from tests.datasets.geometry.solids import surface
 from tests.scenes import scene_of
 
