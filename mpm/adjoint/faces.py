@@ -98,8 +98,15 @@ def found_reverse(block: ti.template(), put_back: ti.template(), arrays: ti.temp
                         adj_v = turned + adj_momentum
                         adj_n = adj_n + adj_normal
                         adj_friction += slid
-                    # What was lost of the displacement is the depth along n.
+                    # What was lost of the displacement is the depth along n, which turns where a bed is curved.
                     adj_d = 0.0 - adj_x.dot(n)
+                    if ti.static(features.terrain):
+                        if in_terrain(face, scene, arrays):
+                            start = lane_numbers(arrays.lanes, block.state * lanes + lane, arrays)
+                            way = (block.scratch + layout.scratch.sums) * lanes + lane
+                            place = start + block.dt * lane_numbers(arrays.scratch_lanes, way, arrays)
+                            adj_n = adj_n - (place - x).dot(n) * adj_x
+                            x = place
             adj_x = adj_x + foot_reverse(x, n, face, (adj_friction, adj_d, adj_n), back, scene, arrays)
         elif ti.static(put_back):
             adj_q = 0.0 * adj_q

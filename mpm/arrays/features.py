@@ -93,7 +93,7 @@ class Features:
     listed: bool = False
     """Solids have faces that are listed."""
     terrain: bool = False
-    """A terrain is a height field."""
+    """A terrain is a smooth bed (`mpm.solids.terrain`)."""
     contact: bool = False
     """Solids stand in the box: baffles, ground, obstacles."""
     turbulent: bool = False
