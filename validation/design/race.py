@@ -86,13 +86,20 @@ class Race:
 
     def rank(self, entry: Entry) -> tuple[float, float]:
         """What is better comes first: cheap designs or, where nothing has a price, reliable ones."""
-        price = float(self.problem.price(entry.design[None])[0])
-        return (price, -self.probability(entry)) if self.problem.cost else (-self.probability(entry), 0.0)
+        return (self.price(entry), -self.probability(entry)) if self.problem.cost else (-self.probability(entry), 0.0)
+
+    def price(self, entry: Entry) -> float:
+        return float(self.problem.price(entry.design[None])[0])
+
+    @property
+    def settled(self) -> list[Entry]:
+        """The designs that are known well."""
+        return [each for each in self.entries if len(each.responses) >= SETTLED]
 
     @property
     def best(self) -> Entry:
         """The best of those that are known well and good enough, else the most reliable one."""
-        settled = [each for each in self.entries if len(each.responses) >= SETTLED] or self.entries
+        settled = self.settled or self.entries
         good = [each for each in settled if self.probability(each) >= self.problem.required]
         return min(good, key=self.rank) if good else max(settled, key=self.probability)
 
