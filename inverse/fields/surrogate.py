@@ -186,16 +186,18 @@ def leading(problem: Problem, target: Target, model: Path | None = None) -> tupl
     weights = model_path(model or shipped(scene.dimension))
     known = card.read(weights)
     unknown = outside(scene, known.ranges) if known is not None else []
-    reason = f"{weights.name} was not trained on such a flow: {'; '.join(unknown)}" if unknown else ""
+    lacks = ""
     if without := [each.name for each in problem.numbers if each.kind.input is None]:
-        reason = f"{', '.join(without)} is no input of it"
+        lacks = f"{', '.join(without)} is no input of it"
     if not (observation.of_positions or all(each.observation.dense for each in observation.parts)):
-        reason = f"it does not predict {observation.label}"
+        lacks = f"it does not predict {observation.label}"
+    reason = lacks or (f"{weights.name} was not trained on such a flow: {'; '.join(unknown)}" if unknown else "")
     try:
         check_known(scene, (simulator := checkpoint.load(weights).simulator).settings)
     except InputError as error:
         reason = reason or str(error)
-    if reason and (asked is Surrogate.AUTO or not unknown):
+    # Out of its range it leads where it is asked to.
+    if reason and (asked is Surrogate.AUTO or lacks or not unknown):
         if asked is Surrogate.GNS:
             raise InputError(f"expected auto or none, {reason}", key="surrogate")
         return None, reason
