@@ -254,6 +254,11 @@ class DesignProblem(_Keys):
         return replace(scene, seed=seed)
 
 
+def with_draws(design: Row, draws: Matrix) -> Matrix:
+    """All numbers [n, K + Q] of a design [K] with each of the draws [n, Q] of what is uncertain."""
+    return np.hstack([np.tile(design, (len(draws), 1)), draws])
+
+
 def read_design(name: str | Path) -> DesignProblem:
     """Read the design problem at a path or of a shipped name. Raises InputError, which names the file and the key."""
     path = find(str(name), DESIGNS, "design problem")
