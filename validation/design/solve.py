@@ -11,7 +11,6 @@ from datasets.flow.trajectory import Trajectory
 from datasets.markdown import markdown_table
 from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
-from inverse.search.waves import jitter_seed
 from mpm import ALL, LAST, simulate_many
 from validation.design.predictor import predictor
 from validation.design.problem import DesignProblem, read_design
@@ -46,10 +45,7 @@ def find_design(
         flows = list[Trajectory]()
 
         def respond(points: Matrix, first: int) -> Row:
-            values = asked.box.at(np.round(points, 6))
-            jitters = [jitter_seed(asked.scene.seed, first + index) for index in range(len(points))]
-            scenes = [asked.scene_at(row, jitter) for row, jitter in zip(values, jitters, strict=True)]
-            flows[:] = store(scenes, record=ALL if limit.force else LAST)
+            flows[:] = store(asked.scenes_at(points, first), record=ALL if limit.force else LAST)
             return np.array([each.summary[limit.quantity] for each in flows])
 
         if asked.surrogate == "none":
