@@ -5,13 +5,14 @@ This is the one place that moves results. The bytes are on the disk before the n
 may be anybody's: before and while a library reads them, whatever is wrong is one InputError that names the file.
 """
 
+import csv
 import errno
 import json
 import os
 import stat
 import tempfile
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -108,6 +109,12 @@ def write_text(path: Path, text: str) -> None:
     """Write `text` in UTF-8."""
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table; None becomes an empty cell."""
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([header, *rows])
 
 
 def finite(value: Any) -> Any:

@@ -9,7 +9,6 @@ window w, with the force mirrored at both ends, which leaves that sum as it is:
     J_w(t) = 1 / w  integral of J from t - w/2 to t + w/2,    J(-t) = -J(t),  J(T + t) = 2 J(T) - J(T - t)
 """
 
-import csv
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 
 from datasets.command_line import run
 from datasets.errors import InputError, naming, require
-from datasets.files import make_folder, replacing
+from datasets.files import make_folder, replacing, write_csv
 from datasets.flow.trajectory import Trajectory, read_trajectory, solid_names, trajectory_file
 from datasets.scene.grid_field import Floats
 
@@ -116,12 +115,9 @@ def write_forces(trajectory: Trajectory, folder: Path, *, window: float = 0.0) -
 def write_table(path: Path, forces: Forces) -> None:
     """Write a CSV: `time_s`, the end of an interval, and the mean force over it of each solid and axis."""
     suffix, axes = forces.unit.replace("/", "_per_"), AXES[: forces.force.shape[2]]
-    rows = forces.force.reshape(len(forces.time), -1).tolist()
-    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["time_s", *(f"{name}_f{axis}_{suffix}" for name in forces.names for axis in axes)])
-        for time, row in zip(forces.time.tolist(), rows, strict=True):
-            writer.writerow([f"{time:.10g}", *(f"{value:.9g}" for value in row)])
+    header = ["time_s", *(f"{name}_f{axis}_{suffix}" for name in forces.names for axis in axes)]
+    rows = zip(forces.time.tolist(), forces.force.reshape(len(forces.time), -1).tolist(), strict=True)
+    write_csv(path, header, ([f"{time:.10g}", *(f"{value:.9g}" for value in row)] for time, row in rows))
 
 
 def draw(path: Path, forces: Forces) -> None:

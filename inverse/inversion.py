@@ -87,6 +87,7 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
     (predicted,) = forward.observe([first])
     deposit = forward.deposit(first)
     total = time.perf_counter() - began
+    flows = len(misfits) + 2 + int(problem.target.twin)
     loss = {"mpm" if by_mpm else "surrogate": target.observation.misfit(predicted, found.target.values)}
     return Result(
         problem=problem,
@@ -103,5 +104,5 @@ def of_numbers(problem: Problem, target: Target, forward: GnsForward | MpmForwar
         posterior=found.posterior,
         without=left_out(found),
         seconds={"per_iteration": total / len(misfits), "mpm": total if by_mpm else 0.0, "total": total},
-        record={"loss": loss | {"initial": misfits[0]}} | ({"flows": len(misfits) + 2} if by_mpm else {}),
+        record={"loss": loss | {"initial": misfits[0]}} | ({"flows": flows} if by_mpm else {}),
     )

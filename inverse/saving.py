@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.files import make_folder, reading, replacing, write_json, write_text
-from datasets.flow.array_files import read_arrays
+from datasets.flow.array_files import read_arrays, write_npz
 from datasets.scene.library import write_scene
 from inverse import inference_data, pictures, report
 from inverse.posterior import Matrix
@@ -27,8 +27,7 @@ def save(result: Result, folder: Path | str) -> None:
         inference_data.write(result, folder / "posterior.nc")
     if result.fields:
         arrays = {f"{k}_{key}": values for k, each in enumerate(result.fields) for key, values in each.saved.items()}
-        with replacing(folder / "field.npz") as part:
-            np.savez(part, **arrays)  # type: ignore[arg-type]
+        write_npz(folder / "field.npz", arrays)
         write_scene(result.scene, folder / "scene.toml")
     write_json(folder / "result.json", result.as_json())
     write_text(folder / "report.md", report.markdown(result, folder, pictures.write(result, folder)))

@@ -8,13 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from datasets.command_line import run
-from datasets.flow import measures
-from inverse.observations import FrontSettings
-from inverse.problem import read_problem
-from inverse.saving import save
-from inverse.settings import Surrogate, TargetSettings
-from mpm import LAST, simulate
-from validation.loop.solve import print_outcome, solve
 
 ANGLES_DEG = (18.0, 42.0)
 """Range from which the friction angle is drawn."""
@@ -34,6 +27,15 @@ def main(*, out: Path = Path("out/demo"), seed: int | None = None, model: Path |
     model
         Weights of the surrogate; unless given, those that ship.
     """
+    # Imported here: torch takes seconds to load, and help has no use for it.
+    from datasets.flow import measures
+    from inverse.observations import FrontSettings
+    from inverse.problem import read_problem
+    from inverse.saving import save
+    from inverse.settings import Surrogate, TargetSettings
+    from mpm import LAST, simulate
+    from validation.loop.solve import print_outcome, solve
+
     stream = np.random.default_rng(secrets.randbits(64) if seed is None else seed)
     truth_deg, jitter = float(stream.uniform(*ANGLES_DEG)), int(stream.integers(1, 2**31))
     stated = read_problem("friction-tall-42")

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from datasets import errors
 from datasets.definitions.definition import Definition, Split
 from datasets.errors import InputError, OutOfRange, naming, require
 from datasets.files import read_toml
@@ -94,14 +95,13 @@ def draw_scene(content: DefinitionFile, stream: np.random.Generator, folder: Pat
         tries += 1
         bodies += max(MANY, sum(len(each) for each in data.values() if isinstance(each, list)))
         try:
-            scene = scene_from(data, folder)
-            check_gaps(scene, content.baffle_gap)
+            with errors.keyed("scene"):
+                scene = scene_from(data, folder)
+                check_gaps(scene, content.baffle_gap)
             return scene
         except OutOfRange as error:
-            last: InputError = error
-        except InputError as error:
-            raise InputError(error.message, key=f"scene.{error.key}") from None
-    raise InputError(f"{last.message} (in each of {tries} draws)", key=f"scene.{last.key}" if last.key else "scene")
+            last = error
+    raise InputError(f"{last.message} (in each of {tries} draws)", where=last.where, key=last.key)
 
 
 def drawn(value: Any, stream: np.random.Generator, variables: Draws, key: Key) -> Any:

@@ -4,10 +4,9 @@ A field enters its initial state as it enters the MPM's scene: a thickness moves
 scales their volumes, the friction of a terrain stands at the places of its raster.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +16,14 @@ from torch import Tensor
 
 from datasets.errors import InputError
 from datasets.geometry.ground import elevation, ground_raster
-from datasets.processes import processors
 from datasets.scene.grid_field import FRICTION, THICKNESS, VELOCITIES, Floats
 from datasets.scene.particles import mass_counts
-from gns import card, checkpoint
+from gns import checkpoint
 from gns.library import model_path, shipped
-from gns.ranges import outside
 from gns.simulator import StepModel
 from gns.surroundings.initial import InitialState
-from gns.surroundings.initial import check as check_known
 from inverse.fields.flow import WhiteFlow
-from inverse.forward.gns import Band, GnsForward, band_of
+from inverse.forward.gns import PREDICTIONS, Band, GnsForward, band_of, priced, unfamiliar
 from inverse.observations import Observation
 from inverse.observations.target import Target
 from inverse.parameters import in_order
@@ -35,13 +31,9 @@ from inverse.parameters.field import UnknownField
 from inverse.parameters.kind import tangent_of
 from inverse.problem import Problem
 from inverse.settings import Surrogate
-from mpm.footprint import SPEED
-from mpm.resolution import particle_steps
 
 Enter = Callable[[InitialState, Tensor], InitialState]
 """An initial state and the values [K] of a field -> the state with them, differentiable in them."""
-PREDICTIONS = 5.0
-"""Predictions that a run of the MPM costs, from which on the surrogate is asked where a problem leaves it open."""
 UP = 1
 
 
@@ -184,27 +176,19 @@ def leading(problem: Problem, target: Target, model: Path | None = None) -> tupl
         coarse = replace(problem, scene=scene.with_cell(2.0 * scene.domain.cell))
         return WhiteFlow(coarse, observation), "it is the MPM on cells twice as large"
     weights = model_path(model or shipped(scene.dimension))
-    known = card.read(weights)
-    unknown = outside(scene, known.ranges) if known is not None else []
-    reason = f"{weights.name} was not trained on such a flow: {'; '.join(unknown)}" if unknown else ""
+    lacks, simulator = "", checkpoint.load(weights).simulator
     if without := [each.name for each in problem.numbers if each.kind.input is None]:
-        reason = f"{', '.join(without)} is no input of it"
+        lacks = f"{', '.join(without)} is no input of it"
     if not (observation.of_positions or all(each.observation.dense for each in observation.parts)):
-        reason = f"it does not predict {observation.label}"
-    try:
-        check_known(scene, (simulator := checkpoint.load(weights).simulator).settings)
-    except InputError as error:
-        reason = reason or str(error)
-    if reason and (asked is Surrogate.AUTO or not unknown):
+        lacks = f"it does not predict {observation.label}"
+    reason = lacks or unfamiliar(weights, simulator.settings, scene)
+    # Out of its range it leads where it is asked to.
+    if reason and (asked is Surrogate.AUTO or lacks):
         if asked is Surrogate.GNS:
             raise InputError(f"expected auto or none, {reason}", key="surrogate")
         return None, reason
     flow = SurrogateFlow(problem, observation, simulator, band_of(weights, scene))
-    run = particle_steps(scene) / (SPEED[scene.dimension] * processors())
-    began = time.perf_counter()
-    flow.observe([np.zeros(flow.size)], [scene.seed])
-    prediction = time.perf_counter() - began
-    price = f"a run of the MPM takes {run:.2g} s, a prediction {prediction:.2g} s"
-    if asked is Surrogate.AUTO and model is None and run < PREDICTIONS * prediction:
+    dear, price = priced(scene, partial(flow.observe, [np.zeros(flow.size)], [scene.seed]))
+    if asked is Surrogate.AUTO and model is None and not dear:
         return None, f"{price}, a {PREDICTIONS:g}th of it or more"
     return flow, f"{price}; {reason}" if reason else price

@@ -12,7 +12,8 @@ their covariance, sum_k e_k e_k^T.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,14 +23,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from datasets.errors import InputError
+from datasets.processes import processors
 from datasets.scene import Scene
 from gns import card
+from gns.ranges import outside
+from gns.settings import ModelSettings
 from gns.simulator import StepModel, checked, on_threads, step_activation_bytes, unroll
-from gns.surroundings.initial import InitialState, initial_state
+from gns.surroundings.initial import InitialState, check, initial_state
 from gns.surroundings.state import Conditions, State
 from inverse.observations import Observation, Rollout, Values
 from inverse.parameters import Vector, in_order
 from inverse.problem import Problem
+from mpm.footprint import SPEED
+from mpm.resolution import particle_steps
 
 MEMORY_GIB = 2.0
 """Activations that the backward pass may find ready, instead of computing them again [GiB]."""
@@ -39,6 +45,9 @@ WAVES = 3
 """K."""
 NORMAL = 1.96
 """Half of a 95 % interval over the standard deviation."""
+PREDICTIONS = 5.0
+"""Predictions that a run of the MPM costs, from which on a surrogate is asked: it predicts two to five times for each
+run that it saves."""
 Flow = tuple[Tensor, InitialState]
 """Positions [m] at the times of an initial state, shape [T, n, D], and this state."""
 
@@ -198,3 +207,27 @@ def require_predicted(problem: Problem) -> None:
         if not operator.of_positions:
             message = f"expected what follows from positions, no surrogate predicts {operator.label}"
             raise InputError(message, where=problem.name, key=f"observations[{index}]")
+
+
+def unfamiliar(weights: Path, settings: ModelSettings, scene: Scene) -> str:
+    """What of a scene the model in the file `weights` was not trained on, in words; empty where it knows all."""
+    known = card.read(weights)
+    strange = outside(scene, known.ranges) if known is not None else []
+    try:
+        check(scene, settings)
+    except InputError as error:
+        strange = strange or [str(error)]
+    return f"{weights.name} was not trained on such a flow: {'; '.join(strange)}" if strange else ""
+
+
+def seconds_of_run(scene: Scene) -> float:
+    """What a run of the MPM takes [s]; by no measurement of this machine's, so that it decides the same way again."""
+    return particle_steps(scene) / (SPEED[scene.dimension] * processors())
+
+
+def priced(scene: Scene, predict: Callable[[], object]) -> tuple[bool, str]:
+    """Whether a run of the MPM costs `PREDICTIONS` or more, and what both take, in words; predict: makes one."""
+    run, began = seconds_of_run(scene), time.perf_counter()
+    predict()
+    prediction = time.perf_counter() - began
+    return run >= PREDICTIONS * prediction, f"a run of the MPM takes {run:.2g} s, a prediction {prediction:.2g} s"

@@ -10,7 +10,6 @@ linear; the area that it takes off or adds is not compared.
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from scipy.stats import chi2
 
 from datasets.errors import InputError, require
 from datasets.geometry.ground import elevation
+from datasets.geometry.surface import closed_body, solids_of
 from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from inverse.observations.errors import Noise
@@ -187,15 +187,6 @@ def closed(x: Floats, height: Floats, gaps: NDArray[np.bool_], scene: Scene) -> 
 
 def faces(scene: Scene) -> list[tuple[float, float]]:
     """Between which two x each baffle or solid but terrain stands [m]."""
-    found = []
-    standing: list[Any] = [*scene.baffles, *(solid for solid in scene.solids if solid.kind != "terrain")]
-    for each in standing:
-        if vertices := getattr(each, "vertices", None):
-            x = np.array(vertices)[:, 0]
-            found.append((float(x.min()), float(x.max())))
-        elif each.lower is not None and each.size is not None:
-            turn = math.radians(each.turned_deg)
-            half = 0.5 * (abs(math.cos(turn)) * each.size[0] + abs(math.sin(turn)) * each.size[-1])
-            middle = each.lower[0] + 0.5 * each.size[0]
-            found.append((middle - half, middle + half))
-    return found
+    standing = [each for each in zip(*solids_of(scene), strict=True) if each[0].kind != "terrain"]
+    rows = [closed_body(solid, key, scene.domain).vertices[:, 0] for solid, key in standing]
+    return [(float(x.min()), float(x.max())) for x in rows]

@@ -169,32 +169,19 @@ class Velocity(Kind):
         return {"velocity": self.vector(mass.velocity or (0.0,) * len(mass.size), value)}
 
 
-class ChannelFriction(Kind):
-    """Angle of friction of a channel's walls [deg]."""
+class PartNumber(Kind):
+    """A number of a part that not every scene has: friction of a channel's walls [deg], elevation of the water [m]."""
 
     def check(self, scene: Scene) -> None:
-        if scene.channel is None:
-            raise InputError("expected a scene with a channel, there is none")
+        if getattr(self.holder(scene), self.key, None) is None:
+            raise InputError(f"expected a scene with a {self.form}, there is none")
 
     def holder(self, scene: Scene | Draft) -> Any:
-        return scene.channel
+        return getattr(scene, self.form.split(".")[0])
 
     def changes(self, draft: Draft, value: float) -> dict[str, Any]:
-        return {"channel": replace(draft.channel, friction_deg=value)}
-
-
-class WaterLevel(Kind):
-    """Elevation of the water table at the start [m]."""
-
-    def check(self, scene: Scene) -> None:
-        if scene.water is None or scene.water.level is None:
-            raise InputError("expected a scene with a water.level, there is none")
-
-    def holder(self, scene: Scene | Draft) -> Any:
-        return scene.water
-
-    def changes(self, draft: Draft, value: float) -> dict[str, Any]:
-        return {"water": replace(draft.water, level=value)}
+        own: dict[str, Any] = {self.key: value}
+        return {self.form.split(".")[0]: replace(self.holder(draft), **own)}
 
 
 class Clock(Kind):
@@ -371,8 +358,8 @@ KINDS: dict[str, Kind] = {
     for each in (
         *_MATERIAL,
         Kind(form="floor_friction", unit="-", digits=3, input=with_floor_friction),
-        WaterLevel(form="water.level", unit="m", digits=4, positive=False),
-        ChannelFriction(form="channel.friction_deg", unit="deg", digits=2),
+        PartNumber(form="water.level", unit="m", digits=4, positive=False),
+        PartNumber(form="channel.friction_deg", unit="deg", digits=2),
         Kind(form="wall_friction", unit="-", digits=3, input=with_constant),
         Kind(form="baffle_friction", unit="-", digits=3, input=with_baffle_friction),
         Kind(form="damping", unit="-", digits=3, input=with_constant),

@@ -11,8 +11,11 @@ from gns import checkpoint
 from gns.simulator import Simulator
 from inverse import Parameter, Problem, invert, read_problem
 from inverse.__main__ import main
+from inverse.forward.mpm import MpmForward
+from inverse.inversion import of_numbers
 from inverse.observations import ToeSettings
 from tests.inverse.flows import simulator_of
+from tests.validation.loop.flows import wedge
 
 SCENE = """
 duration = 0.08
@@ -76,6 +79,13 @@ def test_the_mpm_with_its_adjoint_and_without(tmp_path: Path) -> None:
     assert abs(ours - theirs) < max(widths) < 0.5
     assert all(each["loss"]["mpm"] < 1e-5 for each in results)
     assert all(each["flows"] < 25 for each in results)
+
+
+def test_every_run_of_the_mpm_is_counted(tmp_path: Path) -> None:
+    """The twin's own flow too, as the report says."""
+    case = wedge(tmp_path)
+    found = of_numbers(case.problem, case.target, MpmForward(case.problem, case.target.observation, case.mpm))
+    assert found.run_count == len(case.mpm.scenes) + 1
 
 
 def test_a_problem_built_in_python(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from inverse.__main__ import main
 from inverse.fields.flow import WhiteFlow
 from inverse.fields.inversion import LED_CHECKS, LED_RUNS, led
 from inverse.fields.search import Gaussian, Objective
-from inverse.fields.surrogate import SurrogateFlow
+from inverse.fields.surrogate import SurrogateFlow, leading
 from inverse.forward.gns import Band
 from inverse.observations.errors import Covariance
 from inverse.observations.plan import ThicknessSettings
@@ -269,6 +269,15 @@ def test_what_the_scatter_explains_corrects_nothing() -> None:
     start = Gaussian(rng.normal(size=W), objective.rows @ true, 0.0, np.eye(M))
     found = objective.corrected(start, true @ start.mean, 4, np.eye(M))
     np.testing.assert_array_equal(found.jacobian, start.jacobian)
+
+
+def test_a_surrogate_that_lacks_an_unknown_is_refused_out_of_its_range_too(path: str) -> None:
+    young = '[[unknowns]]\nname = "young"\ninitial = 2.0e5\nlower = 1.0e5\nupper = 4.0e5\n'
+    Path(path).write_text(PROBLEM.replace('"none"', '"gns"', 1) + young)
+    problem = read_problem(path)
+    operator = ThicknessSettings(cell=0.1).operator(problem.scene)
+    target = Target(observation=operator, values=np.zeros(operator.count), errors=Covariance(np.ones(operator.count)))
+    assert refused(leading, problem, target, said="young is no input of it").key == "surrogate"
 
 
 @pytest.mark.slow

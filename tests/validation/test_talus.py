@@ -38,8 +38,9 @@ def test_what_ships_has_a_line_each(capsys: pytest.CaptureFixture[str], name: st
 
 
 def test_help_loads_no_solver() -> None:
+    modules = ", ".join(place.partition(":")[0] for place, _ in COMMANDS.values() if not place.startswith("mpm."))
     code = (
-        "import sys, gns.train, gns.rollout, gns.score; from validation.talus import main; main(['--help']); "
+        f"import sys, {modules}; from validation.talus import main; main(['--help']); "
         "print({'taichi', 'torch'} & {*sys.modules})"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

@@ -3,17 +3,13 @@
 Twin experiments whose truth a run on finer cells made, and the peak thickness that another code computed.
 """
 
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
 import tomli_w
-from tqdm import tqdm
 
 from datasets.files import make_folder, read_json, read_toml, write_text
-from datasets.processes import processors
-from mpm.cluster import pool
-from validation.bench.coverage import ONE_THREAD, Family, held, read_twin, row, store_twin
+from validation.bench.coverage import Family, held, row, solve_missing, twins_in
 from validation.bench.mountain import written_scene
 from validation.bench.page import Keep, Many, Out, Row, write_page
 from validation.loop.solve import solve
@@ -73,7 +69,6 @@ def bench(
     jobs
         Processes that solve one each; one per processor unless given.
     """
-    os.environ |= ONE_THREAD
     with kept(keep) as folder:
         families, asked = dict[Family, Path](), dict[Path, tuple[Family, int, None]]()
         for title, (case, unknowns, observations) in TWINS.items():
@@ -82,14 +77,8 @@ def bench(
             family = Family(title=title, problem=str(problem.absolute()), finer=FINER, twins=twins)
             families[family] = place
             asked |= {(place / f"{number:03d}.json").absolute(): (family, number, None) for number in range(twins)}
-        missing = [path for path in asked if read_twin(path) is None]
-        with pool(min(jobs or processors(), len(missing) or 1)) as workers:
-            stored = workers.finished(store_twin, [(path, *asked[path]) for path in missing])
-            list(tqdm(stored, total=len(missing), unit="twin", leave=False, disable=None))
-        found = {
-            family: [twin for path in sorted(place.glob("[0-9]*.json")) if (twin := read_twin(path))]
-            for family, place in families.items()
-        }
+        solve_missing(asked, jobs)
+        found = {family: twins_in(place) for family, place in families.items()}
         beside = explained(folder / CODE, data, cell)
     every = [twin for some in found.values() for twin in some]
     said = [

@@ -82,8 +82,6 @@ class Family(Record):
 FAMILIES = {name: from_mapping(Family, each) for name, each in read_toml(Path(__file__).with_suffix(".toml")).items()}
 DEFAULT = ("front", "profile")
 """Families that are solved where none is named."""
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-"""Environment of processes that solve a twin each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,23 +135,24 @@ def bench(
             for name in only
             for number in range(twins or FAMILIES[name].twins)
         }
-        missing = [path for path in asked if read_twin(path) is None]
-        os.environ |= ONE_THREAD
-        with pool(min(jobs or processors(), len(missing) or 1)) as workers:
-            stored = workers.finished(store_twin, [(path, *asked[path]) for path in missing])
-            list(tqdm(stored, total=len(missing), unit="twin", leave=False, disable=None))
-        every = {
-            family: [twin for path in sorted((folder / name).glob("[0-9]*.json")) if (twin := read_twin(path))]
-            for name, family in FAMILIES.items()
-        }
+        solve_missing(asked, jobs)
+        every = {family: twins_in(folder / name) for name, family in FAMILIES.items()}
     found = {family: some for family, some in every.items() if some}
     draw(out / "coverage.png", found)
     return written(out, found)
 
 
-def read_twin(path: Path) -> Twin | None:
-    """The twin at `path`; None where it was not solved yet."""
-    return None if (known := read_json(path)) is None else from_mapping(Twin, known)
+def solve_missing(asked: Mapping[Path, tuple[Family, int, Path | None]], jobs: int | None) -> None:
+    """Solve the twins whose files are not there yet, side by side, each on one thread; `asked` as `store_twin`."""
+    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    missing = [(path, *twin) for path, twin in asked.items() if not path.exists()]
+    with pool(min(jobs or processors(), len(missing) or 1)) as workers:
+        list(tqdm(workers.finished(store_twin, missing), total=len(missing), unit="twin", leave=False, disable=None))
+
+
+def twins_in(folder: Path) -> list[Twin]:
+    """Those that were solved."""
+    return [from_mapping(Twin, read_json(path) or {}) for path in sorted(folder.glob("[0-9]*.json"))]
 
 
 def store_twin(path: Path, family: Family, number: int, model: Path | None) -> None:

@@ -1,8 +1,6 @@
 """`python -m validation.bench problems`: every shipped inverse problem, beside its criteria and the paper's figures."""
 
-import csv
 import hashlib
-import io
 import math
 import shutil
 import subprocess
@@ -13,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from datasets.errors import InputError, WorkFailed, suggestion
-from datasets.files import make_folder, read_json, read_toml, write_text
+from datasets.files import make_folder, read_json, read_toml, write_csv, write_text
 from datasets.schema import Record, from_mapping
 from gns import library
 from inverse.answer import Verdict
@@ -210,7 +208,7 @@ def bench(*, out: Out, keep: Keep = None, only: tuple[str, ...] = (), as_kept: b
                     make_folder(target.parent)
                     pictures.append(Path(shutil.copyfile(source, target)).stem)
     every = [ways for problems in found.values() for ways in problems]
-    write_csv(out / "problems.csv", [each for ways in every for each in ways.values()])
+    write_numbers(out / "problems.csv", [each for ways in every for each in ways.values()])
     draw(out / "pictures" / "problems.png", every)
     said = write_page(
         out,
@@ -337,7 +335,7 @@ def field_row(outcome: Outcome, field: Mapping[str, Any]) -> Row:
     }
 
 
-def write_csv(path: Path, outcomes: Sequence[Outcome]) -> None:
+def write_numbers(path: Path, outcomes: Sequence[Outcome]) -> None:
     """A line for each number of each answer, and for each field."""
     lines: list[dict[str, object]] = []
     for each in outcomes:
@@ -360,11 +358,8 @@ def write_csv(path: Path, outcomes: Sequence[Outcome]) -> None:
             flat = {f"{key}_{part}": field[key][part] for key in ("error", "truth_in_band") for part in field[key]}
             whole = {key: field[key] for key in ("unit", "values", "identified")}
             lines.append(common | {"unknown": field["name"]} | whole | flat)
-    file = io.StringIO()
-    writer = csv.DictWriter(file, list(dict.fromkeys(key for line in lines for key in line)), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
-    write_text(path, file.getvalue())
+    header = list(dict.fromkeys(key for line in lines for key in line))
+    write_csv(path, header, ([line.get(key) for key in header] for line in lines))
 
 
 def draw(path: Path, solved: Sequence[Outcomes]) -> None:

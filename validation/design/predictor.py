@@ -20,7 +20,6 @@ from gns.surroundings.initial import check, initial_state
 from gns.surroundings.state import Conditions, State
 from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
-from inverse.search.waves import jitter_seed
 from mpm import ALL, LAST, simulate_many
 from validation.design.problem import DesignProblem, Limit
 
@@ -50,13 +49,11 @@ class Predictor:
         self.problem, self.respond, self.made = problem, respond, 0
 
     def __call__(self, points: Matrix) -> Row:
-        found, values = list[float](), self.problem.box.at(np.round(points, 6))
-        for first in tqdm(range(0, len(values), TOGETHER), desc="predictions", unit="batch", leave=False, disable=None):
-            rows = values[first : first + TOGETHER]
-            seeds = [jitter_seed(self.problem.scene.seed, self.made + n) for n in range(len(rows))]
-            scenes = [self.problem.scene_at(row, seed) for row, seed in zip(rows, seeds, strict=True)]
+        found = list[float]()
+        for first in tqdm(range(0, len(points), TOGETHER), desc="predictions", unit="batch", leave=False, disable=None):
+            scenes = self.problem.scenes_at(points[first : first + TOGETHER], self.made)
             found += self.respond(scenes)
-            self.made += len(rows)
+            self.made += len(scenes)
         return np.array(found)
 
 

@@ -28,6 +28,7 @@ from inverse.parameters.prior import Correlation, JointPrior
 from inverse.posterior import Matrix, Row
 from inverse.problem import Box, read_problem
 from inverse.saving import read_samples
+from inverse.search.waves import jitter_seed
 from inverse.settings import counted
 
 DESIGNS = Path(__file__).parent / "problems"
@@ -252,6 +253,19 @@ class DesignProblem(_Keys):
         for unknown, draws in self.fields:
             scene = unknown.put(scene, draws[min(int(values[-1] * len(draws)), len(draws) - 1)])
         return replace(scene, seed=seed)
+
+    def scenes_at(self, points: Matrix, first: int) -> list[Scene]:
+        """The scenes at points [n, K + Q] in fractions of the ranges, to a millionth: a run is found again by them.
+
+        first: number of the first flow, of which its jitter seed follows.
+        """
+        values = enumerate(self.box.at(np.round(points, 6)), first)
+        return [self.scene_at(row, jitter_seed(self.scene.seed, number)) for number, row in values]
+
+
+def with_draws(design: Row, draws: Matrix) -> Matrix:
+    """All numbers [n, K + Q] of a design [K] with each of the draws [n, Q] of what is uncertain."""
+    return np.hstack([np.tile(design, (len(draws), 1)), draws])
 
 
 def read_design(name: str | Path) -> DesignProblem:

@@ -22,7 +22,7 @@ from scipy.stats import beta, qmc
 
 from inverse.answer import Verdict
 from inverse.posterior import Matrix, Row
-from validation.design.problem import DesignProblem
+from validation.design.problem import DesignProblem, with_draws
 from validation.design.search import Checked
 
 Predict = Callable[[Matrix], Row]
@@ -86,13 +86,20 @@ class Race:
 
     def rank(self, entry: Entry) -> tuple[float, float]:
         """What is better comes first: cheap designs or, where nothing has a price, reliable ones."""
-        price = float(self.problem.price(entry.design[None])[0])
-        return (price, -self.probability(entry)) if self.problem.cost else (-self.probability(entry), 0.0)
+        return (self.price(entry), -self.probability(entry)) if self.problem.cost else (-self.probability(entry), 0.0)
+
+    def price(self, entry: Entry) -> float:
+        return float(self.problem.price(entry.design[None])[0])
+
+    @property
+    def settled(self) -> list[Entry]:
+        """The designs that are known well."""
+        return [each for each in self.entries if len(each.responses) >= SETTLED]
 
     @property
     def best(self) -> Entry:
         """The best of those that are known well and good enough, else the most reliable one."""
-        settled = [each for each in self.entries if len(each.responses) >= SETTLED] or self.entries
+        settled = self.settled or self.entries
         good = [each for each in settled if self.probability(each) >= self.problem.required]
         return min(good, key=self.rank) if good else max(settled, key=self.probability)
 
@@ -128,10 +135,7 @@ class Race:
     def advance(self, entries: list[Entry]) -> None:
         """More draws of each."""
         pieces = [self.draws[len(each.responses) :][: NEXT if len(each.responses) else FIRST] for each in entries]
-        points = [
-            np.hstack([np.tile(each.design, (len(piece), 1)), piece])
-            for each, piece in zip(entries, pieces, strict=True)
-        ]
+        points = [with_draws(each.design, piece) for each, piece in zip(entries, pieces, strict=True)]
         found = self.predict(np.concatenate(points))
         ends = np.cumsum([len(each) for each in pieces])
         for each, own in zip(entries, np.split(found, ends[:-1]), strict=True):
@@ -181,12 +185,12 @@ def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, i
     designs = qmc.LatinHypercube(len(problem.variables), rng=rng).random(count)
     points = np.hstack([designs, problem.draws(count, rng)])
     ours, theirs = timed(points), respond(points, 0)
-    for turn, share in enumerate(SHARES):
+    for share in SHARES:
         race.errors = theirs - ours
         race.run(round(share * problem.budget.predictions))
         best = race.best
         draws = problem.draws(problem.budget.checks, rng)
-        points = np.hstack([np.tile(best.design, (len(draws), 1)), draws])
+        points = with_draws(best.design, draws)
         shown = respond(points, len(theirs))
         ours, theirs = np.append(ours, timed(points)), np.append(theirs, shown)
         found = RacedDesign(
@@ -200,6 +204,6 @@ def raced(problem: DesignProblem, predict: Predict, respond: Callable[[Matrix, i
             seconds=time.perf_counter() - began,
             predicting=predicting,
         )
-        if found.verdict is not Verdict.UNCONFIRMED or turn == len(SHARES) - 1:
+        if found.verdict is not Verdict.UNCONFIRMED:
             break
     return found

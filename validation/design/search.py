@@ -18,7 +18,7 @@ from inverse.answer import Verdict
 from inverse.posterior import Matrix, Row
 from inverse.posterior.settings import CONSTANTS
 from inverse.search.waves import ModelRun, WaveSearch, filling, runs_of
-from validation.design.problem import DesignProblem
+from validation.design.problem import DesignProblem, with_draws
 from validation.design.reliability import Reliability
 
 Respond = Callable[[Matrix, int], Row]
@@ -119,7 +119,7 @@ def designed(problem: DesignProblem, respond: Respond) -> Design:
     for turn in range(ROUNDS):
         search = searched(search)
         draws = problem.draws(problem.budget.checks, search.generator(3 + turn))
-        points = np.hstack([np.tile(search.knowledge.best, (len(draws), 1)), draws])
+        points = with_draws(search.knowledge.best, draws)
         # Checks are no part of the budget.
         search = replace(search, budget=search.budget + len(points)).ran(points)
         found = Design(

@@ -11,11 +11,10 @@ from datasets.flow.trajectory import Trajectory
 from datasets.markdown import markdown_table
 from inverse.forward import Simulate
 from inverse.posterior import Matrix, Row
-from inverse.search.waves import jitter_seed
 from mpm import ALL, LAST, simulate_many
 from validation.design.predictor import predictor
 from validation.design.problem import DesignProblem, read_design
-from validation.design.race import SETTLED, RacedDesign, raced
+from validation.design.race import RacedDesign, raced
 from validation.design.reliability import Reliability
 from validation.design.search import Design, designed
 from validation.plots import BLUE, GREY, ORANGE, figure
@@ -46,10 +45,7 @@ def find_design(
         flows = list[Trajectory]()
 
         def respond(points: Matrix, first: int) -> Row:
-            values = asked.box.at(np.round(points, 6))
-            jitters = [jitter_seed(asked.scene.seed, first + index) for index in range(len(points))]
-            scenes = [asked.scene_at(row, jitter) for row, jitter in zip(values, jitters, strict=True)]
-            flows[:] = store(scenes, record=ALL if limit.force else LAST)
+            flows[:] = store(asked.scenes_at(points, first), record=ALL if limit.force else LAST)
             return np.array([each.summary[limit.quantity] for each in flows])
 
         if asked.surrogate == "none":
@@ -62,43 +58,48 @@ def find_design(
         if remarks and not limit.force:
             found = replace(found, remark=remarks[0])
         if out is not None:
+            write_json(folder / "design.json", record(found))
+            write_text(folder / "report.md", report(found))
             if isinstance(found, Design):
-                write_json(folder / "design.json", record(found))
                 draw(found, folder / "design.png")
-                write_text(folder / "report.md", report(found))
             else:
-                write_json(folder / "design.json", race_record(found))
                 draw_race(found, folder / "design.png")
-                write_text(folder / "report.md", race_report(found))
     return found
 
 
-def record(found: Design) -> dict[str, Any]:
+def record(found: Design | RacedDesign) -> dict[str, Any]:
     """`design.json`."""
-    problem, reliability = found.problem, found.reliability
-    values = problem.box.at(found.points)[:, len(problem.variables) :].tolist()
-    names = [each.name for each in problem.uncertain]
+    problem, own = found.problem, dict[str, Any]()
+    if isinstance(found, Design):
+        expected = {"emulator": found.expected, "cautious": found.reliability.cautious}
+        values = problem.box.at(found.points)[:, len(problem.variables) :].tolist()
+        names = [each.name for each in problem.uncertain]
+        own["checks"] = [
+            {"uncertain": dict(zip(names, row, strict=True)), "response": float(response)}
+            for row, response in zip(values, found.responses, strict=True)
+        ]
+        own["waves"] = [each.as_json() for each in found.search.waves]
+    else:
+        expected = {"predicted": found.expected}
+        own["checks"] = found.responses.tolist()
+        own["pairs"] = {"predicted": found.pairs[0].tolist(), "mpm": found.pairs[1].tolist()}
+        own |= {"predictions": found.race.spent, "designs": len(found.race.entries), "predicting": found.predicting}
     return {
         "problem": problem.name,
         "verdict": found.verdict,
         "design": found.design,
-        "cost": reliability.price,
+        "cost": found.price,
         "limit": {"quantity": problem.limit.quantity, "below": problem.limit.below, "unit": problem.unit},
         "probability": {
             "asked": problem.limit.probability,
             "required": problem.required,
-            "emulator": reliability.expected,
-            "cautious": reliability.cautious,
+            **expected,
             "mpm": 1.0 - found.exceeding / len(found.responses),
             "interval": found.interval,
         },
         "exceeding": found.exceeding,
         "allowed": problem.allowed,
-        "checks": [
-            {"uncertain": dict(zip(names, row, strict=True)), "response": float(response)}
-            for row, response in zip(values, found.responses, strict=True)
-        ],
-        "waves": [each.as_json() for each in found.search.waves],
+        **own,
         "runs": found.spent,
         "seconds": found.seconds,
         "remark": found.remark or None,
@@ -140,53 +141,26 @@ def summary(found: Design | RacedDesign) -> list[str]:
     return [*lines, found.remark] if found.remark else lines
 
 
-def race_record(found: RacedDesign) -> dict[str, Any]:
-    """`design.json` of a design by predictions."""
-    problem, race = found.problem, found.race
-    return {
-        "problem": problem.name,
-        "verdict": found.verdict,
-        "design": found.design,
-        "cost": found.price,
-        "limit": {"quantity": problem.limit.quantity, "below": problem.limit.below, "unit": problem.unit},
-        "probability": {
-            "asked": problem.limit.probability,
-            "required": problem.required,
-            "predicted": found.expected,
-            "mpm": 1.0 - found.exceeding / len(found.responses),
-            "interval": found.interval,
-        },
-        "exceeding": found.exceeding,
-        "allowed": problem.allowed,
-        "checks": found.responses.tolist(),
-        "pairs": {"predicted": found.pairs[0].tolist(), "mpm": found.pairs[1].tolist()},
-        "predictions": race.spent,
-        "designs": len(race.entries),
-        "runs": found.spent,
-        "seconds": found.seconds,
-        "predicting": found.predicting,
-        "remark": found.remark or None,
-    }
-
-
-def race_report(found: RacedDesign) -> str:
-    """`report.md` of a design by predictions: the outcome and the designs that went furthest."""
-    problem, race, (title, *lines) = found.problem, found.race, summary(found)
-    known = sorted((each for each in race.entries if len(each.responses) >= SETTLED), key=race.rank)
-    rows = [
-        problem.named(each.design)
-        | {"predictions": len(each.responses), "probability": race.probability(each)}
-        | ({"cost": float(problem.price(each.design[None])[0])} if problem.cost else {})
-        for each in known
-    ]
-    parts = [
-        f"# {title}",
-        "\n".join(f"- {line}" for line in lines),
-        "![probability of the designs; what the MPM says of the same flows as the predictions](design.png)",
-        "## Designs of the most predictions",
-        markdown_table(rows, disable_numparse=False, floatfmt=".4g"),
-    ]
-    return "\n\n".join(parts) + "\n"
+def report(found: Design | RacedDesign) -> str:
+    """`report.md`: the outcome; the ranges and the waves, or the designs of the most predictions."""
+    problem, (title, *lines) = found.problem, summary(found)
+    if isinstance(found, Design):
+        shown = "probability over the variables, responses of the check over what is uncertain"
+        ranges = [{"number": each.name, "lower": each.lower, "upper": each.upper} for each in problem.numbers]
+        parts = [markdown_table(ranges, disable_numparse=False)]
+        keys, waves = ("runs", "probability", "cautious"), map(Reliability.as_json, found.search.waves)
+        rows = [each["design"] | {key: each[key] for key in keys} for each in waves]
+    else:
+        shown, race = "probability of the designs; what the MPM says of the same flows as the predictions", found.race
+        parts = ["## Designs of the most predictions"]
+        rows = [
+            problem.named(each.design)
+            | {"predictions": len(each.responses), "probability": race.probability(each)}
+            | ({"cost": race.price(each)} if problem.cost else {})
+            for each in sorted(race.settled, key=race.rank)
+        ]
+    parts = ["\n".join(f"- {line}" for line in lines), f"![{shown}](design.png)", *parts]
+    return "\n\n".join([f"# {title}", *parts, markdown_table(rows, disable_numparse=False, floatfmt=".4g")]) + "\n"
 
 
 def draw_race(found: RacedDesign, path: Path) -> None:
@@ -206,22 +180,6 @@ def draw_race(found: RacedDesign, path: Path) -> None:
         right.axhline(problem.limit.below, color=GREY, linestyle="--")
         names = f"{problem.limit.quantity} [{problem.unit}]"
         right.set(xlabel=f"predicted {names}", ylabel=f"MPM, {names}")
-
-
-def report(found: Design) -> str:
-    """`report.md`."""
-    problem, (title, *lines) = found.problem, summary(found)
-    keys = ("runs", "probability", "cautious")
-    waves = [each["design"] | {key: each[key] for key in keys} for each in map(Reliability.as_json, found.search.waves)]
-    ranges = [{"number": each.name, "lower": each.lower, "upper": each.upper} for each in problem.numbers]
-    parts = [
-        f"# {title}",
-        "\n".join(f"- {line}" for line in lines),
-        "![probability over the variables, responses of the check over what is uncertain](design.png)",
-        markdown_table(ranges, disable_numparse=False),
-        markdown_table(waves, disable_numparse=False, floatfmt=".4g"),
-    ]
-    return "\n\n".join(parts) + "\n"
 
 
 def draw(found: Design, path: Path) -> None:

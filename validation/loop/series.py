@@ -5,8 +5,6 @@ those of the deposits before, are known to the emulator of each further one, whi
 checks. Each deposit's own runs have jitter seeds of their own.
 """
 
-import csv
-import io
 import itertools
 import json
 import sys
@@ -19,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from datasets.errors import InputError, naming
-from datasets.files import make_folder, write_json, write_text
+from datasets.files import make_folder, write_csv, write_json, write_text
 from datasets.flow.trajectory import SUFFIXES, Trajectory
 from datasets.markdown import markdown_table
 from inverse.answer import Verdict
@@ -126,11 +124,7 @@ def row(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
 
 def write(out: Path, problem: Problem, rows: Sequence[Mapping[str, Any]], count: int) -> None:
     """Write the table of the deposits so far, of `count`."""
-    content = io.StringIO(newline="")
-    table = csv.DictWriter(content, rows[0])
-    table.writeheader()
-    table.writerows(rows)
-    write_text(out / "series.csv", content.getvalue())
+    write_csv(out / "series.csv", [*rows[0]], ([*each.values()] for each in rows))
     write_json(out / "series.json", {"problem": problem.name, "deposits": rows})
     digits = {each.name + end: each.kind.digits for each in problem.numbers for end in ("", *ENDS)}
     forms = [f".{digits.get(key, 1)}f" for key in rows[0]]

@@ -6,9 +6,8 @@ band allows, the region is so much wider, and twice as wide wherever the posteri
 """
 
 import sys
-import time
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +17,10 @@ from datasets.processes import processors
 from datasets.scene import Scene
 from gns import card, checkpoint
 from gns.library import model_path, shipped
-from gns.ranges import outside
 from gns.simulator import Simulator
-from gns.surroundings.initial import check
 from inverse.answer import Purpose
 from inverse.forward import Forward
-from inverse.forward.gns import Flow, GnsForward, band_of
+from inverse.forward.gns import PREDICTIONS, Flow, GnsForward, band_of, priced, seconds_of_run, unfamiliar
 from inverse.forward.mpm import MpmForward
 from inverse.observations.target import Target
 from inverse.posterior.emulator import fewest_runs
@@ -31,15 +28,11 @@ from inverse.posterior.settings import CONSTANTS
 from inverse.problem import Problem
 from inverse.search.inference import Inversion, further, wave_size
 from inverse.settings import Surrogate
-from mpm.footprint import INVERSION, PROCESS, SPEED, expected, planned
-from mpm.resolution import particle_steps
+from mpm.footprint import INVERSION, PROCESS, expected, planned
 from validation.loop.task import Loop, Task
 from validation.loop.verdict import checked
 from validation.run_store import RunStore
 
-PREDICTIONS = 5.0
-"""Predictions that a run of the MPM costs, from which on it is asked: it predicts two to five times for each run that
-it saves."""
 JITTER = 0
 """Jitter seed of the flows that it predicts."""
 WIDEST = 0.2
@@ -65,8 +58,7 @@ def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:
         # Off by about a cell of the scene, four times the scatter of its flows.
         coarse = MpmForward(problem, task.target.observation, store, band=4.0 * task.scatter)
         return coarse, "it is the MPM on cells twice as large"
-    run = seconds_of_run(problem)
-    by_price = requested is Surrogate.AUTO and model is None
+    run, by_price = seconds_of_run(problem.scene), requested is Surrogate.AUTO and model is None
     if by_price and quick(run):
         return None, f"a run of the MPM takes {run:.2g} s, which is less than {PREDICTIONS:g} predictions"
     forward, reason = learned(problem, task.target, model)
@@ -74,18 +66,10 @@ def choose(task: Task, model: Path | None = None) -> tuple[Forward | None, str]:
         if requested is Surrogate.GNS:
             raise InputError(f"expected auto or none, {reason}", key="surrogate")
         return None, reason
-    began = time.perf_counter()
-    forward.errors(problem.initial)
-    prediction = time.perf_counter() - began
-    price = f"a run of the MPM takes {run:.2g} s, a prediction {prediction:.2g} s"
-    if by_price and run < PREDICTIONS * prediction:
+    dear, price = priced(problem.scene, partial(forward.errors, problem.initial))
+    if by_price and not dear:
         return None, f"{price}, a {PREDICTIONS:g}th of it or more"
     return forward, price if by_price else f"it is asked for; {price}"
-
-
-def seconds_of_run(problem: Problem) -> float:
-    """What a run of the MPM takes [s]; by no measurement of this machine's, so that it decides the same way again."""
-    return particle_steps(problem.scene) / (SPEED[problem.scene.dimension] * processors())
 
 
 def quick(run: float) -> bool:
@@ -96,7 +80,7 @@ def quick(run: float) -> bool:
 def estimate(problem: Problem, model: Path | None, out: Path) -> str:
     """What the runs take at least that a loop makes first, and those that check its answer."""
     unknowns = len(problem.parameters)
-    alone = problem.surrogate is Surrogate.NONE or (model is None and quick(seconds_of_run(problem)))
+    alone = problem.surrogate is Surrogate.NONE or (model is None and quick(seconds_of_run(problem.scene)))
     fill = CONSTANTS.first_runs + CONSTANTS.first_per_unknown * unknowns + CONSTANTS.repeats
     few = fill + CONSTANTS.checks if alone else CONSTANTS.first_checks + CONSTANTS.wave + unknowns
     runs = max(min(few, problem.loop.budget(unknowns)) - len(list((out / "mpm").glob("*.npz"))), 0)
@@ -119,14 +103,8 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forwa
     stamp = weights.stat().st_mtime_ns if weights.exists() else 0
     simulator, flows = loaded(weights, stamp, problem.scene, tuple(problem.names))
     scene = problem.scene_at(problem.initial)
-    known = card.read(weights)
-    unknown = outside(scene, known.ranges) if known is not None else []
-    try:
-        check(scene, simulator.settings)
-    except InputError as error:
-        unknown = unknown or [str(error)]
-    if unknown:
-        return None, f"{weights.name} was not trained on such a flow: {'; '.join(unknown)}"
+    if strange := unfamiliar(weights, simulator.settings, scene):
+        return None, strange
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
     band = band_of(weights, scene)

@@ -231,3 +231,8 @@ def test_the_definition_on_the_page(tmp_path: Path) -> None:
 def test_mistakes_name_file_and_key(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = TEXT.replace(old, new).replace("{friction}", "30.0")
     assert refused(definition, tmp_path, text, said=expected).where == str(tmp_path / "steps.toml")
+
+
+def test_a_file_that_a_scene_lacks_is_named_itself(tmp_path: Path) -> None:
+    text = TEXT.replace("{friction}", "30.0") + '[[scene.solids]]\nkind = "terrain"\nfile = "line.csv"\n'
+    refused(definition, tmp_path, text, said="line.csv: solids[0].file: expected a CSV, there is none")

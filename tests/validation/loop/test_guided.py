@@ -12,6 +12,7 @@ from datasets import Domain, Solid
 from gns import card, checkpoint
 from inverse import Parameter, TargetSettings, read_problem
 from inverse.answer import Purpose, Verdict
+from inverse.forward import gns
 from inverse.forward.gns import GnsForward
 from inverse.observations import FrontSettings
 from inverse.search.inference import begun
@@ -117,9 +118,7 @@ def model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     level = SimpleNamespace(ranges=(), calibration=lambda scene: calibration)
     checkpoint.save(tmp_path / "tiny.safetensors", simulator_of(2).float(), {})
     monkeypatch.setattr(card, "read", lambda path: level)
-    monkeypatch.setattr(
-        surrogate, "outside", lambda scene, _: [f"slope_deg {scene.slope_deg:g}"] * (scene.slope_deg > 0)
-    )
+    monkeypatch.setattr(gns, "outside", lambda scene, _: [f"slope_deg {scene.slope_deg:g}"] * (scene.slope_deg > 0))
     monkeypatch.setattr(card, "warning", lambda path, scene: None)
     return tmp_path / "tiny.safetensors"
 
@@ -187,7 +186,7 @@ def test_a_surrogate_is_asked_where_a_run_of_the_mpm_is_dear(tmp_path: Path, mon
     assert choose(task(case, tmp_path, Surrogate.NONE))[1] == "the problem asks for none"
     assert choose(asked)[0] is not None
     # On a processor a million times slower.
-    monkeypatch.setattr(surrogate, "SPEED", {2: 35.0})
+    monkeypatch.setattr(gns, "SPEED", {2: 35.0})
     found, reason = choose(auto)
     assert found is not None
     assert "a run of the MPM takes" in reason

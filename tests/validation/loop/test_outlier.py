@@ -11,8 +11,9 @@ import pytest
 from datasets import Mass, Scene, Trajectory
 from datasets.flow.measures import front
 from datasets.scene.grid_field import Floats
-from inverse import Parameter, Problem, TargetSettings
+from inverse import Parameter, Problem, Result, TargetSettings
 from inverse.answer import Verdict
+from inverse.forward import Simulate
 from inverse.observations import FrontSettings
 from inverse.report import summary
 from inverse.target import read_target
@@ -61,18 +62,32 @@ def problem_of(folder: Path, values: Floats, names: Sequence[str], noise: float 
     )
 
 
-def exact(values: Floats, unknowns: int) -> tuple[float, Floats]:
-    """Birge's ratio, and the 2.5 %, 50 % and 97.5 % quantiles of each unknown, shape [3, U], by a grid over the box."""
+def solved(problem: Problem, folder: Path, mpm: Simulate = slide) -> Result:
+    """What the loop finds."""
+    target = read_target(problem, lambda scene: mpm([scene])[0])
+    return run(Task(problem=problem, target=target, folder=folder / "mpm", simulate=mpm))
+
+
+def grid(unknowns: int) -> tuple[list[Floats], Floats]:
+    """Speeds and, of two unknowns, frictions over the box; fronts there [m], shape [., ., M]."""
     shares = (np.arange(600) + 0.5) / 600
-    speed, friction = (low + (high - low) * shares for low, high in BOUNDS.values())
-    friction = friction if unknowns == 2 else np.array([FRICTION])
-    fronts = 0.3 + moved(TIMES, speed[:, None, None], friction[:, None])
-    squares = ((fronts - values) ** 2).sum(axis=-1) / NOISE**2
-    birge = float(np.sqrt(squares.min() / (len(TIMES) - unknowns)))
-    weights = np.exp(-0.5 * (squares - squares.min()) / birge**2)
-    both = [(weights.sum(axis=1), speed), (weights.sum(axis=0), friction)][:unknowns]
-    at = (0.025, 0.5, 0.975)
-    return birge, np.stack([np.interp(at, np.cumsum(own) / own.sum(), axis) for own, axis in both], axis=1)
+    axes = [low + (high - low) * shares for low, high in BOUNDS.values()][:unknowns]
+    speed, friction = axes if unknowns == 2 else (axes[0], np.array([FRICTION]))
+    return axes, 0.3 + moved(TIMES, speed[:, None, None], friction[:, None])
+
+
+def quantiles(axes: Sequence[Floats], log_density: Floats) -> Floats:
+    """The 2.5 %, 50 % and 97.5 % quantiles of each unknown by a density over a grid, shape [3, U]."""
+    weights, found = np.exp(log_density - log_density.max()), []
+    for own, axis in zip((weights.sum(axis=1), weights.sum(axis=0)), axes, strict=False):
+        found.append(np.interp((0.025, 0.5, 0.975), np.cumsum(own) / own.sum(), axis))
+    return np.stack(found, axis=1)
+
+
+def apart(found: Result, exact: Floats) -> float:
+    """The largest error of an end of an interval or a median, over the width of the exact interval."""
+    low, high = found.answers[0].interval
+    return float(np.abs((np.stack([low, found.answer, high]) - exact) / (exact[2] - exact[0])).max())
 
 
 SLOW = [pytest.param(*each, marks=pytest.mark.slow) for each in ((0.03, 1), (0.05, 2), (0.15, 2))]
@@ -86,14 +101,13 @@ def test_an_outlier_widens_the_interval_by_birge_s_ratio_and_is_named(
     truth = moved(TIMES, np.array(SPEED), np.array(FRICTION))
     values, names = 0.3 + truth + off * (TIMES == 0.30), NAMES[:unknowns]
     problem = problem_of(tmp_path, values, names)
-    target = read_target(problem, lambda asked: slide([asked])[0])
-    found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=slide))
-    fit, (birge, quantiles) = found.answers[0].fit, exact(values, unknowns)
+    found = solved(problem, tmp_path)
+    fit, (axes, fronts) = found.answers[0].fit, grid(unknowns)
+    squares = ((fronts - values) ** 2).sum(axis=-1) / NOISE**2
+    birge = np.sqrt(squares.min() / (len(TIMES) - unknowns))
     assert found.verdict is Verdict.UNCONFIRMED
     assert fit.applied == pytest.approx(birge, rel=0.05)
-    shown = np.stack([found.answers[0].interval[0], found.answer, found.answers[0].interval[1]])
-    off_exact = (shown - quantiles) / (quantiles[2] - quantiles[0])
-    assert np.abs(off_exact).max() < 0.07
+    assert apart(found, quantiles(axes, -0.5 * squares / birge**2)) < 0.07
     assert found.answers[0].holds(np.array([SPEED, FRICTION][:unknowns])).all()
     assert list(fit.outliers) == [4]
 
@@ -109,9 +123,7 @@ def test_errors_of_the_cells_hide_no_late_clock_and_no_outlier(
 ) -> None:
     """Cells err by more than four times the noise, but smoothly: a clock 35 ms late is a misfit all the same."""
     problem = problem_of(tmp_path, values, NAMES[:1])
-    coarse = partial(slide, cells=1.5)
-    target = read_target(problem, lambda asked: coarse([asked])[0])
-    found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=coarse))
+    found = solved(problem, tmp_path, partial(slide, cells=1.5))
     fit = found.answers[0].fit
     assert fit.cells > 4.0 * fit.noise
     assert list(fit.outliers) == outliers

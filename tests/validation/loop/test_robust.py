@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets.scene.grid_field import Floats
 from inverse import Parameter, TargetSettings
 from inverse.answer import Verdict
 from inverse.observations import FrontSettings
@@ -15,23 +14,23 @@ from inverse.residuals import residuals
 from inverse.saving import save
 from inverse.target import read_target
 from tests.refusals import refused
-from tests.validation.loop.test_outlier import BOUNDS, FRICTION, NAMES, NOISE, SPEED, TIMES, moved, problem_of, slide
-from validation.loop.solve import run
-from validation.loop.task import Task
+from tests.validation.loop.test_outlier import (
+    BOUNDS,
+    FRICTION,
+    NAMES,
+    NOISE,
+    SPEED,
+    TIMES,
+    apart,
+    grid,
+    moved,
+    problem_of,
+    quantiles,
+    slide,
+    solved,
+)
 
 DOF = 4.0
-
-
-def exact(values: Floats, unknowns: int) -> Floats:
-    """The 2.5 %, 50 % and 97.5 % quantiles under Student's t, by a grid over the box, shape [3, U]."""
-    shares = (np.arange(600) + 0.5) / 600
-    speed, friction = (low + (high - low) * shares for low, high in BOUNDS.values())
-    friction = friction if unknowns == 2 else np.array([FRICTION])
-    off = (0.3 + moved(TIMES, speed[:, None, None], friction[:, None]) - values) / NOISE
-    density = -0.5 * (DOF + 1.0) * np.log1p(off**2 / DOF).sum(axis=-1)
-    weights = np.exp(density - density.max())
-    both = [(weights.sum(axis=1), speed), (weights.sum(axis=0), friction)][:unknowns]
-    return np.stack([np.interp((0.025, 0.5, 0.975), np.cumsum(own) / own.sum(), axis) for own, axis in both], axis=1)
 
 
 @pytest.mark.parametrize("unknowns", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -43,16 +42,12 @@ def test_an_outlier_of_robust_noise_moves_nothing(tmp_path: Path, unknowns: int,
     seen = replace(problem.observations[0], noise=Student(dof=DOF, deviation=NOISE))
     assert isinstance(seen, FrontSettings)
     problem = replace(problem, observations=(seen,))
-    target = read_target(problem, lambda asked: slide([asked])[0])
-    found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=slide))
+    found = solved(problem, tmp_path)
     assert found.verdict is Verdict.CONFIRMED
     assert found.answers[0].holds(truth).all()
-    shown, quantiles = (
-        np.stack([found.answers[0].interval[0], found.answer, found.answers[0].interval[1]]),
-        exact(values, unknowns),
-    )
-    off_exact = (shown - quantiles) / (quantiles[2] - quantiles[0])
-    assert np.abs(off_exact).max() < 0.2
+    axes, fronts = grid(unknowns)
+    students = -0.5 * (DOF + 1.0) * np.log1p(((fronts - values) / NOISE) ** 2 / DOF).sum(axis=-1)
+    assert apart(found, quantiles(axes, students)) < 0.2
 
 
 def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(tmp_path: Path) -> None:
@@ -62,8 +57,7 @@ def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(t
     seen = replace(problem.observations[0], noise=Student(dof=DOF, deviation=NOISE))
     poor = FrontSettings(name="glance", times=(0.5,), values=(float(values[-2]),), noise=10.0 * NOISE)
     problem = replace(problem, observations=(seen, poor))
-    target = read_target(problem, lambda asked: slide([asked])[0])
-    found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=slide))
+    found = solved(problem, tmp_path)
     save(found, tmp_path / "out")
     text = (tmp_path / "out" / "report.md").read_text()
     assert "front at time 0.3 s (+" in text
@@ -78,10 +72,8 @@ def test_a_report_lists_every_number_names_outliers_and_says_which_data_matter(t
     assert widths["front"] > 5.0 * widths["none"]
     # Of fronts that all move by the time t or more with the speed, the exact half-width of one number at 0.5 s.
     speeds = np.linspace(*BOUNDS[NAMES[0]], 4001)
-    density = np.exp(
-        -0.5 * ((0.3 + moved(np.array(0.5), speeds, np.array(FRICTION)) - values[-2]) / (10.0 * NOISE)) ** 2
-    )
-    low, high = np.interp((0.025, 0.975), np.cumsum(density) / density.sum(), speeds)
+    off = (0.3 + moved(np.array(0.5), speeds, np.array(FRICTION)) - values[-2]) / (10.0 * NOISE)
+    ((low,), _, (high,)) = quantiles([speeds], -0.5 * off[:, None] ** 2)
     assert widths["front"] == pytest.approx(0.5 * (high - low), rel=0.2)
 
 
@@ -92,21 +84,14 @@ def test_a_clock_that_starts_late_is_an_unknown(tmp_path: Path, late: float) -> 
     problem = problem_of(tmp_path, values, NAMES[:1])
     clock = Parameter(name="time_offset", initial=0.0, lower=-0.1, upper=0.1)
     problem = replace(problem, parameters=(*problem.parameters, clock))
-    target = read_target(problem, lambda asked: slide([asked])[0])
-    found = run(Task(problem=problem, target=target, folder=tmp_path / "mpm", simulate=slide))
+    found = solved(problem, tmp_path)
     assert found.verdict is Verdict.CONFIRMED
     assert found.answers[0].holds(np.array([SPEED, late])).all()
     shares = (np.arange(600) + 0.5) / 600
     speed, offset = 0.5 + 1.7 * shares, -0.1 + 0.2 * shares
     times = np.maximum(TIMES + offset[:, None], 0.0)
     squares = (((0.3 + moved(times, speed[:, None, None], np.array(FRICTION)) - values) / NOISE) ** 2).sum(axis=-1)
-    weights = np.exp(-0.5 * squares)
-    for index, (own, axis) in enumerate(((weights.sum(axis=1), speed), (weights.sum(axis=0), offset))):
-        low, middle, high = np.interp((0.025, 0.5, 0.975), np.cumsum(own) / own.sum(), axis)
-        shown = np.array(
-            [found.answers[0].interval[0][index], found.answer[index], found.answers[0].interval[1][index]]
-        )
-        assert np.abs(shown - (low, middle, high)).max() < 0.25 * (high - low)
+    assert apart(found, quantiles((speed, offset), -0.5 * squares)) < 0.25
 
 
 def test_a_twin_has_the_clock_of_its_truth_and_a_deposit_has_none(tmp_path: Path) -> None:
