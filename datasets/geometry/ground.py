@@ -160,11 +160,18 @@ def interpolated(axes: Sequence[Floats], values: Floats, plan: Floats) -> Floats
     """
     if len(axes) == 1:
         return np.asarray(np.interp(plan[:, 0], axes[0], values))
-    x, z = axes
-    i = np.clip(np.searchsorted(x, plan[:, 0], side="right") - 1, 0, len(x) - 2)
-    k = np.clip(np.searchsorted(z, plan[:, 1], side="right") - 1, 0, len(z) - 2)
-    u = np.clip((plan[:, 0] - x[i]) / (x[i + 1] - x[i]), 0.0, 1.0)
-    v = np.clip((plan[:, 1] - z[k]) / (z[k + 1] - z[k]), 0.0, 1.0)
+    (i, u), (k, v) = (linear(axis, plan[:, number]) for number, axis in enumerate(axes))
+    return on_triangles(values, i, k, u, v)
+
+
+def linear(axis: Floats, at: Floats) -> tuple[Integers, Floats]:
+    """Which segment of an axis each place lies on, and the part of it that lies before; beyond its ends, its ends."""
+    index = np.clip(np.searchsorted(axis, at, side="right") - 1, 0, len(axis) - 2)
+    return index, np.clip((at - axis[index]) / (axis[index + 1] - axis[index]), 0.0, 1.0)
+
+
+def on_triangles(values: Floats, i: Integers, k: Integers, u: Floats, v: Floats) -> Floats:
+    """Values of a grid [X, Z] at the parts `u`, `v` of its cells `i`, `k`, linear on their triangles."""
     a, b, c, d = values[i, k], values[i + 1, k], values[i + 1, k + 1], values[i, k + 1]
     along = np.where(u >= v, a + u * (b - a) + v * (c - b), a + v * (d - a) + u * (c - d))
     across = np.where(u + v <= 1.0, a + u * (b - a) + v * (d - a), c + (1.0 - u) * (d - c) + (1.0 - v) * (b - c))

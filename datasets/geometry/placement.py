@@ -108,8 +108,8 @@ def body_near(solid: Solid, key: str, domain: Domain, places: Floats) -> Body:
     if solid.kind != "terrain":
         return closed_body(solid, key, domain)
     field, plan = height_field(solid, key, 0, domain), places[:, ::2]
-    cells = field.grown(field.cells_over(plan.min(axis=0), plan.max(axis=0)))
-    return raster_body(*field.posts(cells), deep=float(min(places[:, 1].min(), field.heights.min())) - 1.0, key=key)
+    posts = field.around(plan.min(axis=0), plan.max(axis=0))
+    return raster_body(*posts, deep=float(min(places[:, 1].min(), field.heights.min())) - 1.0, key=key)
 
 
 def remembers_gaps(scene: SceneLayout) -> bool:
@@ -149,7 +149,7 @@ def heights_above_ground(scene: SceneLayout) -> Floats:
                 places = underside(scene, mass)
                 tops = np.zeros(len(places))
                 if solid is not None:
-                    tops = tops_beneath(solid.around(places, scene.domain.cell)[0], places, slack)
+                    tops = tops_beneath(solid.around(places, scene.domain.cell), places, slack)
                 above = max(0.0, float((places[:, 1] - tops).min()))
             height[index] = min(height[index], above)
     group = connected(lower[:count], upper[:count])

@@ -14,13 +14,11 @@ surface:
 
 import taichi as ti
 
-from mpm.adjoint.boundary import after_contact_reverse
-from mpm.adjoint.faces import add_face, depends, found_reverse, terrain_reverse
+from mpm.adjoint.faces import add_face, bed_hold_reverse, depends, found_reverse, hold_reverse
 from mpm.adjoint.layout import add_adjoints, add_property_adjoint, adjoints_of, impulse_adjoint
 from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import lane_numbers, put_lane_numbers, vectors
 from mpm.arrays.layout import Contact, Offset, Property, Setting
-from mpm.physics.boundary import after_contact
 from mpm.physics.contact import (
     contact_at,
     contact_of,
@@ -30,13 +28,14 @@ from mpm.physics.contact import (
     jump_at_contact,
     present,
     removed_by,
+    removed_by_bed,
     sheared_traction,
     surface_force,
     touches,
     turbulence_at,
 )
 from mpm.physics.transfer import property_of
-from mpm.solids.face_lookup import entry_of, face_number, list_of, normal_of, solid_of
+from mpm.solids.face_lookup import entry_of, face_number, normal_of, solid_of
 
 
 @ti.func
@@ -55,37 +54,46 @@ def solids_reverse(adj, v, mass, node, worker, scene, arrays: ti.template()):
     adjoint: of the velocity after it; node: its index, [D]. Adds the adjoints of the holds and of their faces' normals.
     """
     features = arrays.features
-    adj_v, adj_mass, entry = adj, 0.0 * mass, entry_of(node, scene, arrays)
+    adj_mass, entry = 0.0 * mass, entry_of(node, scene, arrays)
     first, end = holds_of_node(entry, arrays)
+    adj_left = adj
+    if ti.static(features.terrain):
+        # What listed faces leave of it.
+        left = apply_holds(v, first, end, arrays)
+        adj_removed = 0.0 - adj
+        if ti.static(arrays.layout.impulses):
+            adj_momentum = impulse_adjoint(arrays.offsets[scene, Offset.TERRAIN_SOLID], worker, arrays)
+            adj_removed = adj_removed + mass * adj_momentum
+            adj_mass += adj_momentum.dot(removed_by_bed(left, node, scene, arrays))
+        adj_left = adj_left + bed_hold_reverse(adj_removed, left, node, scene, arrays)
+    adj_v = adj_left
     for hold in range(first, end):
-        face, removed = removed_by(hold, v, scene, arrays)
-        normal = normal_of(face, scene, arrays)
+        face, removed = removed_by(hold, v, arrays)
+        normal = normal_of(face, arrays)
         if v.dot(normal) < 0.0:
-            friction, share = arrays.holds[hold, 1], arrays.holds[hold, 2]
-            adj_removed = 0.0 - adj
+            adj_removed = 0.0 - adj_left
             if ti.static(arrays.layout.impulses):
                 adj_momentum = impulse_adjoint(solid_of(face, scene, arrays), worker, arrays)
                 adj_mass += adj_momentum.dot(removed)
                 adj_removed = adj_removed + mass * adj_momentum
-            adj_left = (0.0 - share) * adj_removed
-            adj_through, adj_normal, adj_friction = after_contact_reverse(adj_left, v, normal, friction)
-            adj_v = adj_v + adj_through - adj_left
+            friction, share = arrays.holds[hold, 1], arrays.holds[hold, 2]
+            adj_own, adj_normal, adj_friction, adj_share = hold_reverse(adj_removed, v, normal, friction, share)
+            adj_v = adj_v + adj_own
             for k in ti.static(range(features.dimension)):
-                add_face(face, features.face.normal + k, adj_normal[k], scene, arrays)
+                add_face(face, features.face.normal + k, adj_normal[k], arrays)
             arrays.hold_adjoints[hold, 1] += ti.cast(adj_friction, ti.f64)
-            whole = adj_removed.dot(v - after_contact(v, normal, friction))
-            arrays.hold_adjoints[hold, 2] += ti.cast(whole, ti.f64)
-    if ti.static(features.terrain):
-        _, listed = list_of(entry, arrays)
-        if listed == 0:
-            adj_removed, adj_momentum = 0.0 - adj, 0.0 * adj
-            if ti.static(arrays.layout.impulses):
-                adj_momentum = impulse_adjoint(arrays.offsets[scene, Offset.TERRAIN_SOLID], worker, arrays)
-                adj_removed = adj_removed + mass * adj_momentum
-            adj_through, removed = terrain_reverse(adj_removed, v, node, scene, arrays)
-            adj_v = adj_v + adj_through
-            adj_mass += adj_momentum.dot(removed)
+            arrays.hold_adjoints[hold, 2] += ti.cast(adj_share, ti.f64)
     return adj_v, adj_mass
+
+
+@ti.func
+def apply_holds(v, first, end, arrays: ti.template()):
+    """A velocity `v` [m/s] less what the holds from `first` to before `end` take of it."""
+    left = v
+    for hold in range(first, end):
+        _, removed = removed_by(hold, v, arrays)
+        left = left - removed
+    return left
 
 
 @ti.func

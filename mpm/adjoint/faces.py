@@ -1,7 +1,8 @@
 """The reverse of finding contact: distance, normal and friction at the nearest face, and being put onto it.
 
 Distance d, normal n and friction at the nearest face are those of the point of it that is nearest to x. Whether that
-lies inside the face, on an edge or at a corner is given: so they are closed forms, which are traced (`at_face`).
+lies inside the face, on an edge or at a corner is given: so they are closed forms, which are traced (`at_face`); those
+of the bed of a terrain too (`at_bed`), whose elevations have no adjoint.
 
 A particle that a step has put back onto a face lost d n of its displacement, x'' = x' - d n, and of its velocity what
 `after_contact` takes. The adjoints of faces are those of their corners, normals and friction, each as if it stood
@@ -19,18 +20,22 @@ from mpm.adjoint.pullback import Pullback
 from mpm.arrays.access import dot, lane_numbers, put_lane_numbers
 from mpm.arrays.layout import Contact, Setting
 from mpm.arrays.properties import GAP_CUTOFF
+from mpm.physics.boundary import after_contact
 from mpm.physics.contact import contact_at
 from mpm.solids.face_lookup import TINY, corners_of, face_number, foot_on_face, frictions_of, normal_of, solid_of
-from mpm.solids.obstacles import BLEND
 from mpm.solids.terrain import (
-    cell_code,
-    cell_of_triangle,
-    corner_frictions,
+    bed_contact,
+    bed_hold,
+    bed_spacing,
+    in_bed,
     in_terrain,
-    triangle_corners,
-    triangle_number,
+    lowest_node,
+    nine,
+    node_position,
+    place_in_bed,
+    spline_sums,
+    varied_friction,
 )
-from mpm.solids.terrain_holds import cells_over, hold_weight, meet_holds, node_position
 
 PUT_BACK = 1.0e-6
 """Distance from a face [cells] within which a particle has been put back onto it."""
@@ -93,8 +98,15 @@ def found_reverse(block: ti.template(), put_back: ti.template(), arrays: ti.temp
                         adj_v = turned + adj_momentum
                         adj_n = adj_n + adj_normal
                         adj_friction += slid
-                    # What was lost of the displacement is the depth along n.
+                    # What was lost of the displacement is the depth along n, which turns where a bed is curved.
                     adj_d = 0.0 - adj_x.dot(n)
+                    if ti.static(features.terrain):
+                        if in_terrain(face, scene, arrays):
+                            start = lane_numbers(arrays.lanes, block.state * lanes + lane, arrays)
+                            way = (block.scratch + layout.scratch.sums) * lanes + lane
+                            place = start + block.dt * lane_numbers(arrays.scratch_lanes, way, arrays)
+                            adj_n = adj_n - (place - x).dot(n) * adj_x
+                            x = place
             adj_x = adj_x + foot_reverse(x, n, face, (adj_friction, adj_d, adj_n), back, scene, arrays)
         elif ti.static(put_back):
             adj_q = 0.0 * adj_q
@@ -127,11 +139,24 @@ def foot_reverse(x, n, face, adj: ti.template(), back, scene, arrays: ti.templat
 
     back: it has been put onto the face, whose inside it is then nearest to. Adds the adjoints of the face's numbers.
     """
+    adj_x = 0.0 * x
+    if ti.static(arrays.features.listed):
+        if not in_terrain(face, scene, arrays):
+            adj_x = face_reverse(x, n, face, adj, back, arrays)
+    if ti.static(arrays.features.terrain):
+        if in_terrain(face, scene, arrays):
+            adj_x = bed_reverse(x, adj, scene, arrays)
+    return adj_x
+
+
+@ti.func
+def face_reverse(x, n, face, adj: ti.template(), back, arrays: ti.template()):
+    """`foot_reverse` of a listed face."""
     features = arrays.features
     size = ti.static(features.dimension)
     part = 0
-    a, b, c = corners_of(face, scene, arrays)
-    facing, mu = normal_of(face, scene, arrays), frictions_of(face, scene, arrays)
+    a, b, c = corners_of(face, arrays)
+    facing, mu = normal_of(face, arrays), frictions_of(face, arrays)
     if not back:
         _, part, _ = foot_on_face(x, a, b, c, arrays)
     corners = [point[k] for point in ti.static((a, b, c)[:size]) for k in ti.static(range(size))]
@@ -142,11 +167,36 @@ def foot_reverse(x, n, face, adj: ti.template(), back, scene, arrays: ti.templat
     adj_found = [adj[0], adj[1]] + [adj[2][k] for k in ti.static(range(size))]
     adj_x, adj_corners, adj_normal, adj_frictions = ti.static(found(adj_found))
     for k in ti.static(range(size * size)):
-        add_face(face, k, adj_corners[k], scene, arrays)
+        add_face(face, k, adj_corners[k], arrays)
     for k in ti.static(range(size)):
-        add_face(face, features.face.normal + k, adj_normal[k], scene, arrays)
-        add_face(face, features.face.friction + k, adj_frictions[k], scene, arrays)
+        add_face(face, features.face.normal + k, adj_normal[k], arrays)
+        add_face(face, features.face.friction + k, adj_frictions[k], arrays)
     return ti.Vector([adj_x[k] for k in ti.static(range(size))])
+
+
+@ti.func
+def bed_reverse(x, adj: ti.template(), scene, arrays: ti.template()):
+    """`foot_reverse` of the bed of a terrain."""
+    i, corner_x = lowest_node(x[0], 0, scene, arrays)
+    k, corner_z = lowest_node(x[2], 2, scene, arrays)
+    height, friction, row = place_in_bed(ti.cast(i, ti.i32), ti.cast(k, ti.i32), scene, arrays)
+    varied, spacing = ti.cast(varied_friction(scene, arrays), ti.i32), bed_spacing(scene, arrays)
+    heights, frictions = nine(height, row, 1, arrays), nine(friction, varied * row, varied, arrays)
+    numbers = ti.static(([x[axis] for axis in range(3)], frictions))
+    found = ti.static([Pullback(at_bed, numbers, (heights, [corner_x, corner_z], spacing))])[0]
+    adj_found = [adj[0], adj[1]] + [adj[2][axis] for axis in ti.static(range(3))]
+    adj_x, adj_frictions = ti.static(found(adj_found))
+    at = varied * (ti.cast(i, ti.i32) * row + ti.cast(k, ti.i32))
+    for a, b in ti.static(ti.ndrange(3, 3)):
+        arrays.terrain_adjoints[scene, at + varied * (a * row + b)] += ti.cast(adj_frictions[3 * a + b], ti.f64)
+    return ti.Vector([adj_x[axis] for axis in ti.static(range(3))])
+
+
+def at_bed(x, frictions, heights, corner, spacing):
+    """Friction, distance [m] and normal at `x` [m] of a bed; traced."""
+    friction, _, _ = spline_sums(x, frictions, corner, spacing)
+    _, distance, n = bed_contact(x, heights, corner, spacing)
+    return friction, distance, n
 
 
 def at_face(x, corners, normal, frictions, part, side, dimension):
@@ -194,44 +244,28 @@ def between(a, b):
 
 
 @ti.func
-def add_face(face, column: ti.template(), value, scene, arrays: ti.template()):
-    """Add to the adjoint of a number of a face; of a height field, whose heights are given, to that of friction."""
-    first, size = ti.static(arrays.features.face.friction, arrays.features.dimension)
-    if ti.static(arrays.features.listed):
-        if not in_terrain(face, scene, arrays):
-            arrays.face_adjoints[face, column] += ti.cast(value, ti.f64)
-    if ti.static(arrays.features.terrain and first <= column < first + size):
-        if in_terrain(face, scene, arrays):
-            i, k, half = cell_of_triangle(face, scene, arrays)
-            a, b, c = corner_frictions(i, k, half, cell_code(i, k, scene, arrays), scene, arrays)
-            at = ti.static([a, b, c])[ti.static(column - first)]
-            arrays.terrain_adjoints[scene, at] += ti.cast(value, ti.f64)
+def add_face(face, column: ti.template(), value, arrays: ti.template()):
+    """Add to the adjoint of a number of a listed face."""
+    arrays.face_adjoints[face, column] += ti.cast(value, ti.f64)
 
 
 @ti.func
-def terrain_reverse(adj, v, node, scene, arrays: ti.template()):
-    """Adjoint of a node's velocity `v` [m/s] from that of what the height field takes of it, and this; shape [D] each.
-
-    Adds the adjoints of friction. The reverse of `mpm.solids.terrain_holds.meet_holds`.
+def hold_reverse(adj, v, normal, friction, share):
+    """Adjoints of a node's velocity `v` [m/s], of the normal, the friction and the share of a hold, from that of what
+    this takes of it, share (v - A v).
     """
-    features, x, adj_v = arrays.features, node_position(node, scene, arrays), 0.0 * v
-    removed, share, depth = meet_holds(v, 0, node, False, scene, arrays)
-    i0, k0, i1, k1 = cells_over(x, scene, arrays)
-    blend = BLEND * arrays.settings[scene, Setting.CELL]
-    for i in range(i0, i1):
-        for k in range(k0, k1):
-            code = cell_code(i, k, scene, arrays)
-            for half in range(2 - (code & 2)):
-                a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-                normal = (b - a).cross(c - b).normalized()
-                w, _, from_foot = foot_on_face(x, a, b, c, arrays)
-                square, behind = from_foot.dot(from_foot), 0.0 - from_foot.dot(normal)
-                if behind > 0.0 and square < (depth + blend) ** 2 and v.dot(normal) < 0.0:
-                    face = triangle_number(i, k, half, scene, arrays)
-                    friction = w.dot(frictions_of(face, scene, arrays))
-                    part = share * hold_weight(square, behind, depth, blend)
-                    through, _normal, adj_friction = after_contact_reverse((0.0 - part) * adj, v, normal, friction)
-                    adj_v += part * adj + through
-                    for corner in ti.static(range(3)):
-                        add_face(face, features.face.friction + corner, w[corner] * adj_friction, scene, arrays)
-    return adj_v, removed
+    through, adj_normal, adj_friction = after_contact_reverse((0.0 - share) * adj, v, normal, friction)
+    return share * adj + through, adj_normal, adj_friction, adj.dot(v - after_contact(v, normal, friction))
+
+
+@ti.func
+def bed_hold_reverse(adj, v, node, scene, arrays: ti.template()):
+    """Adjoint of a node's velocity `v` [m/s] from that of what the bed takes of it; adds that of its friction."""
+    adj_v = 0.0 * v
+    if in_bed(node, scene, arrays):
+        share, normal, friction = bed_hold(node, scene, arrays)
+        if v.dot(normal) < 0.0:
+            adj_v, _normal, adj_friction, _share = hold_reverse(adj, v, normal, friction, share)
+            none = 0.0 * v
+            bed_reverse(node_position(node, scene, arrays), (adj_friction, 0.0 * adj_friction, none), scene, arrays)
+    return adj_v

@@ -71,7 +71,7 @@ class RunNumbers:
     holds: Floats
     """Of nodes deep in solids, `mpm.solids.obstacles.Obstacles.holds`, shape [K, 3]."""
     terrain: Floats
-    """The friction at the posts of a height field, or the one that all have, shape [P]; no posts without one."""
+    """The friction at the posts of a terrain in 3D, or the one that all have, shape [P]; no posts without one."""
     drags: Floats
     """g / xi of each solid [1/m], 0 of those without `turbulence`, shape [solids]."""
 
@@ -234,7 +234,7 @@ def solids_with(scene: Scene) -> tuple[Any, ...]:
 
 def faces_and_holds(scene: Scene, nodes: NDArray[np.int64], base: Floats) -> tuple[Floats, Floats, Floats]:
     """Faces of the solids of a scene, its holds in the order of `base` [K, 3], which those of `nodes` [K, D] are, and
-    the friction of its height field, [P].
+    the friction of its terrain, [P].
 
     A hold that the scene does not have has no share. What else the kernel needs of solids is not made.
     """
@@ -333,6 +333,6 @@ def gradient_of(tape: Tape, index: int, adj: dict[str, Any]) -> Gradient:
         faces=adj["face_adjoints"][faces],
         cut=float(adj["cut"][index]),
         holds=adj["hold_adjoints"][nodes],
-        terrain=adj["terrain_adjoints"][index, tape.posts(index)],
+        terrain=tape.of_posts(index, adj["terrain_adjoints"][index]),
         drags=adj["drag_adjoints"][index, : len(drags_of(scene))],
     )

@@ -24,7 +24,7 @@ from mpm.adjoint.layout import Layout
 from mpm.arrays.batch import Batch, aligned, particles_of, put_vectors
 from mpm.arrays.features import Features, features_of
 from mpm.arrays.kernel_arguments import ADJOINT, STEP, arguments
-from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, TerrainNumber, Worker
+from mpm.arrays.layout import INDEX_LIMIT, Offset, Precision, Retained, Setting, Worker
 from mpm.kernel import compute
 from mpm.output.outcome import failure
 from mpm.output.recording import LAST
@@ -233,13 +233,18 @@ class Tape:
         (face, hold), (last_face, last_hold) = firsts[index : index + 2]
         return slice(face, last_face), slice(hold, last_hold)
 
-    def posts(self, index: int) -> slice:
-        """Where the friction of the height field of scene `index` lies in `terrain`."""
-        offset = self.batch.offsets[index]
-        along, across = int(offset[Offset.POSTS_X]), int(offset[Offset.POSTS_Z])
-        first = int(offset[Offset.TERRAIN]) + len(TerrainNumber) + along + across + along * across
-        count = along * across if offset[Offset.TERRAIN_FRICTION] else min(along, 1)
-        return slice(first, first + count)
+    @property
+    def bed_frictions(self) -> int:
+        """The most frictions that the bed of a scene has."""
+        pairs = zip(self.batch.beds, self.batch.frictions, strict=True)
+        return max(1, *(bed.heights.size for bed, friction in pairs if bed is not None and friction.size > 1), 1)
+
+    def of_posts(self, index: int, adjoint: NDArray[np.float64]) -> NDArray[np.float64]:
+        """From the adjoints of the frictions of the bed of scene `index` to those of the posts of its terrain, [P]."""
+        bed, size = self.batch.beds[index], self.batch.frictions[index].size
+        if bed is None or size <= 1:
+            return adjoint[:size]
+        return bed.to_posts(adjoint[: bed.heights.size].reshape(bed.heights.shape)).ravel()
 
     def positions(self, index: int = 0) -> NDArray[np.float64]:
         """Of the particles of a scene at the observed frames [m], shape [T, N, D]."""
@@ -258,7 +263,7 @@ class Tape:
 
         flow_adjoints: for each objective and scene. Of particles (`adjoints`, shape [blocks, Layout.width, lanes]),
         settings of each scene (`settings`), faces (`face_adjoints`), holds of nodes (`hold_adjoints`) and the friction
-        in `terrain` of each scene (`terrain_adjoints`), g / xi of its solids (`drag_adjoints`), and the share of the
+        of the bed of each scene (`terrain_adjoints`), g / xi of its solids (`drag_adjoints`), and the share of the
         adjoints of each scene that were cut (`cut`).
         Raises WorkFailed where a gradient grows without bound.
         """
@@ -278,7 +283,7 @@ class Tape:
                 "sums": np.zeros((len(batch.workers), len(Setting))),
                 "face_adjoints": np.zeros(batch.faces.shape),
                 "hold_adjoints": np.zeros(batch.holds.shape),
-                "terrain_adjoints": np.zeros((len(batch.scenes), len(batch.terrain))),
+                "terrain_adjoints": np.zeros((len(batch.scenes), self.bed_frictions)),
                 "drag_adjoints": np.zeros(batch.drags.shape),
                 "impulse_adjoints": np.zeros(len(batch.impulse), real),
                 "cuts": self.cuts(per_scene).astype(real),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datasets.errors import InputError
+from datasets.errors import InputError, require
 from datasets.flow.array_files import FrameWriter
 from datasets.scene import DOMAIN_SIDES, Scene
 from datasets.scene.particles import Particles, initial_particles
@@ -45,8 +45,8 @@ from mpm.initial.barriers import held_tables
 from mpm.initial.slope import begins_as_slope
 from mpm.initial.water import initial_water
 from mpm.output.recording import ALL, Recording, window_frames
-from mpm.solids.obstacles import initial_contacts, numbered, obstacles_of
-from mpm.solids.terrain_arrays import terrain_arrays, terrain_kept
+from mpm.solids.bed import bed_arrays
+from mpm.solids.obstacles import initial_contacts, obstacles_of
 
 Array = NDArray[Any]
 PORTION = 2**18
@@ -153,8 +153,6 @@ class Batch:
         counts = self.offsets[:, Offset.PARTICLES] * features.processor.gpu
         self.owner = np.repeat(np.arange(len(scenes), dtype=np.int32), counts)
         self.step_control = np.zeros((len(scenes), len(StepControl)), real)
-        kept = terrain_kept(scenes, self.offsets, self.workers, features, real)
-        self.column_heights, self.kept_columns, self.kept_holds = kept
         self.positions = np.zeros(max(positions * features.dimension, 1), np.float32)
         self.energy = np.zeros((frames, len(Energy)), np.float64)
         self.recorded_impulse = np.zeros((max(impulses, 1), features.dimension), np.float64)
@@ -192,17 +190,17 @@ class Batch:
 
     def add_contacts(self, real: np.dtype[Any]) -> None:
         """The faces of the solids of all scenes, which of them are near each cell, and the nodes that solids hold; the
-        height fields. Raises InputError for more faces than can be told apart.
+        beds of their terrains. Raises InputError for more faces than can be told apart.
         """
         scenes = self.scenes if self.features.contact else self.scenes[:1]
         obstacles, self.first_obstacles = obstacles_of(scenes)
-        self.first_triangles = obstacles.triangles
         self.offsets[: len(scenes), Offset.GEOMETRY] = self.first_obstacles[:-1, 0]
         for offset, window in zip(self.offsets, obstacles.windows, strict=False):
             offset[Offset.WINDOW_LOW_X : Offset.WINDOW_LOW_X + len(window.low)] = window.low
             offset[Offset.WINDOW_X : Offset.WINDOW_X + len(window.low)] = window.shape
-        self.terrain, self.terrain_cells = terrain_arrays(obstacles, self.offsets, real)
-        self.terrain_tilts = np.zeros(2 * len(self.terrain_cells), real)
+        faces, self.beds, self.frictions = len(obstacles.faces), obstacles.beds, obstacles.frictions
+        require(faces < 2 * FIRST_FACE, "solids", f"fewer than {2 * FIRST_FACE} faces", str(faces))
+        self.terrain, self.column_heights = bed_arrays(self.beds, self.frictions, faces, self.offsets, real)
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""
@@ -230,9 +228,9 @@ class Batch:
         put(features.state.velocity, particles.velocities * particles.present[:, None])
         for first in range(0, len(source) if features.contact else 0, PORTION):
             contacts = initial_contacts(scene, particles.positions[source[first : first + PORTION]])
-            listed, (first_face, end) = contacts[:, Contact.FACE], self.first_obstacles[index : index + 2, 1]
-            faces = numbered(listed, end - first_face, first_face, self.first_triangles[index])
-            contacts[:, Contact.FACE] = faces - FIRST_FACE
+            face, (first_face, end) = contacts[:, Contact.FACE], self.first_obstacles[index : index + 2, 1]
+            terrain = self.offsets[index, Offset.TERRAIN_FACE]
+            contacts[:, Contact.FACE] = np.where(face < end - first_face, face + first_face, terrain) - FIRST_FACE
             portion = state[first // features.lanes :][: PORTION // features.lanes]
             put_vectors(portion, features.state.contacts, contacts)
         if particles.velocity_gradients.any():

@@ -13,7 +13,7 @@ from datasets.scene import INFLOW, Scene
 from datasets.scene.grid_field import FRICTION, THICKNESS
 from datasets.scene.material import MOHR_COULOMB
 from datasets.scene.particles import mass_particle_volumes, particle_count
-from mpm.arrays.layout import Contact, Look, Precision
+from mpm.arrays.layout import Contact, Precision
 from mpm.laws import law_named, law_of
 from mpm.output.recording import ALL, Recording
 
@@ -93,7 +93,7 @@ class Features:
     listed: bool = False
     """Solids have faces that are listed."""
     terrain: bool = False
-    """A terrain is a height field."""
+    """A terrain is a smooth bed (`mpm.solids.terrain`)."""
     contact: bool = False
     """Solids stand in the box: baffles, ground, obstacles."""
     turbulent: bool = False
@@ -234,7 +234,7 @@ class Features:
             push=2 * size * contact,  # the contact's force per volume and its arm
             drag=int(self.turbulent),  # g / xi of the solid next to each particle [1/m]
             layer=2 * int(self.turbulent),  # mass around each particle and its sum times distances from solids
-            look=Look.SIZE * int(self.terrain),  # at the triangle of a height field near each particle
+            bed=10 * int(self.terrain),  # nine elevations around each particle, and the friction there
         )
 
 

@@ -35,9 +35,9 @@ STEP = named(
     BLOCKS="state scratch impulse",
     LANES="lanes scratch_lanes impulse_lanes",
     NODES="grid cells",
-    REAL="cell_distance terrain terrain_tilts column_heights drag_posts",
-    REAL_TABLE="settings properties faces holds kept_holds drags inflows",
-    INTEGER="cell_faces near_faces node_holds covered terrain_cells kept_columns arrivals bases",
+    REAL="cell_distance terrain column_heights drag_posts",
+    REAL_TABLE="settings properties faces holds drags inflows",
+    INTEGER="cell_faces near_faces node_holds covered arrivals bases",
     INTEGER_TABLE="offsets workers spans barriers retained drag_places",
     DOUBLE_TABLE="settling",
 )
@@ -99,7 +99,7 @@ def kernel_of(
     node = ti.types.vector(NODE, real)
     elements = {"block": block, "lane": real, "node": node, "real": real, "i32": ti.i32, "f32": ti.f32, "f64": ti.f64}
     # Taichi 1.7.4 reads a kernel's parameters in its source, refuses *args, and takes no NumPy array inside another:
-    # a plain signature would name each of these 40 and 49 parameters three times.
+    # a plain signature would name each of these 36 and 45 parameters three times.
     # `ti.static` makes the object while the kernel is compiled.
     source = (
         f"def run({', '.join(arrays)}, first, last, phase):\n"

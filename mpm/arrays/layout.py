@@ -91,13 +91,10 @@ class Offset(TableColumn):
     GEOMETRY = auto()  # the first entry of its window in `cell_faces`, `node_holds`, ...
     WINDOW_LOW_X, WINDOW_LOW_Y, WINDOW_LOW_Z = auto(), auto(), auto()  # the lowest node of this window
     WINDOW_X, WINDOW_Y, WINDOW_Z = auto(), auto(), auto()  # and how many it has along each axis
-    TERRAIN = auto()  # its height field's first number in `terrain`
-    TERRAIN_CELLS = auto()  # the first of its cells in `terrain_cells`
-    TERRAIN_FACE = auto()  # the number of its first triangle; beyond all faces without a height field
+    TERRAIN = auto()  # the first number of its terrain in `terrain`; 0 without one
+    TERRAIN_FACE = auto()  # stands for it among the numbers of faces, beyond all that are listed
     TERRAIN_SOLID = auto()  # the number of its solid
-    TERRAIN_FRICTION = auto()  # 1 where its posts have a friction each, 0 where they have one
-    POSTS_X, POSTS_Z = auto(), auto()  # how many; 0 without a height field
-    EVEN_X, EVEN_Z = auto(), auto()  # the first of the evenly spaced ones
+    TERRAIN_FRICTION = auto()  # 1 where its friction varies, else 0
     COLUMNS = auto()  # its first column of nodes in `column_heights`
     OBSTACLES = auto()  # how many solids stand in the box: the baffles, then the others
     OPEN = auto()  # bit k: side k of the box, x-, x+, y-, ..., is open
@@ -126,7 +123,7 @@ class Contact(TableColumn):
     DISTANCE = auto()  # from the nearest face [m]; beyond the search a lower bound of it
     FRICTION = auto()  # its Coulomb coefficient at the foot [-]
     FACE = auto()  # the number of that face, less FIRST_FACE
-    FREE = auto()  # how far a particle may still move before another face, or an edge, may be the nearest [m]
+    FREE = auto()  # how far a particle may move before another face or an edge, on terrain any face, may be near [m]
     NORMAL = auto()  # D vectors: n, out of the solid [-]; behind them D of the shear traction [Pa]
 
 
@@ -135,20 +132,15 @@ FIRST_FACE = 2**24
 on either side of zero."""
 
 
+BED_PER_CELL, BED_EDGE = 2, 1
+"""Nodes of the lattice of a terrain in 3D per cell of the grid, and those beyond its last node (`mpm.solids.bed`)."""
+
+
 class TerrainNumber(TableColumn):
-    """The first numbers of a height field in `terrain`; x and z of its posts follow, their heights, their friction."""
+    """The first numbers of a terrain in `terrain`; its elevations follow, and its frictions where they vary."""
 
-    X, PER_X = auto(), auto()  # of the first evenly spaced post [m], posts per length [1/m]
-    Z, PER_Z = auto(), auto()
     NEARNESS = auto()  # the least part of the height above it that is the distance from it [-]
-
-
-KEPT = 8
-"""Holds of a node deep in a height field that are told apart."""
-KEPT_NODES = 4
-"""Nodes of a column whose holds are kept in one group; a power of two."""
-KEPT_NUMBERS = 5
-"""Of each its share, its friction and its normal."""
+    FRICTION = auto()  # where it is the same everywhere [-]
 
 
 class Worker(TableColumn):
@@ -164,9 +156,6 @@ class Worker(TableColumn):
     ACTIVE = auto()  # how many columns are in use
     SCRATCH = auto()  # its first vector of `scratch`
     IMPULSE = auto()  # its first vector of `impulse`
-    KEPT = auto()  # its first group of `kept_columns` and `kept_holds`
-    GROUPS = auto()  # how many it has
-    NEXT_GROUP = auto()  # the one to be used next, from its first
 
 
 class Span(TableColumn):
@@ -175,21 +164,7 @@ class Span(TableColumn):
     LOW, HIGH = auto(), auto()  # the nodes of a column that are in use, [low, high); high is 0 where it is not
     CELL_LOW, CELL_HIGH = auto(), auto()  # the cells above it that hold particles, while columns are made
     ACTIVE = auto()  # line n: the n-th column in use
-    KEPT = auto()  # the group in which the holds of its nodes are kept, if that is still its own
     OCCUPIED = auto()  # line n: the n-th column of cells that holds particles
-
-
-class Look(TableColumn):
-    """What one look at a height field leaves of each particle in the scratch (`mpm.physics.contact_search`)."""
-
-    PLACE = 0  # where it looks from, x and then its foot [m]
-    CORNERS = 3  # of the triangle there [m]
-    TILT = 12  # tan of the largest angle between that one and those around it
-    FACE = 13  # its number, less FIRST_FACE
-    LIMIT = 14  # the distance within which nothing is but those around it [m]
-    FRICTION = 15  # at its corners [-]
-    EDGE = 18  # the distance of the foot from its edges, negative outside [m]
-    SIZE = 19
 
 
 class StepControl(TableColumn):

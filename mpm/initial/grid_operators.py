@@ -17,7 +17,7 @@ from datasets.scene import Mass, Scene
 from datasets.scene.particles import Particles
 from mpm.arrays.layout import Contact, node_shape
 from mpm.output.smoothing import support
-from mpm.solids.obstacles import holds_at, initial_contacts
+from mpm.solids.obstacles import bed_holds_at, holds_at, initial_contacts
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -114,18 +114,22 @@ class ContactOperator:
         if solid is None:
             return np.zeros(nodes.shape, bool)
         window, first, holds, directions = holds_at(scene, solid, nodes)
-        normal, node = np.abs(directions), window.numbers(nodes)
-        held = np.where((normal.max(axis=1, initial=0.0) > 1.0 - 1.0e-9)[:, None], normal > 0.5, True) * holds[:, [2]]
+        node, (share, normals, frictions) = window.numbers(nodes), bed_holds_at(scene, solid, nodes)
+
+        def held(normal: Floats, share: Floats) -> Floats:
+            along = np.abs(normal).max(axis=1, initial=0.0, keepdims=True) > 1.0 - 1.0e-9
+            return np.asarray(np.where(along, np.abs(normal) > 0.5, True) * share[:, None])
 
         def of_nodes(values: Floats) -> Floats:
             total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
             return np.asarray(total[first[node + 1]] - total[first[node]])
 
-        sums = of_nodes(holds[:, [2]] * np.column_stack([directions, holds[:, 1]]))
-        length = np.linalg.norm(sums[:, :-1], axis=1)
-        self.normals = np.divide(sums[:, :-1], length[:, None], out=self.normals, where=length[:, None] > 0.0)
-        self.frictions = sums[:, -1]
-        return of_nodes(held) >= 0.5 - 1.0e-9
+        sums = of_nodes(holds[:, [2]] * np.column_stack([directions, holds[:, 1], np.ones(len(holds))]))
+        sums += share[:, None] * np.column_stack([normals, frictions, np.ones(len(nodes))])
+        length = np.linalg.norm(sums[:, :-2], axis=1)
+        self.normals = np.divide(sums[:, :-2], length[:, None], out=self.normals, where=length[:, None] > 0.0)
+        self.frictions = sums[:, -2] / np.maximum(sums[:, -1], 1.0)
+        return of_nodes(held(directions, holds[:, 2])) + held(normals, share) >= 0.5 - 1.0e-9
 
     def diagonal(self, lame: Floats, shear: Floats) -> Floats:
         """Diagonal of its part of the stiffness [N/m], [n, D]; theta lambda and theta mu_s of all particles, [N]."""

@@ -103,7 +103,7 @@ def is_covered(side, node, scene, arrays: ti.template()):
 
 @ti.func
 def in_terrain_beyond(side, node, scene, arrays: ti.template()):
-    """1 where a side of the box lies in the height field, at a node beyond it and a cell around that, else 0.
+    """1 where a side of the box lies in the bed of a terrain, at a node beyond it and a cell around that, else 0.
 
     Of an upright side the highest of the places around the node decides.
     """

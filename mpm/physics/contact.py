@@ -61,8 +61,8 @@ from datasets.scene.water import CAVITATION
 from mpm.arrays.access import add, clamp, lane_numbers, maximum, minimum, no_overflow, over_lanes, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
-from mpm.solids.face_lookup import TINY, entry_of, face_number, list_of, normal_of, solid_of
-from mpm.solids.terrain_holds import removed_by_terrain
+from mpm.solids.face_lookup import TINY, entry_of, face_number, normal_of, solid_of
+from mpm.solids.terrain import bed_hold, in_bed
 
 NO_FACE = -2.0 * FIRST_FACE
 """Less than the number of any face among reals."""
@@ -337,10 +337,6 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
         arrays.scratch[pushed + k] = (0.0 - dt) * volume * present(block, arrays) * arrays.scratch[pushed + k]
     first, scene = contact_at(block, 0, arrays), arrays.workers[worker, Worker.SCENE]
     faces = ti.select(arrays.state[first + Contact.DELTA] > 0.0, arrays.state[first + Contact.FACE], NO_FACE)
-    if ti.static(features.terrain):
-        # All triangles of a terrain are of one solid.
-        triangle = 1.0 * arrays.offsets[scene, Offset.TERRAIN_FACE] - FIRST_FACE
-        faces = ti.select(faces >= triangle, triangle, faces)
     face = over_lanes(maximum, faces, features.lanes)
     while face > NO_FACE:
         solid = solid_of(face_number(face), scene, arrays)
@@ -366,17 +362,15 @@ def apply_solids(v, mass, node, worker, scene, recorded: ti.template(), arrays: 
     after, entry = v, entry_of(node, scene, arrays)
     first, end = holds_of_node(entry, arrays)
     for hold in range(first, end):
-        face, removed = removed_by(hold, v, scene, arrays)
+        face, removed = removed_by(hold, v, arrays)
         after = after - removed
         if ti.static(recorded):
             add_impulse(solid_of(face, scene, arrays), mass * removed, 0, worker, arrays)
     if ti.static(arrays.features.terrain):
-        _, listed = list_of(entry, arrays)
-        if listed == 0:
-            removed = removed_by_terrain(v, node, worker, scene, arrays)
-            after = after - removed
-            if ti.static(recorded):
-                add_impulse(arrays.offsets[scene, Offset.TERRAIN_SOLID], mass * removed, 0, worker, arrays)
+        removed = removed_by_bed(after, node, scene, arrays)
+        after = after - removed
+        if ti.static(recorded):
+            add_impulse(arrays.offsets[scene, Offset.TERRAIN_SOLID], mass * removed, 0, worker, arrays)
     return after
 
 
@@ -391,10 +385,21 @@ def holds_of_node(entry, arrays: ti.template()):
 
 
 @ti.func
-def removed_by(hold, v, scene, arrays: ti.template()):
+def removed_by(hold, v, arrays: ti.template()):
     """The face of a hold and what it takes of a velocity `v` [m/s], share_k (v - A_k v)."""
     face, removed = face_number(arrays.holds[hold, 0]), 0.0 * v
-    normal = normal_of(face, scene, arrays)
+    normal = normal_of(face, arrays)
     if v.dot(normal) < 0.0:
         removed = arrays.holds[hold, 2] * (v - after_contact(v, normal, arrays.holds[hold, 1]))
     return face, removed
+
+
+@ti.func
+def removed_by_bed(v, node, scene, arrays: ti.template()):
+    """What the bed of a terrain takes of a velocity `v` [m/s] of a node, an index of shape [D]; shape [D]."""
+    removed = 0.0 * v
+    if in_bed(node, scene, arrays):
+        share, normal, friction = bed_hold(node, scene, arrays)
+        if v.dot(normal) < 0.0:
+            removed = share * (v - after_contact(v, normal, friction))
+    return removed

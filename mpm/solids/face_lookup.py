@@ -1,23 +1,13 @@
 """Of the faces near a particle the one that is nearest, and the first that its displacement crosses.
 
-Faces are those that are listed for its cell (`mpm.solids.obstacles`) and the triangles of a height field about its
-place in plan (`mpm.solids.terrain`). What is found here is what `datasets.geometry.nearest` finds for all faces.
+Faces are those that are listed for its cell (`mpm.solids.obstacles`). What is found here is what
+`datasets.geometry.nearest` finds for all faces.
 """
 
 import taichi as ti
 
 from mpm.arrays.layout import FIRST_FACE, PADDING, Offset, Setting
-from mpm.solids.terrain import (
-    cell_code,
-    cell_of_triangle,
-    cells_within,
-    corner_frictions,
-    in_terrain,
-    squared_plan_distance,
-    terrain_radius,
-    triangle_corners,
-    triangle_number,
-)
+from mpm.solids.terrain import in_terrain
 
 SKIN = 1.0e-3
 """Cells by which rounding may have put a particle behind the face it rests on."""
@@ -38,57 +28,23 @@ def listed_vector(face, column, arrays: ti.template()):
 
 
 @ti.func
-def corners_of(face, scene, arrays: ti.template()):
+def corners_of(face, arrays: ti.template()):
     """The corners of a face [m], three vectors of shape [D]; the last of a segment twice."""
-    size = ti.static(arrays.features.dimension)
-    zero = ti.Vector([0.0 * arrays.settings[scene, Setting.CELL] for _ in ti.static(range(size))])
-    a, b, c = zero, zero, zero
-    if ti.static(arrays.features.listed):
-        if not in_terrain(face, scene, arrays):
-            a, b, c = listed_corners(face, arrays)
-    if ti.static(arrays.features.terrain):
-        if in_terrain(face, scene, arrays):
-            i, k, half = cell_of_triangle(face, scene, arrays)
-            a, b, c = triangle_corners(i, k, half, cell_code(i, k, scene, arrays), scene, arrays)
-    return a, b, c
-
-
-@ti.func
-def listed_corners(face, arrays: ti.template()):
-    """The corners of a listed face [m], as `corners_of`."""
     size = ti.static(arrays.features.dimension)
     last = ti.static(size * (size - 1))
     return listed_vector(face, 0, arrays), listed_vector(face, size, arrays), listed_vector(face, last, arrays)
 
 
 @ti.func
-def normal_of(face, scene, arrays: ti.template()):
+def normal_of(face, arrays: ti.template()):
     """The outward unit normal of a face, shape [D]."""
-    a, b, c = corners_of(face, scene, arrays)
-    normal = 0.0 * a
-    if ti.static(arrays.features.listed):
-        if not in_terrain(face, scene, arrays):
-            normal = listed_vector(face, arrays.features.face.normal, arrays)
-    if ti.static(arrays.features.terrain):
-        if in_terrain(face, scene, arrays):
-            normal = (b - a).cross(c - b).normalized()
-    return normal
+    return listed_vector(face, arrays.features.face.normal, arrays)
 
 
 @ti.func
-def frictions_of(face, scene, arrays: ti.template()):
+def frictions_of(face, arrays: ti.template()):
     """The Coulomb coefficients at the corners of a face [-], shape [D]."""
-    size = ti.static(arrays.features.dimension)
-    value = ti.Vector([0.0 * arrays.settings[scene, Setting.CELL] for _ in ti.static(range(size))])
-    if ti.static(arrays.features.listed):
-        if not in_terrain(face, scene, arrays):
-            value = listed_vector(face, arrays.features.face.friction, arrays)
-    if ti.static(arrays.features.terrain):
-        if in_terrain(face, scene, arrays):
-            i, k, half = cell_of_triangle(face, scene, arrays)
-            a, b, c = corner_frictions(i, k, half, cell_code(i, k, scene, arrays), scene, arrays)
-            value = ti.Vector([arrays.terrain[a], arrays.terrain[b], arrays.terrain[c]])
-    return value
+    return listed_vector(face, arrays.features.face.friction, arrays)
 
 
 @ti.func
@@ -164,34 +120,19 @@ def reach_of(scene, arrays: ti.template()):
 
 
 @ti.func
-def first_crossed(start, end, entry, cell, scene, arrays: ti.template()):
+def first_crossed(start, end, entry, cell, arrays: ti.template()):
     """The first face through which the segment from `start` to `end` [m] enters a solid, -1 where it enters none, its
     first corner and its normal. entry: of the cell of its start.
     """
     nearest, found, corner, facing = 0.0 * cell + 2.0, -1, 0.0 * start, 0.0 * start
-    if ti.static(arrays.features.listed):
-        first, listed = list_of(entry, arrays)
-        for number in range(listed):
-            face = arrays.near_faces[first + number]
-            a, b, c = listed_corners(face, arrays)
-            normal = listed_vector(face, arrays.features.face.normal, arrays)
-            part = crossed_part(start, end, a, b, c, normal, cell, arrays)
-            if part < nearest:
-                nearest, found, corner, facing = part, face, a, normal
-    if ti.static(arrays.features.terrain):
-        if arrays.offsets[scene, Offset.POSTS_X] > 0:
-            low, high = ti.min(start, end) - SKIN * cell, ti.max(start, end) + SKIN * cell
-            i0, k0, i1, k1 = cells_within(low, high, scene, arrays)
-            for i in range(i0, i1):
-                for k in range(k0, k1):
-                    code = cell_code(i, k, scene, arrays)
-                    for half in range(2 - (code & 2)):
-                        a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-                        normal = (b - a).cross(c - b).normalized()
-                        part = crossed_part(start, end, a, b, c, normal, cell, arrays)
-                        if part < nearest:
-                            nearest, found = part, triangle_number(i, k, half, scene, arrays)
-                            corner, facing = a, normal
+    first, listed = list_of(entry, arrays)
+    for number in range(listed):
+        face = arrays.near_faces[first + number]
+        a, b, c = corners_of(face, arrays)
+        normal = normal_of(face, arrays)
+        part = crossed_part(start, end, a, b, c, normal, cell, arrays)
+        if part < nearest:
+            nearest, found, corner, facing = part, face, a, normal
     return found, corner, facing
 
 
@@ -278,116 +219,69 @@ def foot_on_face(x, a, b, c, arrays: ti.template()):
 
 @ti.func
 def nearest_face(x, last, entry, scene, arrays: ti.template()):
-    """Of the faces listed for a cell, and of a height field's, that nearest to `x` [m]: its number, its part that is
-    nearest, the weights of its corners at the foot, the normal n [-] and the signed distance d [m], negative inside,
-    with x = foot + d n; a lower bound of the distance from all that was not looked at [m]; and how far x may move and
-    no triangle of a height field come nearer than a listed face [m]. last: where to look first. Far away, part -1,
-    where nothing is near.
+    """Of the faces listed for a cell that nearest to `x` [m]: its number, its part that is nearest, the weights of its
+    corners at the foot, the normal n [-] and the signed distance d [m], negative inside, with x = foot + d n; and a
+    lower bound of the distance from all that was not looked at [m]. last: where to look first.
     """
     smallest, bound = 0.0 * x[0] + 1.0e30, unlisted_distance(x, entry, scene, arrays)
     face, feature = last, -1
-    weights, offset, normal = 0.0 * x, 0.0 * x, 0.0 * x
-    if ti.static(arrays.features.listed):
-        first, listed = list_of(entry, arrays)
-        for number in range(listed + 1):
-            candidate, counts = last, not in_terrain(last, scene, arrays)
-            if number > 0:
-                candidate = arrays.near_faces[first + number - 1]
-                counts = candidate != last
-            if counts:
-                a, b, c = listed_corners(candidate, arrays)
-                facing = listed_vector(candidate, arrays.features.face.normal, arrays)
-                # No point of a face is nearer than its plane.
-                if (x - a).dot(facing) ** 2 < smallest:
-                    w, part, from_foot = foot_on_face(x, a, b, c, arrays)
-                    square = from_foot.dot(from_foot)
-                    if square < smallest:
-                        smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
-                        normal = facing
-    free = 0.0 * smallest
-    if ti.static(arrays.features.terrain):
-        free += 1.0e30
-        if arrays.offsets[scene, Offset.POSTS_X] > 0:
-            radius, beyond, least = terrain_radius(x, reach_of(scene, arrays), scene, arrays)
-            bound = ti.min(bound, beyond)
-            i0, k0, i1, k1 = 0, 0, 0, 0
-            if radius >= 0.0:
-                i0, k0, i1, k1 = cells_within(x - radius, x + radius, scene, arrays)
-            for i in range(i0, i1):
-                for k in range(k0, k1):
-                    code = cell_code(i, k, scene, arrays)
-                    if code < 2 and squared_plan_distance(x, i, k, scene, arrays) < smallest:
-                        for half in range(2):
-                            a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-                            across = (b - a).cross(c - b)
-                            if (x - a).dot(across) ** 2 < smallest * across.dot(across):
-                                w, part, from_foot = foot_on_face(x, a, b, c, arrays)
-                                square = from_foot.dot(from_foot)
-                                if square < smallest:
-                                    smallest, feature, weights, offset = square, part, w, from_foot
-                                    normal, face = across, triangle_number(i, k, half, scene, arrays)
-            free = 0.5 * (least - ti.sqrt(smallest))
+    weights, offset = 0.0 * x, 0.0 * x
+    first, listed = list_of(entry, arrays)
+    for number in range(listed + 1):
+        candidate, counts = last, not in_terrain(last, scene, arrays)
+        if number > 0:
+            candidate = arrays.near_faces[first + number - 1]
+            counts = candidate != last
+        if counts:
+            a, b, c = corners_of(candidate, arrays)
+            # No point of a face is nearer than its plane.
+            if (x - a).dot(normal_of(candidate, arrays)) ** 2 < smallest:
+                w, part, from_foot = foot_on_face(x, a, b, c, arrays)
+                square = from_foot.dot(from_foot)
+                if square < smallest:
+                    smallest, face, feature, weights, offset = square, candidate, part, w, from_foot
     # The face's own normal, or at a corner or an edge the mean of its neighbours' (Baerentzen & Aanaes 2005).
-    side = offset[1]
-    if ti.static(arrays.features.terrain):
-        # None where nothing is near.
-        normal = normal / ti.max(normal.norm(), TINY)
-    if ti.static(arrays.features.listed):
-        if not in_terrain(face, scene, arrays):
-            column = arrays.features.face.normal + ti.max(feature, 0) * arrays.features.dimension
-            normal = listed_vector(face, column, arrays)
-            side = offset.dot(normal)
+    column = arrays.features.face.normal + ti.max(feature, 0) * arrays.features.dimension
+    normal = listed_vector(face, column, arrays)
     d = offset.dot(normal)
     if feature > 0:
-        sign = 1.0
-        if side < 0.0:
+        sign, length = 1.0, offset.norm()
+        if d < 0.0:
             sign = -1.0
-        length = offset.norm()
         d = sign * length
         if length > TINY:
             normal = offset * (sign / length)
-    if feature < 0:
-        d = 0.0 * d + 1.0e30
-    return face, feature, weights, normal, d, bound, free
+    return face, feature, weights, normal, d, bound
 
 
 @ti.func
-def free_path(x, face, weights, normal, d, free, entry, cell, scene, arrays: ti.template()):
+def free_path(x, face, weights, normal, d, entry, cell, scene, arrays: ti.template()):
     """How far a particle at `x` [m] outside of the solids may move and be nearest to the inside of `face` still [m].
 
-    Its foot has to stay there, it in its cell where that lists faces, those that its points need, and no face that lies
-    in part in front of this one may come nearer: both distances change by no more than its path. 0 where the friction
-    varies along the face. free: how far it may move for the height field's sake [m].
+    Its foot has to stay there, it in its cell, and no face that lies in part in front of this one may come nearer: both
+    distances change by no more than its path. 0 where the friction varies along the face.
     """
-    features = arrays.features
-    dimension = ti.static(features.dimension)
-    if ti.static(not features.terrain):
-        free = cell
-    free = ti.min(free, cell)
-    friction = frictions_of(face, scene, arrays)
+    dimension = ti.static(arrays.features.dimension)
+    free = cell
+    friction = frictions_of(face, arrays)
     for k in ti.static(range(1, dimension)):
         if friction[k] != friction[0]:
             free = 0.0 * free
-    if ti.static(features.listed):
-        a, b, c = corners_of(face, scene, arrays)
-        if not in_terrain(face, scene, arrays):
-            if ti.static(dimension == 2):
-                free = ti.min(free, weights[0] * (b - a).norm(), weights[1] * (b - a).norm())
-            else:
-                area = (b - a).cross(c - a).norm()
-                free = ti.min(free, weights[0] * area / (c - b).norm(), weights[1] * area / (a - c).norm())
-                free = ti.min(free, weights[2] * area / (b - a).norm())
-        first, listed = list_of(entry, arrays)
-        if listed > 0:
-            for k in ti.static(range(dimension)):
-                above = x[k] - ti.floor(x[k] / cell) * cell
-                free = ti.min(free, above, cell - above)
-        else:
-            free = ti.min(free, 0.5 * (unlisted_distance(x, entry, scene, arrays) - d))
-        for number in range(listed):
-            p, q, r = listed_corners(arrays.near_faces[first + number], arrays)
-            # Whether it lies in part in front of the plane of `face`.
-            if ti.max((p - a).dot(normal), (q - a).dot(normal), (r - a).dot(normal)) > SKIN * cell:
-                _, _, from_foot = foot_on_face(x, p, q, r, arrays)
-                free = ti.min(free, 0.5 * (from_foot.norm() - d))
+    a, b, c = corners_of(face, arrays)
+    if ti.static(dimension == 2):
+        free = ti.min(free, weights[0] * (b - a).norm(), weights[1] * (b - a).norm())
+    else:
+        area = (b - a).cross(c - a).norm()
+        free = ti.min(free, weights[0] * area / (c - b).norm(), weights[1] * area / (a - c).norm())
+        free = ti.min(free, weights[2] * area / (b - a).norm())
+    first, listed = list_of(entry, arrays)
+    for k in ti.static(range(dimension)):
+        above = x[k] - ti.floor(x[k] / cell) * cell
+        free = ti.min(free, above, cell - above)
+    for number in range(listed):
+        p, q, r = corners_of(arrays.near_faces[first + number], arrays)
+        # Whether it lies in part in front of the plane of `face`.
+        if ti.max((p - a).dot(normal), (q - a).dot(normal), (r - a).dot(normal)) > SKIN * cell:
+            _, _, from_foot = foot_on_face(x, p, q, r, arrays)
+            free = ti.min(free, 0.5 * (from_foot.norm() - d))
     return free

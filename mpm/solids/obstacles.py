@@ -3,8 +3,8 @@
 **Window.** What is listed of cells and of nodes is so in a box around the faces alone; outside of it nothing is near
 one. Cells and nodes are numbered alike in it, the last axis fastest: a cell by its lowest node.
 
-**Height field.** The triangles of a terrain in 3D stand in no list. The kernel finds them by their place in plan, and
-holds and covers nodes by them (`mpm.solids.terrain`), but for those nodes that are near listed faces.
+**Terrain.** A terrain in 3D stands in no list. The kernel finds its bed by the place in plan (`mpm.solids.terrain`),
+beside the face that is nearest, and holds nodes by it after what listed faces leave of their velocity.
 
 **Lists.** A point p of a cell with centre c and half diagonal h has d(c, F) - h <= d(p, F) <= d(c, F) + h from a face
 F. So F can be the nearest one of a point at a distance of at most `cutoff` only where d(c, F) <= min(smallest + 2 h,
@@ -34,23 +34,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, minimum_filter
 
-from datasets.geometry.contact_surface import ContactSurface, HeightField, contact_surface_of
-from datasets.geometry.ground import interpolated
+from datasets.geometry.contact_surface import ContactSurface, contact_surface_of
 from datasets.geometry.nearest import Search, feet, nearest
 from datasets.geometry.surface import Surface
 from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import CONTACT_WIDTH, roughest, search_distance
+from mpm.solids.bed import Bed, bed_of
 from mpm.solids.face_lookup import SKIN
+from mpm.solids.terrain import FADE
 
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-FADE = 0.5
-"""Depth [cells] in a solid by which its hold of a node has grown from nothing to all. Where it is three quarters of a
-cell, nodes give way while a bed is laid against the solid, and its thrust is up to 15 % too low."""
 BLEND = 0.5
 """Distance beyond that of the nearest face [cells] from which another one holds a node no more."""
 
@@ -132,12 +130,10 @@ class Obstacles:
     """Of each node the sides of the box that a solid covers, bit k for side k of x-, x+, y-, ..., shape [C + 1]."""
     windows: tuple[Window, ...]
     """Of each scene."""
-    fields: tuple[HeightField | None, ...]
+    beds: tuple[Bed | None, ...]
     """Of each scene."""
     frictions: tuple[Floats, ...]
-    """Of their posts [-], shape [X, Z], or [1, 1] where it is one; empty without a height field."""
-    triangles: tuple[int, ...]
-    """The number of the first triangle of each height field; those of faces come before."""
+    """Of the posts of their terrain [-], shape [X, Z], or [1, 1] where it is one; empty without a bed."""
 
 
 TABLES = ("faces", "cell_faces", "near_faces", "cell_distance", "node_holds", "holds", "covered")
@@ -152,26 +148,15 @@ def obstacles_of(scenes: Sequence[Scene]) -> tuple[Obstacles, Integers]:
     parts = [obstacles_in(scene) for scene in scenes]
     counts = [(len(part.cell_faces), len(part.faces), len(part.holds), len(part.near_faces)) for part in parts]
     firsts = np.cumsum([(0, 0, 0, 0), *counts], axis=0)
-    end, triangles, known = int(firsts[-1, 1]), [], dict[int, int]()
-    for part in parts:
-        (field,) = part.fields
-        triangles.append(known.setdefault(id(field), end))
-        end = max(end, triangles[-1] + (0 if field is None else 2 * field.cut.size))
     shifted = []
-    for part, first_triangle, (_, face, hold, near) in zip(parts, triangles, firsts[:-1].tolist(), strict=True):
-        held = numbered(part.holds[:, 0], len(part.faces), face, first_triangle)
+    for part, (_, face, hold, near) in zip(parts, firsts[:-1].tolist(), strict=True):
         starts = {"cell_faces": part.cell_faces + near, "node_holds": part.node_holds + hold}
-        numbers = {"near_faces": part.near_faces + face, "holds": np.column_stack([held, part.holds[:, 1:]])}
+        numbers = {"near_faces": part.near_faces + face, "holds": part.holds + np.array([face, 0.0, 0.0])}
         shifted.append(vars(part) | starts | numbers)
     together: dict[str, Any] = {name: np.concatenate([each[name] for each in shifted]) for name in TABLES}
-    for name in ("windows", "fields", "frictions"):
+    for name in ("windows", "beds", "frictions"):
         together[name] = tuple(value for part in parts for value in getattr(part, name))
-    return Obstacles(**together, triangles=tuple(triangles)), firsts[:, :3]
-
-
-def numbered(faces: Array, listed: int, first_face: int, first_triangle: int) -> Array:
-    """Numbers of faces among those of all scenes, from those in a scene of `listed` faces; shape [N]."""
-    return np.where(faces < listed, faces + first_face, faces - listed + first_triangle)
+    return Obstacles(**together), firsts[:, :3]
 
 
 def obstacles_in(scene: Scene) -> Obstacles:
@@ -192,9 +177,8 @@ def obstacles_in(scene: Scene) -> Obstacles:
         holds=np.zeros((0, 3)),
         covered=none,
         windows=(Window(low=(0,) * scene.dimension, shape=(0,) * scene.dimension, cell=scene.domain.cell),),
-        fields=(None,),
+        beds=(None,),
         frictions=(np.zeros((0, 0)),),
-        triangles=(0,),
     )
 
 
@@ -204,17 +188,26 @@ def farthest(scene: Scene) -> float:
 
 
 def holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Window, NDArray[np.int32], Floats, Floats]:
-    """Of `nodes` by their indices, shape [N, D]: a window around them, where the holds of each of its nodes begin,
-    these, shape [K, 3], and the normals of their faces, shape [K, D].
+    """Of `nodes` by their indices, shape [N, D]: a window around them, where the holds of each of its nodes by listed
+    faces begin, these, shape [K, 3], and the normals of their faces, shape [K, D].
     """
-    window = window_of(scene.domain, nodes)
-    reach = (farthest(scene) + BLEND) * scene.domain.cell
-    surface, numbers = solid.around(np.asarray((nodes - PADDING) * scene.domain.cell), reach)
-    surface = limited(surface, roughest(scene))
+    window, surface = window_of(scene.domain, nodes), limited(solid.faces, roughest(scene))
+    if not len(surface.corners):
+        return window, np.zeros(window.count + 1, np.int32), np.zeros((0, 3)), np.zeros((0, scene.dimension))
     first, holds = holds_of(window, surface, np.sort(window.numbers(nodes)), cutoff=farthest(scene))
-    face = holds[:, 0].astype(np.int64)
-    holds[:, 0] = numbers[face]
-    return window, first, holds, surface.normals[face]
+    return window, first, holds, surface.normals[holds[:, 0].astype(np.int64)]
+
+
+def bed_holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[Floats, Floats, Floats]:
+    """Of `nodes` by their indices, shape [N, D], the share with which the bed of a terrain holds them, its normals,
+    [N, D], and its friction; nothing where none is.
+    """
+    if solid.field is None:
+        return np.zeros(len(nodes)), np.zeros(nodes.shape), np.zeros(len(nodes))
+    bed, friction = bed_of(solid.field, scene.domain), np.minimum(solid.field.friction, roughest(scene))
+    d, normal, rough = bed.contact(np.asarray((nodes - PADDING) * scene.domain.cell, np.float64), friction)
+    part = np.clip(-d / (FADE * scene.domain.cell), 0.0, 1.0)
+    return part * part * (3.0 - 2.0 * part), normal, rough
 
 
 def limited(surface: Surface, most: float) -> Surface:
@@ -245,10 +238,7 @@ def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: f
     if window.count:
         apart = distance_transform_edt((np.diff(cell_faces) == 0).reshape(window.shape)).ravel()
         beyond = np.maximum(apart - math.sqrt(domain.dimension), 0.0)
-        ends = window.positions(np.array([0, window.count - 1]))
-        around, numbers = solid.around(ends, (cutoff + BLEND) * domain.cell)
-        node_holds, holds = holds_of(window, limited(around, most), listed, cutoff=cutoff)
-        holds[:, 0] = numbers[holds[:, 0].astype(np.int64)]
+        node_holds, holds = holds_of(window, faces, listed, cutoff=cutoff)
         covered = covered_sides(window, domain, solid, cutoff=cutoff)
     field = solid.field
     return Obstacles(
@@ -260,15 +250,14 @@ def obstacles_with(solid: ContactSurface, domain: Domain, cutoff: float, most: f
         holds=holds,
         covered=np.append(covered, np.int32(0)),
         windows=(window,),
-        fields=(field,),
+        beds=(None if field is None else bed_of(field, domain),),
         frictions=(np.zeros((0, 0)) if field is None else np.minimum(field.friction, most),),
-        triangles=(len(faces.corners),),
     )
 
 
 def covered_sides(window: Window, domain: Domain, solid: ContactSurface, *, cutoff: float) -> NDArray[np.int32]:
     """Of each node of a window the sides of the box that a solid covers, as bits, shape [C]."""
-    shape, cell, field = node_shape(domain), domain.cell, solid.field
+    shape, cell = node_shape(domain), domain.cell
     covered = np.zeros(window.shape, np.int32)
     for axis, side in itertools.product(range(len(shape)), (0, 1)):
         row = (shape[axis] - 1 - PADDING if side else PADDING) - window.low[axis]
@@ -277,13 +266,15 @@ def covered_sides(window: Window, domain: Domain, solid: ContactSurface, *, cuto
         numbers = np.moveaxis(np.arange(window.count).reshape(window.shape), axis, 0)[row]
         places = window.positions(numbers.ravel())
         places[:, axis] += (2 * side - 1) * SKIN * cell
-        surface, _ = solid.around(places, cutoff * cell)
-        distance = nearest(surface, places, cutoff * cell).distance
-        inside = (distance < -0.5 * SKIN * cell).reshape(numbers.shape)
+        distance = np.full(len(places), np.inf)
+        if len(solid.faces.corners):
+            distance = nearest(solid.faces, places, cutoff * cell).distance
         # What is far from a surface is, beside a place inside, deep in the solid.
-        deep = np.isinf(distance)
-        if field is not None:
-            deep &= places[:, 1] < interpolated((field.x, field.z), field.heights, places[:, ::2])
+        inside, deep = distance < -0.5 * SKIN * cell, np.isinf(distance)
+        if solid.field is not None:
+            ground = bed_of(solid.field, domain).contact(places, np.zeros((1, 1)))[0] < -0.5 * SKIN * cell
+            inside, deep = inside | ground, ground
+        inside = inside.reshape(numbers.shape)
         whole = inside & minimum_filter(inside | deep.reshape(numbers.shape), 3, mode="nearest")
         beyond = np.moveaxis(covered, axis, 0)[row:] if side else np.moveaxis(covered, axis, 0)[: row + 1]
         beyond |= whole.astype(np.int32) << (2 * axis + side)
@@ -367,15 +358,21 @@ def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np
     if solid is None:
         return found
     width = CONTACT_WIDTH * scene.domain.cell
-    cutoff = search_distance(scene) + scene.domain.cell
-    surface, numbers = solid.around(positions, cutoff)
-    nearest_points = nearest(surface, positions, cutoff)
-    q = np.clip(nearest_points.distance / width, 0.0, 1.0)
-    _, _, weights = feet(surface.corners[nearest_points.face], positions)
+    cutoff, most = search_distance(scene) + scene.domain.cell, roughest(scene)
+    surface, normals = solid.faces, slice(Contact.NORMAL, Contact.NORMAL + dimension)
+    distance = np.full(count, np.inf)
+    if len(surface.corners):
+        near = nearest(surface, positions, cutoff)
+        distance, found[:, Contact.FACE], found[:, normals] = near.distance, near.face, near.normal
+        _, _, weights = feet(surface.corners[near.face], positions)
+        found[:, Contact.FRICTION] = (weights * np.minimum(surface.friction, most)[near.face]).sum(axis=1)
+    if solid.field is not None:
+        bed = bed_of(solid.field, scene.domain)
+        d, normal, friction = bed.contact(positions, np.minimum(solid.field.friction, most))
+        nearer = d < distance
+        distance, found[nearer, Contact.FACE] = np.minimum(d, distance), len(surface.corners)
+        found[nearer, Contact.FRICTION], found[nearer, normals] = friction[nearer], normal[nearer]
+    q = np.clip(distance / width, 0.0, 1.0)
     found[:, Contact.DELTA] = 2.0 / width * (1.0 - q * q * (3.0 - 2.0 * q))
-    found[:, Contact.DISTANCE] = np.clip(nearest_points.distance, 0.0, cutoff)
-    friction = np.minimum(surface.friction, roughest(scene))[nearest_points.face]
-    found[:, Contact.FRICTION] = (weights * friction).sum(axis=1)
-    found[:, Contact.FACE] = numbers[nearest_points.face]
-    found[:, Contact.NORMAL : Contact.NORMAL + dimension] = nearest_points.normal
+    found[:, Contact.DISTANCE] = np.clip(distance, 0.0, cutoff)
     return found

@@ -1,33 +1,29 @@
-"""A terrain in 3D as a height field: the triangles that a point can be near to follow from its place in plan.
+"""A terrain in 3D as contact finds it: a bed that is smooth below a cell.
 
-A raster has two triangles a cell, along the diagonal whose ends differ less (`datasets.geometry.ground`). A point that
-is g above the triangle over or under it is no farther than |g| from the terrain, and no nearer than
-|g| / sqrt(1 + s^2), with s the steepest slope: only cells of the raster within |g| of it in plan are looked at, at most
-those within the distance that is searched, R. With posts a apart and particles of a first row at R that is some
-2 (2 R / a + 1)^2 triangles; those farther in plan than the nearest so far cost a comparison.
+    H(x, z) = sum_ik w_i(x) w_k(z) H_ik,    d = (y - H) / s,    n = (-H_x, 1, -H_z) / s,    s = sqrt(1 + H_x^2 + H_z^2)
 
-The offset of a point from its nearest place on a height field points up if and only if the point lies above it: the
-ball around the point that touches the surface there is free of it, and a surface that passed below the point and came
-back over the ball would be no function of the place in plan. So edges and corners need no normals of their own.
+with the elevations H_ik of the raster at the nodes of a lattice in plan, half a cell apart (`mpm.solids.bed`), and
+quadratic B-splines w, as of the transfers. The distance d is that from the plane through (x, H, z) with the normal n:
+it is Euclidean on the bed and beside planes, which are exact. Creases are rounded over a cell, below which the grid has
+no velocities of its own, so that normals never jump, and nine elevations tell the contact of a particle, however rough
+the ground is.
+
+A node of the grid deep in the bed is held as by a face (`mpm.solids.obstacles`), with d, n and the friction there.
 """
 
 import taichi as ti
 
-from mpm.arrays.layout import PADDING, Offset, Setting, TerrainNumber
+from mpm.arrays.access import dot, maximum, minimum
+from mpm.arrays.layout import BED_EDGE, BED_PER_CELL, PADDING, Offset, Setting, TerrainNumber
 
-LEVEL = 1.0e-30
-"""Stands for zero where a zero means that nothing is kept yet: an elevation [m] or a tilt [-]."""
-AROUND = 2
-"""Cells of the raster around one whose triangles its own are compared with."""
-UNKNOWN = 1.0e10
-"""Tilt [-] of triangles beside which others have to be searched."""
-STEEP = 0.7
-"""Least cosine of the angle between triangles beside which one is known to be nearest."""
+FADE = 0.5
+"""Depth [cells] in a solid by which its hold of a node has grown from nothing to all. Where it is three quarters of a
+cell, nodes give way while a bed is laid against the solid, and its thrust is up to 15 % too low."""
 
 
 @ti.func
 def in_terrain(face, scene, arrays: ti.template()):
-    """Whether a face is a triangle of the scene's height field; known to the compiler where scenes have none."""
+    """Whether the number of a face stands for the scene's bed; known to the compiler where scenes have none."""
     if ti.static(arrays.features.terrain):
         return face >= arrays.offsets[scene, Offset.TERRAIN_FACE]
     else:
@@ -35,189 +31,139 @@ def in_terrain(face, scene, arrays: ti.template()):
 
 
 @ti.func
-def terrain_number(column: ti.template(), scene, arrays: ti.template()):
-    """One of the first numbers of a height field."""
-    return arrays.terrain[arrays.offsets[scene, Offset.TERRAIN] + column]
+def nearness(scene, arrays: ti.template()):
+    """The least part of the height above the bed that is the distance from it [-]."""
+    return arrays.terrain[arrays.offsets[scene, Offset.TERRAIN] + TerrainNumber.NEARNESS]
 
 
 @ti.func
-def posts(scene, arrays: ti.template()):
-    """How many posts a height field has along x and z, and where x, z, heights and friction begin in `terrain`."""
-    along, across = arrays.offsets[scene, Offset.POSTS_X], arrays.offsets[scene, Offset.POSTS_Z]
-    x = arrays.offsets[scene, Offset.TERRAIN] + ti.static(len(TerrainNumber))
-    return along, across, x, x + along, x + along + across, x + along + across + along * across
+def bed_spacing(scene, arrays: ti.template()):
+    """Between the nodes of the lattice [m]."""
+    return arrays.settings[scene, Setting.CELL] / BED_PER_CELL
 
 
 @ti.func
-def post_spacing(scene, arrays: ti.template()):
-    """The lesser of the distances between posts along x and z [m]."""
-    per_x = terrain_number(TerrainNumber.PER_X, scene, arrays)
-    return 1.0 / ti.max(per_x, terrain_number(TerrainNumber.PER_Z, scene, arrays))
+def lattice(axis: ti.template(), scene, arrays: ti.template()):
+    """How many nodes the lattice has along an axis, and the number of that at the corner of the box."""
+    first = ti.static(BED_PER_CELL * PADDING + BED_EDGE)
+    return BED_PER_CELL * arrays.offsets[scene, Offset.CELLS_X + axis] + 2 * first + 1, first
 
 
 @ti.func
-def raster_cell(x, scene, arrays: ti.template()):
-    """The cell i, k of the raster that `x` [m] lies over or under, or the last one on its side."""
-    along, across, _, _, _, _ = posts(scene, arrays)
-    to_x = (x[0] - terrain_number(TerrainNumber.X, scene, arrays)) * terrain_number(TerrainNumber.PER_X, scene, arrays)
-    to_z = (x[2] - terrain_number(TerrainNumber.Z, scene, arrays)) * terrain_number(TerrainNumber.PER_Z, scene, arrays)
-    i = ti.cast(ti.floor(to_x), ti.i32) + arrays.offsets[scene, Offset.EVEN_X]
-    k = ti.cast(ti.floor(to_z), ti.i32) + arrays.offsets[scene, Offset.EVEN_Z]
-    return ti.max(0, ti.min(i, along - 2)), ti.max(0, ti.min(k, across - 2))
+def lowest_node(x, axis: ti.template(), scene, arrays: ti.template()):
+    """The number, a real, of the first of the three nodes of the lattice around `x` [m], and its coordinate [m]."""
+    count, first = lattice(axis, scene, arrays)
+    spacing = bed_spacing(scene, arrays)
+    last = ti.cast(count - 3, float)
+    node = minimum(maximum(ti.floor(x / spacing + (first - 0.5)), 0.0 * x), 0.0 * x + last)
+    return node, (node - ti.cast(first, float)) * spacing
 
 
 @ti.func
-def cell_code(i, k, scene, arrays: ti.template()):
-    """Bit 0: the triangles of a cell meet along its second diagonal; bit 1: they are faces that are listed."""
-    at = i * (arrays.offsets[scene, Offset.POSTS_Z] - 1) + k
-    return arrays.terrain_cells[arrays.offsets[scene, Offset.TERRAIN_CELLS] + at]
+def place_in_bed(i, k, scene, arrays: ti.template()):
+    """Where the elevation of a node of the lattice stands in `terrain`, where its friction, and the step to the next
+    node along x; of one friction that all have, the place and no step.
+    """
+    along, _ = lattice(0, scene, arrays)
+    across, _ = lattice(2, scene, arrays)
+    height = arrays.offsets[scene, Offset.TERRAIN] + ti.static(len(TerrainNumber)) + i * across + k
+    friction = height + along * across
+    if not varied_friction(scene, arrays):
+        friction = arrays.offsets[scene, Offset.TERRAIN] + TerrainNumber.FRICTION
+    return height, friction, across
 
 
 @ti.func
-def triangle_under(x, scene, arrays: ti.template()):
-    """The triangle that `x` [m] lies over or under: its cell i, k, which of the two it is, and the code of the cell."""
-    i, k = raster_cell(x, scene, arrays)
-    _, _, first_x, first_z, _, _ = posts(scene, arrays)
-    code, half = cell_code(i, k, scene, arrays), 0
-    x0, z0 = arrays.terrain[first_x + i], arrays.terrain[first_z + k]
-    u = (x[0] - x0) / (arrays.terrain[first_x + i + 1] - x0)
-    v = (x[2] - z0) / (arrays.terrain[first_z + k + 1] - z0)
-    if (code & 1) == 1:
-        v = 1.0 - v
-    if (v > u and (code & 1) == 0) or (u > v and (code & 1) == 1):
-        half = 1
-    return i, k, half, code
+def varied_friction(scene, arrays: ti.template()):
+    """Whether the friction of a bed is not the same everywhere."""
+    return arrays.offsets[scene, Offset.TERRAIN_FRICTION] == 1
 
 
 @ti.func
-def height_above(x, scene, arrays: ti.template()):
-    """How far `x` [m] is above the height field [m], and 1 where the triangle there is a listed face, else 0."""
-    i, k, half, code = triangle_under(x, scene, arrays)
-    a, b, c = triangle_corners(i, k, half, code, scene, arrays)
-    across = (b - a).cross(c - b)
-    return (x - a).dot(across) / across[1], code >> 1
+def spline(x, corner, spacing):
+    """The three weights along an axis at `x` [m] [-], and their slopes [1/m], from the first node at `corner` [m]."""
+    f = (x - corner) / spacing
+    low, middle, high = 1.5 - f, f - 1.0, f - 0.5
+    weights = [0.5 * low * low, 0.75 - middle * middle, 0.5 * high * high]
+    return weights, [(0.0 - low) / spacing, -2.0 * middle / spacing, high / spacing]
+
+
+@ti.func
+def row_sum(numbers: ti.template(), row: ti.template(), w: ti.template()):
+    """The sum of a row of nine numbers times weights."""
+    return numbers[3 * row] * w[0] + numbers[3 * row + 1] * w[1] + numbers[3 * row + 2] * w[2]
+
+
+@ti.func
+def spline_sums(x: ti.template(), numbers: ti.template(), corner: ti.template(), spacing):
+    """The value at `x` [m] of nine numbers of the lattice, row by row, and its slopes along x and z."""
+    wx, sx = spline(x[0], corner[0], spacing)
+    wz, sz = spline(x[2], corner[1], spacing)
+    rows = [row_sum(numbers, 0, wz), row_sum(numbers, 1, wz), row_sum(numbers, 2, wz)]
+    slopes = [row_sum(numbers, 0, sz), row_sum(numbers, 1, sz), row_sum(numbers, 2, sz)]
+    return dot(rows, wx), dot(rows, sx), dot(slopes, wx)
+
+
+@ti.func
+def bed_contact(x: ti.template(), heights: ti.template(), corner: ti.template(), spacing):
+    """y - H [m], d [m] and n of `x` [m], a list; heights: the nine elevations around it [m]."""
+    # Of the differences, small numbers, single precision keeps more.
+    below = [heights[k] - x[1] for k in ti.static(range(9))]
+    rise, along, across = spline_sums(x, below, corner, spacing)
+    per_length = 1.0 / ti.sqrt(1.0 + along * along + across * across)
+    n = [(0.0 - along) * per_length, per_length, (0.0 - across) * per_length]
+    return 0.0 - rise, (0.0 - rise) * per_length, n
+
+
+@ti.func
+def bed_at(x, scene, arrays: ti.template()):
+    """y - H [m], d [m], n and the friction at one place `x` [m], [D]."""
+    i, corner_x = lowest_node(x[0], 0, scene, arrays)
+    k, corner_z = lowest_node(x[2], 2, scene, arrays)
+    height, friction, row = place_in_bed(ti.cast(i, ti.i32), ti.cast(k, ti.i32), scene, arrays)
+    spacing = bed_spacing(scene, arrays)
+    heights = nine(height, row, 1, arrays)
+    above, d, n = bed_contact([x[0], x[1], x[2]], heights, [corner_x, corner_z], spacing)
+    mu = arrays.terrain[friction]
+    if varied_friction(scene, arrays):
+        mu, _, _ = spline_sums([x[0], x[1], x[2]], nine(friction, row, 1, arrays), [corner_x, corner_z], spacing)
+    return above, d, ti.Vector([n[0], n[1], n[2]]), mu
+
+
+@ti.func
+def nine(first, row, step, arrays: ti.template()):
+    """Nine numbers of `terrain` from `first` on, three rows of three, as a list."""
+    return [arrays.terrain[first + a * row + b * step] for a in ti.static(range(3)) for b in ti.static(range(3))]
 
 
 @ti.func
 def column_height(i, k, scene, arrays: ti.template()):
-    """Elevation of the height field [m] at the column i, k of nodes; kept once it has been needed."""
+    """Elevation of the bed [m] at the column i, k of nodes."""
     across = arrays.offsets[scene, Offset.CELLS_Z] + 2 * PADDING + 1
     i = ti.max(0, ti.min(i, arrays.offsets[scene, Offset.CELLS_X] + 2 * PADDING))
     k = ti.max(0, ti.min(k, across - 1))
-    at = arrays.offsets[scene, Offset.COLUMNS] + i * across + k
-    height = arrays.column_heights[at]
-    if height == 0.0:
-        cell = arrays.settings[scene, Setting.CELL]
-        above, _ = height_above(ti.Vector([(i - PADDING) * cell, 0.0 * cell, (k - PADDING) * cell]), scene, arrays)
-        height = 0.0 - above
-        if height == 0.0:
-            height += LEVEL
-        arrays.column_heights[at] = height
-    return height
+    return arrays.column_heights[arrays.offsets[scene, Offset.COLUMNS] + i * across + k]
 
 
 @ti.func
-def terrain_radius(x, reach, scene, arrays: ti.template()):
-    """The distance in plan within which the nearest triangle of those up to `reach` [m] from `x` [m] lies, -1 where
-    there can be none; a lower bound of the distance of `x` from the others, and one from all of them [m].
-    """
-    above, listed = height_above(x, scene, arrays)
-    nearest = ti.abs(above) * terrain_number(TerrainNumber.NEARNESS, scene, arrays)
-    bound, radius = nearest, 0.0 * reach - 1.0
-    if bound < reach:
-        bound, radius = reach, reach
-        if listed == 0:
-            radius = ti.min(ti.abs(above), reach)
-    return radius, bound, nearest
+def node_position(node, scene, arrays: ti.template()):
+    """Of a node by its index [m], shape [D]."""
+    cell = arrays.settings[scene, Setting.CELL]
+    return ti.Vector([(node[k] - PADDING) * cell for k in ti.static(range(arrays.features.dimension))])
 
 
 @ti.func
-def cells_within(low, high, scene, arrays: ti.template()):
-    """The cells of the raster over or under a box from `low` to `high` [m]: first in x and z, then past the last."""
-    i0, k0 = raster_cell(low, scene, arrays)
-    i1, k1 = raster_cell(high, scene, arrays)
-    return i0, k0, i1 + 1, k1 + 1
+def in_bed(node, scene, arrays: ti.template()):
+    """Whether a node, an index of shape [D], lies in the bed of a scene that has one."""
+    result = False
+    if arrays.offsets[scene, Offset.TERRAIN] > 0:
+        result = node_position(node, scene, arrays)[1] < column_height(node[0], node[2], scene, arrays)
+    return result
 
 
 @ti.func
-def triangle_number(i, k, half, scene, arrays: ti.template()):
-    """The number, as a face, of one of the two triangles of a cell."""
-    cell = i * (arrays.offsets[scene, Offset.POSTS_Z] - 1) + k
-    return arrays.offsets[scene, Offset.TERRAIN_FACE] + 2 * cell + half
-
-
-@ti.func
-def cell_of_triangle(face, scene, arrays: ti.template()):
-    """i, k of the cell of a triangle, and which of its two it is."""
-    across = arrays.offsets[scene, Offset.POSTS_Z] - 1
-    triangle = face - arrays.offsets[scene, Offset.TERRAIN_FACE]
-    i = ti.raw_div(triangle // 2, across)
-    return i, triangle // 2 - i * across, triangle & 1
-
-
-@ti.func
-def squared_plan_distance(x, i, k, scene, arrays: ti.template()):
-    """Square of the distance in plan of `x` [m] from a cell [m^2]."""
-    _, _, first_x, first_z, _, _ = posts(scene, arrays)
-    along = ti.max(arrays.terrain[first_x + i] - x[0], x[0] - arrays.terrain[first_x + i + 1], 0.0 * x[0])
-    aside = ti.max(arrays.terrain[first_z + k] - x[2], x[2] - arrays.terrain[first_z + k + 1], 0.0 * x[0])
-    return along * along + aside * aside
-
-
-@ti.func
-def corner_posts(code, half):
-    """How far the posts at the first two corners of a triangle are along x from the first of its cell: p, q.
-
-    The corners are at (p, 0), (q, 1) and (1, half), in the order of `datasets.geometry.ground.grid_triangles`: a, c, b
-    and a, d, c of the first diagonal; a, d, b and b, d, c of the second one.
-    """
-    return half * (code & 1), (1 - half) * (1 - (code & 1))
-
-
-@ti.func
-def triangle_corners(i, k, half, code, scene, arrays: ti.template()):
-    """The corners of a triangle of a cell with the code `code` [m], three vectors."""
-    _, across, first_x, first_z, heights, _ = posts(scene, arrays)
-    p, q = corner_posts(code, half)
-    at_x, at_z, at = first_x + i, first_z + k, heights + i * across + k
-    a = ti.Vector([arrays.terrain[at_x + p], arrays.terrain[at + p * across], arrays.terrain[at_z]])
-    b = ti.Vector([arrays.terrain[at_x + q], arrays.terrain[at + q * across + 1], arrays.terrain[at_z + 1]])
-    c = ti.Vector([arrays.terrain[at_x + 1], arrays.terrain[at + across + half], arrays.terrain[at_z + half]])
-    return a, b, c
-
-
-@ti.func
-def corner_frictions(i, k, half, code, scene, arrays: ti.template()):
-    """Where the Coulomb coefficients at the corners of a triangle stand in `terrain`, three numbers."""
-    _, across, _, _, _, friction = posts(scene, arrays)
-    a, b, c = friction, friction, friction
-    if arrays.offsets[scene, Offset.TERRAIN_FRICTION] == 1:
-        p, q = corner_posts(code, half)
-        at = friction + i * across + k
-        a, b, c = at + p * across, at + q * across + 1, at + across + half
-    return a, b, c
-
-
-@ti.func
-def tilt_around(i, k, half, scene, arrays: ti.template()):
-    """tan of the largest angle of a triangle to those AROUND it [-], kept; UNKNOWN where one is listed or too steep."""
-    along, across, _, _, _, _ = posts(scene, arrays)
-    cell = arrays.offsets[scene, Offset.TERRAIN_CELLS] + i * (across - 1) + k
-    tilt = arrays.terrain_tilts[2 * cell + half]
-    if tilt == 0.0:
-        a, b, c = triangle_corners(i, k, half, cell_code(i, k, scene, arrays), scene, arrays)
-        normal = (b - a).cross(c - b)
-        tilt += LEVEL
-        for other_i in range(ti.max(i - AROUND, 0), ti.min(i + AROUND + 1, along - 1)):
-            for other_k in range(ti.max(k - AROUND, 0), ti.min(k + AROUND + 1, across - 1)):
-                code = cell_code(other_i, other_k, scene, arrays)
-                for other in range(2):
-                    p, q, r = triangle_corners(other_i, other_k, other, code, scene, arrays)
-                    facing = (q - p).cross(r - q)
-                    cosine, sine = normal.dot(facing), normal.cross(facing).norm()
-                    if code < 2 and cosine > STEEP * ti.sqrt(cosine * cosine + sine * sine):
-                        tilt = ti.max(tilt, sine / cosine)
-                    else:
-                        tilt = 0.0 * tilt + UNKNOWN
-        arrays.terrain_tilts[2 * cell + half] = tilt
-    return tilt
+def bed_hold(node, scene, arrays: ti.template()):
+    """The share with which the bed holds a node in it, the normal n and the friction there."""
+    _, d, n, friction = bed_at(node_position(node, scene, arrays), scene, arrays)
+    part = ti.max(0.0, ti.min((0.0 - d) / (FADE * arrays.settings[scene, Setting.CELL]), 1.0))
+    return part * part * (3.0 - 2.0 * part), n, friction

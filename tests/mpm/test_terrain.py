@@ -1,18 +1,22 @@
 """Contact with a height field, and lists that hold every face that a particle of a cell can need."""
 
 import dataclasses
+import math
 from time import process_time
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from datasets.geometry.contact_surface import contact_surface_of
 from datasets.geometry.nearest import feet, nearest
 from datasets.scene import Baffle, Domain, Mass, Scene, Solid
 from datasets.scene.material import Material
 from mpm import simulate
 from mpm.arrays.layout import PADDING, node_shape
-from mpm.solids.obstacles import BLEND, FADE, Window, faces_near, holds_of, obstacles_in
+from mpm.solids.bed import Bed, bed_of
+from mpm.solids.obstacles import BLEND, Window, faces_near, holds_of, obstacles_in
+from mpm.solids.terrain import FADE
 from tests.datasets.geometry.solids import surface
 from tests.scenes import scene_of
 
@@ -27,8 +31,8 @@ def hill(**changes: object) -> Scene:
     ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.1, 0.1), heights=rows, friction=0.4)
     layer = Mass(kind="layer", thickness=0.12, outline=((0.1, 0.15), (0.6, 0.15), (0.6, 0.45), (0.1, 0.45)))
     soil = Material(friction_deg=30.0, young=1.0e6, density=1500.0)
-    settings = {"size": (1.2, 0.8, 0.6), "cell": CELL, "duration": 0.1, "frame_dt": 0.02} | changes
-    return scene_of(layer, material=soil, solids=(ground,), **settings)
+    settings = {"size": (1.2, 0.8, 0.6), "cell": CELL, "duration": 0.1, "frame_dt": 0.02, "solids": (ground,)} | changes
+    return scene_of(layer, material=soil, **settings)
 
 
 def test_a_raster_of_300_000_posts_is_set_up_at_once() -> None:
@@ -60,6 +64,51 @@ def test_sand_that_flies_away_from_a_terrain_keeps_its_parabola_beside_sand_that
     moved = (flow.positions[-1] - flow.positions[0])[flying].mean(axis=0)
     # A step of 5 ms takes g t dt / 2 off a parabola.
     assert moved == pytest.approx([0.3, 1.2 - 0.5 * 9.81 * 0.09, 0.0], abs=0.01)
+
+
+def bed(heights: NDArray[np.float64], spacing: float) -> Bed:
+    """Of a raster under the box of the hill."""
+    rows = tuple(map(tuple, heights.tolist()))
+    ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(spacing, spacing), heights=rows)
+    scene = hill(solids=(ground,))
+    solid = contact_surface_of(scene)
+    assert solid is not None
+    assert solid.field is not None
+    return bed_of(solid.field, scene.domain)
+
+
+@pytest.mark.parametrize("spacing", [0.1, 0.011, 0.6])
+def test_the_bed_of_a_plane_is_the_plane(spacing: float) -> None:
+    """In any direction, wherever points lie, for posts closer than the lattice of the bed or farther apart."""
+    x, z = spacing * np.arange(round(1.2 / spacing) + 2), spacing * np.arange(round(0.6 / spacing) + 2)
+    found = bed(0.5 - 0.3 * x[:, None] + 0.2 * z, spacing)
+    points = np.random.default_rng(0).uniform(0.05, [1.15, 0.8, 0.55], (200, 3))
+    d, normal, _ = found.contact(points, np.full((1, 1), 0.4))
+    facing = np.array([0.3, 1.0, -0.2]) / math.sqrt(1.13)
+    np.testing.assert_allclose(d, (points - [0.0, 0.5, 0.0]) @ facing, atol=1.0e-12)
+    np.testing.assert_allclose(normal, np.broadcast_to(facing, normal.shape), atol=1.0e-12)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25, 0.5])
+def test_a_crease_is_rounded_by_a_quarter_of_the_lattice_times_its_change_of_slope_at_most(shift: float) -> None:
+    """A valley with slopes of 0.5 to both sides; half a cell away from its line the bed is the raster's."""
+    posts, line = 0.0125 * np.arange(98), 0.6 + shift * CELL
+    found = bed(0.2 + 0.5 * np.abs(posts[:, None] - line) + np.zeros(50), 0.0125)
+    x = np.linspace(0.3, 0.9, 601)
+    points = np.stack([x, 0.0 * x, 0.3 + 0.0 * x], axis=1)
+    d, normal, _ = found.contact(points, np.full((1, 1), 0.4))
+    raised = -d / normal[:, 1] - (0.2 + 0.5 * np.abs(x - line))
+    assert raised.min() > -1.0e-12
+    assert 0.1 < raised.max() / (0.5 * CELL) <= 0.25 + 1.0e-9
+    assert np.abs(raised[np.abs(x - line) > CELL]).max() < 1.0e-12
+
+
+def test_friction_goes_to_the_bed_and_back_to_the_posts() -> None:
+    rng = np.random.default_rng(2)
+    found = bed(0.2 * rng.random((14, 8)), 0.1)
+    posts, adjoint = rng.random(found.field.heights.shape), rng.random(found.heights.shape)
+    assert (found.frictions(posts) * adjoint).sum() == pytest.approx((posts * found.to_posts(adjoint)).sum(), rel=1e-12)
+    assert found.frictions(np.full_like(posts, 0.3)) == pytest.approx(0.3)
 
 
 WAVES = tuple(

@@ -187,12 +187,13 @@ def test_distances_by_faces_and_posts_are_those_of_the_whole_surface(roughness: 
     solids, keys = (SOLIDS[0], terrain(roughness), SOLIDS[1]), ("a", "b", "c")
     whole, found = surface_in(BOX, solids, keys), contact_surface_in(BOX, solids, keys)
     points = np.random.default_rng(1).uniform([-0.1, 0.1, -0.1], [2.1, 1.0, 1.1], (2000, 3))
-    near, numbers = found.around(points, 0.2)
+    # Within a solid faces of another are near that their union has not.
+    points = points[nearest(whole, points).distance > 0.0]
+    near = found.around(points, 0.2)
     ours, theirs = nearest(near, points), nearest(whole, points)
     np.testing.assert_allclose(ours.distance, theirs.distance, atol=1.0e-12)
     np.testing.assert_allclose(ours.foot, theirs.foot, atol=1.0e-12)
     assert (near.solid[ours.face] == whole.solid[theirs.face]).all()
-    assert len(np.unique(numbers)) == len(numbers)
     assert 0 < len(found.faces.corners) < 0.3 * len(whole.corners)
 
 

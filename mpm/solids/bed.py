@@ -1,0 +1,163 @@
+"""The bed of a terrain in 3D: elevations and friction of its raster on a lattice in plan, half a cell apart.
+
+Its B-spline (`mpm.solids.terrain`) is what contact meets. A node has the elevation of the raster's triangles there
+(`datasets.geometry.ground`) or, where posts are closer than nodes, their mean over the square around it; planes stay as
+they are. Friction is bilinear between posts.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from datasets.geometry.contact_surface import HeightField
+from datasets.geometry.ground import linear, on_triangles
+from datasets.scene import Domain
+from mpm.arrays.layout import BED_EDGE, BED_PER_CELL, PADDING, Offset, TerrainNumber, node_shape
+
+Array = NDArray[Any]
+Floats = NDArray[np.float64]
+MOST_SAMPLES = 4
+"""Along each side of the square around a node of the lattice."""
+PORTION = 2**20
+"""Nodes of the lattice whose elevations are found together."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bed:
+    """Elevations of a height field on the lattice of a box; X times Z nodes."""
+
+    field: HeightField
+    spacing: float
+    """Between the nodes [m]."""
+    x: Floats
+    """Of the nodes [m], shape [X]."""
+    z: Floats
+    """[m], shape [Z]."""
+    heights: Floats
+    """[m], shape [X, Z]."""
+
+    def frictions(self, friction: Floats) -> Floats:
+        """Those of the nodes [-], shape [X, Z], for those of the posts; one, shape [1, 1], is that of all."""
+        along, across = self.from_posts
+        return friction if friction.size == 1 else np.asarray(along @ friction @ across.T)
+
+    def to_posts(self, adjoint: Floats) -> Floats:
+        """The reverse of `frictions`."""
+        along, across = self.from_posts
+        return adjoint if adjoint.size == 1 else np.asarray(along.T @ adjoint @ across)
+
+    @cached_property
+    def from_posts(self) -> tuple[Any, Any]:
+        """Weights of the posts along x and along z at the nodes, shapes [X, posts] and [Z, posts]."""
+        return self.weights(self.x, self.field.x), self.weights(self.z, self.field.z)
+
+    def weights(self, nodes: Floats, posts: Floats) -> Any:
+        """Of the posts at the nodes along one axis, linear between them."""
+        found = sparse.csr_array((len(nodes), len(posts)))
+        offsets = sample_offsets(self.spacing, posts)
+        for offset in offsets:
+            index, part = linear(posts, nodes + offset)
+            row = np.arange(len(nodes))
+            both = np.concatenate([1.0 - part, part]) / len(offsets), (np.tile(row, 2), np.append(index, index + 1))
+            found = found + sparse.csr_array(both, found.shape)
+        return found.tocsr()
+
+    def contact(self, points: Floats, friction: Floats) -> tuple[Floats, Floats, Floats]:
+        """d [m], n and the friction [-] at points [m], shape [N, 3], as the kernel finds them; [N], [N, 3], [N].
+
+        friction: of the posts.
+        """
+        i, wx, sx = spline(points[:, 0], self.x, self.spacing)
+        k, wz, sz = spline(points[:, 2], self.z, self.spacing)
+        around = i[:, None, None] + np.arange(3)[:, None], k[:, None, None] + np.arange(3)
+        rise = self.heights[around] - points[:, 1, None, None]
+        height, along, across = (np.einsum("nij,ni,nj->n", rise, *each) for each in ((wx, wz), (sx, wz), (wx, sz)))
+        length = np.sqrt(1.0 + along**2 + across**2)
+        normal = np.stack([-along, np.ones_like(along), -across], axis=1) / length[:, None]
+        mu = self.frictions(friction)
+        rough = np.full(len(points), float(mu.flat[0]))
+        if mu.size > 1:
+            rough = np.einsum("nij,ni,nj->n", mu[around], wx, wz)
+        return -height / length, normal, rough
+
+    def column_heights(self) -> Floats:
+        """H [m] at the columns of nodes of the grid, in a row."""
+        found = self.heights
+        for _ in range(2):
+            count = (len(found) - 3) // BED_PER_CELL + 1
+            rows = [found[first::BED_PER_CELL][:count] for first in range(3)]
+            found = (0.125 * rows[0] + 0.75 * rows[1] + 0.125 * rows[2]).T
+        return found.ravel()
+
+
+def sample_offsets(spacing: float, posts: Floats) -> Floats:
+    """Of samples around a node of the lattice [m]: one where posts are no closer than its nodes."""
+    closest = float(np.diff(posts).min())
+    count = max(1, min(MOST_SAMPLES, math.ceil(spacing / closest - 1.0e-6)))
+    return np.asarray(spacing * ((np.arange(count) + 0.5) / count - 0.5))
+
+
+def spline(at: Floats, nodes: Floats, spacing: float) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """The first of the three nodes around each place, shape [N], their weights and slopes [1/m], shape [N, 3]."""
+    first = np.clip(np.floor((at - nodes[0]) / spacing - 0.5).astype(np.int64), 0, len(nodes) - 3)
+    f = (at - nodes[first]) / spacing
+    weights = np.stack([0.5 * (1.5 - f) ** 2, 0.75 - (f - 1.0) ** 2, 0.5 * (f - 0.5) ** 2], axis=1)
+    return first, weights, np.stack([f - 1.5, 2.0 - 2.0 * f, f - 0.5], axis=1) / spacing
+
+
+@lru_cache(maxsize=4)
+def bed_of(field: HeightField, domain: Domain) -> Bed:
+    """The bed of a height field in a box; the same for the same field and box."""
+    spacing = domain.cell / BED_PER_CELL
+    x, z = (lattice_axis(count, spacing) for count in node_shape(domain)[::2])
+    heights = np.zeros((len(x), len(z)))
+    offsets = [sample_offsets(spacing, posts) for posts in (field.x, field.z)]
+    for dz in offsets[1].tolist():
+        k, v = linear(field.z, z + dz)
+        for dx in offsets[0].tolist():
+            i, u = linear(field.x, x + dx)
+            rows = max(1, PORTION // len(z))
+            for first in range(0, len(x), rows):
+                part = slice(first, first + rows)
+                heights[part] += on_triangles(field.heights, i[part, None], k, u[part, None], v)
+    return Bed(field=field, spacing=spacing, x=x, z=z, heights=heights / (len(offsets[0]) * len(offsets[1])))
+
+
+def lattice_axis(nodes: int, spacing: float) -> Floats:
+    """Coordinates [m] of the lattice along an axis of a grid with so many nodes."""
+    first = BED_PER_CELL * PADDING + BED_EDGE
+    return np.asarray(spacing * (np.arange(BED_PER_CELL * (nodes - 1) + 1 + 2 * BED_EDGE) - first), np.float64)
+
+
+def bed_arrays(
+    beds: Sequence[Bed | None], frictions: Sequence[Floats], faces: int, offsets: NDArray[np.int32], real: np.dtype[Any]
+) -> tuple[Array, Array]:
+    """The numbers of all beds, and their elevations at columns of nodes; their places go to `offsets`.
+
+    faces: how many are listed; scenes of one bed share its numbers.
+    """
+    numbers, columns, known = [np.zeros(1, real)], [np.zeros(1, real)], dict[tuple[int, int], tuple[int, int]]()
+    place, column = 1, 1
+    offsets[:, Offset.TERRAIN_FACE] = faces
+    for offset, bed, friction in zip(offsets, beds, frictions, strict=False):
+        if bed is None:
+            continue
+        key = id(bed), id(friction)
+        if key not in known:
+            known[key] = place, column
+            header = np.zeros(len(TerrainNumber))
+            header[TerrainNumber.NEARNESS] = 1.0 / math.hypot(1.0, bed.field.steepest)
+            header[TerrainNumber.FRICTION] = friction.flat[0]
+            parts = [header, bed.heights] + ([bed.frictions(friction)] if friction.size > 1 else [])
+            numbers += [part.ravel().astype(real) for part in parts]
+            columns.append(bed.column_heights().astype(real))
+            place, column = sum(map(len, numbers)), sum(map(len, columns))
+        offset[Offset.TERRAIN], offset[Offset.COLUMNS] = known[key]
+        offset[Offset.TERRAIN_SOLID], offset[Offset.TERRAIN_FRICTION] = bed.field.solid, friction.size > 1
+    return np.concatenate(numbers), np.concatenate(columns)
