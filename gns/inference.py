@@ -48,7 +48,7 @@ def simulate(
     `python -m gns.rollout` writes. Raises InputError.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
-    model = shipped(scene.dimension) if model is None else model
+    model = shipped(scene) if model is None else model
     simulator = load(model) if isinstance(model, str | Path) else checked(model)
     initial = initial_state(scene, simulator.settings, start)
     there = initial.to(device)
@@ -114,7 +114,7 @@ def predict(
     absent, of a network of one's own from `gns.score.calibrated`. Raises InputError.
     """
     scene = scene if isinstance(scene, Scene) else read_scene(str(scene))
-    model = shipped(scene.dimension) if model is None else model
+    model = shipped(scene) if model is None else model
     path = model_path(model) if isinstance(model, str | Path) else None
     require(level in card.LEVELS, "level", f"one of {', '.join(map(str, card.LEVELS))}", f"{level:g}")
     described, key = None if path is None else card.read(path), f"{level:g}"

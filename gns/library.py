@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from datasets.scene.parts import SceneLayout
+
 WEIGHTS = Path(__file__).parent / "weights"
 ENDING = ".safetensors"
 """Of the file of a model."""
@@ -9,9 +11,11 @@ BEST = f"best{ENDING}"
 """What a training leaves in its folder: the model to use."""
 
 
-def shipped(dimension: int) -> Path:
-    """The model that is used in 2D or 3D where none is named."""
-    return WEIGHTS / f"{'flow2d' if dimension == 2 else 'obstacle3d'}{ENDING}"
+def shipped(scene: SceneLayout) -> Path:
+    """The model that is used for a scene where none is named: in 2D, in 3D, and on terrain in 3D."""
+    terrain = any(solid.kind == "terrain" for solid in scene.solids)
+    name = "flow2d" if scene.dimension == 2 else "terrain3d" if terrain else "obstacle3d"
+    return WEIGHTS / f"{name}{ENDING}"
 
 
 def models() -> list[Path]:
@@ -19,7 +23,7 @@ def models() -> list[Path]:
 
 
 def model_path(model: str | Path) -> Path:
-    """The file of a model: its path, the folder of its training, or the name of one that ships (flow2d, obstacle3d)."""
+    """The file of a model: its path, the folder of its training, or the name of one that ships, such as flow2d."""
     named, path = WEIGHTS / f"{model}{ENDING}", Path(model)
     if path.is_dir():
         return path / BEST

@@ -53,7 +53,7 @@ def rollout(
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("expected a GPU that torch can use, there is none", key="--device")
     read = read_scene(scene)
-    path = model_path(model or shipped(read.dimension))
+    path = model_path(model or shipped(read))
     simulator = load(path)
     frames = None if start is None else Trajectory.load(start)
     # A run of the first frames alone is cut short; all else must agree.

@@ -81,7 +81,7 @@ def adapt(
     `out` is another problem's, WorkFailed where a run of the MPM fails.
     """
     asked, out = read_problem(problem) if isinstance(problem, str) else problem, Path(out)
-    weights = model_path(model or shipped(asked.scene.dimension))
+    weights = model_path(model or shipped(asked.scene))
     begun = checkpoint.load(weights)
     settings = begun.simulator.settings
     if asked.fields:

@@ -67,7 +67,7 @@ def forward_model(
     if forward is ForwardModel.MPM or (forward is None and problem.surrogate in (Surrogate.NONE, Surrogate.COARSE)):
         return MpmForward(problem, target.observation, simulate_many)
     require_predicted(problem)
-    weights, scene = model_path(model or shipped(problem.scene.dimension)), problem.scene_at(problem.initial)
+    weights, scene = model_path(model or shipped(problem.scene)), problem.scene_at(problem.initial)
     if warning := card.warning(weights, scene):
         print(warning, file=sys.stderr)
     return GnsForward(checkpoint.load(weights).simulator, problem, target.observation, band=band_of(weights, scene))

@@ -25,7 +25,7 @@ from datasets.scene import Scene
 from datasets.scene.particles import mass_counts
 from datasets.scene.stiffness import greatest_speed, specific_stress
 from mpm.arrays.features import NODE, features_of
-from mpm.arrays.layout import Energy, Precision, Span, column_count, node_room, node_shape
+from mpm.arrays.layout import BED_PER_CELL, Energy, Precision, Span, column_count, node_room, node_shape
 from mpm.arrays.properties import STABILITY, substeps_per_frame
 from mpm.output.recording import ALL, Recording
 from mpm.resolution import particle_steps
@@ -113,6 +113,8 @@ def footprint(
         workers * room * real * NODE + workers * column_count(scene.domain) * 4 * (1 + len(Span)),
         # The cells around the faces of solids, which have lists of them.
         16 * window_around(scene.domain, surface.faces, farthest(scene)).count if surface else 0,
+        # The lattice of a terrain's bed.
+        (8 + 2 * real) * BED_PER_CELL**2 * column_count(scene.domain) if features.terrain else 0,
         STRESS * count if any(mass.k0 is not None for mass in scene.masses) else 0,
     )
     kept = len(record.kept(scene.frames))

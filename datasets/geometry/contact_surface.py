@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datasets.geometry.closed import pseudonormals
 from datasets.geometry.ground import CLOSING, TOUCHING, Floats, grid_triangles, interpolated
@@ -18,6 +19,9 @@ from datasets.scene.parts import Domain, SceneLayout, Solid
 
 DOWNWARD = -0.5
 """Upward component of the normal of faces that a solid stands on, where they lie in the ground."""
+PARTS = np.linspace(0.0, 1.0, 17).tolist()
+PLACES = np.array([[u, v, 1.0 - u - v] for u in PARTS for v in PARTS if u + v <= 1.0])
+"""Weights of the corners at places all over a triangle."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,12 +122,19 @@ def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[st
     if not others:
         low = np.array([field.x[0], field.z[0]])
         return ContactSurface(faces=none_of(field.triangles(low, low)), field=field)
-    found = boundary([body_of(solids[index], keys[index], domain) for index in others], CLOSING * domain.cell)
-    below = (found.corners[:, :, 1] - field.elevation(found.corners.reshape(-1, 3)).reshape(-1, 3)).max(axis=1)
-    hidden = (below <= CLOSING * domain.cell) & (found.normals[:, 1] < DOWNWARD)
+    bodies = [body_of(solids[index], keys[index], domain) for index in others]
+    found = boundary(bodies, CLOSING * domain.cell)
+    hidden = (found.normals[:, 1] < DOWNWARD) & in_ground(found.corners, field, domain)
     found = found.chosen(near_box(found, domain) & ~hidden)
     faces = without_slip(replace(found, solid=np.array(others, np.int32)[found.solid]), solids)
     return ContactSurface(faces=faces, field=field)
+
+
+def in_ground(corners: Floats, field: HeightField, domain: Domain) -> NDArray[np.bool_]:
+    """Whether triangles with `corners` [m], shape [F, 3, 3], lie on the ground or in it, shape [F]."""
+    places = np.einsum("pc,fcd->fpd", PLACES, corners)
+    above = places[:, :, 1] - field.elevation(places.reshape(-1, 3)).reshape(places.shape[:2])
+    return np.asarray((above <= CLOSING * domain.cell).all(axis=1))
 
 
 def none_of(surface: Surface) -> Surface:

@@ -175,7 +175,7 @@ def leading(problem: Problem, target: Target, model: Path | None = None) -> tupl
         scene = problem.scene
         coarse = replace(problem, scene=scene.with_cell(2.0 * scene.domain.cell))
         return WhiteFlow(coarse, observation), "it is the MPM on cells twice as large"
-    weights = model_path(model or shipped(scene.dimension))
+    weights = model_path(model or shipped(scene))
     lacks, simulator = "", checkpoint.load(weights).simulator
     if without := [each.name for each in problem.numbers if each.kind.input is None]:
         lacks = f"{', '.join(without)} is no input of it"

@@ -14,6 +14,7 @@ from gns import checkpoint, library
 from gns.rollout import rollout
 from gns.simulator import Simulator
 from tests.gns.conftest import spreading
+from tests.mpm.test_terrain import hill
 from tests.refusals import refused_by
 from tests.scenes import scene_of
 
@@ -62,8 +63,11 @@ def test_from_rest_and_from_frames(files: dict[str, Path], tmp_path: Path) -> No
     assert all(point in known[5].tolist() for point in first[5].tolist())
 
 
-@pytest.mark.parametrize(("scene", "model"), [(SCENE, "flow2d.safetensors"), (DEEP, "obstacle3d.safetensors")])
-def test_the_shipped_model_is_that_of_the_dimension(
+@pytest.mark.parametrize(
+    ("scene", "model"),
+    [(SCENE, "flow2d.safetensors"), (DEEP, "obstacle3d.safetensors"), (hill(), "terrain3d.safetensors")],
+)
+def test_the_shipped_model_is_that_of_the_dimension_and_of_terrain(
     scene: Scene, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_scene(scene, tmp_path / "scene.toml")

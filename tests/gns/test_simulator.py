@@ -147,7 +147,7 @@ def test_a_mound_below_its_angle_of_friction_stands(angle: float, tilt: float, d
 
 @pytest.mark.parametrize("deep", [False, True])
 def test_what_can_stand_is_what_no_known_law_moves(deep: bool) -> None:
-    settings = gns.load(shipped(3 if deep else 2)).settings
+    settings = gns.load(shipped(mound(30.0, 5.0, 0.0, deep=deep))).settings
 
     def stands(scene: Scene) -> bool:
         initial = initial_state(scene, settings)
@@ -277,7 +277,7 @@ def figures(flow: Trajectory, column: float) -> dict[str, Any]:
 @pytest.mark.parametrize("name", MPM)
 def test_a_shipped_model_is_as_near_to_the_mpm_as_its_card_says(name: str) -> None:
     scene, expected = read_scene(name), MPM[name]
-    known = card.read(shipped(scene.dimension))
+    known = card.read(shipped(scene))
     band = known.calibration(scene)
     found = figures(gns.simulate(scene), expected["column"])
     rear, front = expected["ends"]

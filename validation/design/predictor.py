@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache, partial
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -36,7 +37,7 @@ def predictor(problem: DesignProblem, simulate: Simulate = simulate_many) -> "Pr
         return Predictor(problem, partial(coarse, problem.limit, simulate))
     expected = "front or runout, or surrogate = 'coarse': a learned surrogate predicts no force"
     require(not problem.limit.force, "limit.quantity", expected, problem.limit.quantity)
-    model = gns.load(shipped(problem.scene.dimension))
+    model = gns.load(shipped(problem.scene))
     check(problem.scene, model.settings)
     respond = partial(in_batches, "cuda") if torch.cuda.is_available() else on_processors
     return Predictor(problem, partial(respond, problem.limit.quantity))
@@ -97,10 +98,10 @@ def predicting_processes() -> ProcessPoolExecutor:
 
 def predicted(quantity: str, scene: Scene) -> float:
     """By the surrogate."""
-    return float(gns.simulate(scene, model=known_model(scene.dimension)).summary[quantity])
+    return float(gns.simulate(scene, model=known_model(shipped(scene))).summary[quantity])
 
 
 @lru_cache(maxsize=1)
-def known_model(dimension: int) -> Simulator:
-    """The shipped one, loaded once."""
-    return gns.load(shipped(dimension))
+def known_model(path: Path) -> Simulator:
+    """A model, loaded once."""
+    return gns.load(path)

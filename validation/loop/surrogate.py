@@ -97,7 +97,7 @@ def learned(problem: Problem, target: Target, model: Path | None) -> tuple[Forwa
         return None, f"{', '.join(without)} is no input of it"
     if not observation.of_positions:
         return None, f"it does not predict {observation.label}"
-    weights = model_path(model or shipped(problem.scene.dimension))
+    weights = model_path(model or shipped(problem.scene))
     # Of another jitter its flow is none that the MPM runs, and the same for every target.
     problem = replace(problem, scene=replace(problem.scene, seed=JITTER))
     stamp = weights.stat().st_mtime_ns if weights.exists() else 0

@@ -197,6 +197,16 @@ def test_distances_by_faces_and_posts_are_those_of_the_whole_surface(roughness: 
     assert 0 < len(found.faces.corners) < 0.3 * len(whole.corners)
 
 
+def test_what_a_box_stands_on_is_no_surface_but_the_underside_of_a_bridge_is() -> None:
+    """A box on the ground has no bottom; one across a gully, with both ends in the ground, has."""
+    gully = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((0.5, 0.1, 0.5),) * 3)
+    plain = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(1.0, 0.5), heights=((0.4,) * 3,) * 3)
+    beam = Solid(lower=(0.9, 0.4, 0.0), size=(0.1, 0.1, 1.0))
+    for ground, downward in ((plain, 0), (gully, 2)):
+        found = contact_surface_in(BOX, (beam, ground), ("a", "b")).faces
+        assert (found.normals[:, 1] < -0.5).sum() == downward
+
+
 def test_one_terrain_in_3d_is_a_height_field() -> None:
     baffle, one, two = Baffle(lower=(1.0, 0.0, 0.4), size=(0.1, 0.6, 0.2)), terrain(0.0), terrain(0.01)
     for solids, baffles, field, faces in (
