@@ -261,12 +261,16 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
 
 
 @ti.func
+def largest_suction(stress: ti.template()):
+    """The largest suction of water [Pa] between grains with the `stress` [Pa]: what presses them, up to cavitation."""
+    return clamp((stress[0] + stress[1] + stress[2]) * (-1.0 / 3.0), 0.0, CAVITATION)
+
+
+@ti.func
 def suction_held(stress: ti.template(), features: ti.template()):
-    """The largest suction of water [Pa] between grains with the `stress` [Pa]: none where nothing dilates, else what
-    presses the grains, up to cavitation. Together they pull nothing.
-    """
+    """The suction that water bears at most [Pa]: none where nothing dilates. Grains and water pull nothing together."""
     if ti.static(features.dilates):
-        return clamp((stress[0] + stress[1] + stress[2]) * (-1.0 / 3.0), 0.0, CAVITATION)
+        return largest_suction(stress)
     else:
         return 0.0 * stress[0]
 
