@@ -60,7 +60,7 @@ from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.columns import node_at
-from mpm.physics.contact import contact_at, largest_suction
+from mpm.physics.contact import contact_at, suction_held
 from mpm.physics.transfer import particles_in, property_of, volume_of
 
 MOST = 10.0
@@ -133,7 +133,7 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
             bits = ti.cast(sums[Pore.CLOSED], ti.i32) | ti.cast(arrays.scratch_lanes[own + (free + 1) * lanes], ti.i32)
             sums[Pore.CLOSED] = ti.cast(bits, float)
             at_stress = state + features.state.stress * lanes
-            held = largest_suction([arrays.lanes[at_stress + k * lanes] for k in ti.static(range(3))])
+            held = suction_held([arrays.lanes[at_stress + k * lanes] for k in ti.static(range(3))], True)
             sums[Pore.SUCTION] += volume * held
             for k in ti.static(range(features.dimension)):
                 sums[Pore.CENTRE_X + k] += volume * arrays.scratch_lanes[own + (features.dimension + k) * lanes]
