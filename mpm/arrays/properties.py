@@ -83,7 +83,7 @@ def settings_row(scene: Scene, particles: Particles) -> list[float]:
         Setting.DAMPING: scene.damping,
         Setting.GRIP: scene.channel.grip if scene.channel else 0.0,
         Setting.CORRECTED: float(remembers_gaps(scene) or pores[0] > 0.0),
-        Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell) * (pores[0] == 0.0),
+        Setting.GAP_RATE: GAP_RATE * math.sqrt(scene.gravity / scene.domain.cell),
         Setting.SLOW_AFFINE: 2.0 * scene.gravity / scene.domain.cell,
         Setting.WAVE_SPEED: max(material.wave_speed for material in particles.materials),
         Setting.RELAXATION_RATE: 1.0 / scene.relaxation if scene.relaxation > 0.0 else math.inf,

@@ -261,11 +261,11 @@ def motion_and_stress(block, scratch, arrays: ti.template()):
 
 
 @ti.func
-def suction_held(stress: ti.template(), features: ti.template()):
-    """The largest suction of water [Pa] between grains with the `stress` [Pa]: none where nothing dilates, else what
-    presses the grains, up to cavitation. Together they pull nothing.
+def suction_held(stress: ti.template(), held: ti.template()):
+    """The largest suction of water [Pa] between grains with the `stress` [Pa]: what presses these, up to cavitation, so
+    that they pull nothing together; none where not `held`.
     """
-    if ti.static(features.dilates):
+    if ti.static(held):
         return clamp((stress[0] + stress[1] + stress[2]) * (-1.0 / 3.0), 0.0, CAVITATION)
     else:
         return 0.0 * stress[0]
@@ -279,7 +279,7 @@ def total_stress(block, arrays: ti.template()):
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     if ti.static(features.wet):
         p = arrays.state[first + features.state.pore_pressure] + arrays.state[first + features.state.volume_strain]
-        p = maximum(p, 0.0 - suction_held(stress, features))
+        p = maximum(p, 0.0 - suction_held(stress, features.dilates))
         return [stress[k] - p if k < 3 else stress[k] for k in ti.static(range(features.stresses))]
     else:
         return stress

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from mpm.arrays.access import clamp, magnitude, maximum, no_overflow, over_lanes, vectors
+from mpm.arrays.access import clamp, magnitude, maximum, minimum, no_overflow, over_lanes, vectors
 from mpm.arrays.layout import Contact, Offset, Property, Setting, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.contact import (
@@ -138,15 +138,17 @@ def update_stress(scene, block, scratch, near, dt, arrays: ti.template()):
     strengths = strengths_of(scene, block, dt, arrays)
     stress = vectors(arrays.state, first + features.state.stress, features.stresses)
     increment = strain_increment(block, scratch, near, lame + 2.0 * shear, dt, arrays)
-    opened = 0.0 * stress[0]
+    opened, closed = 0.0 * stress[0], 0.0 * stress[0]
     if ti.static(features.volume_correction):
         if is_loose(block, arrays):
             opened = opened_of(scene, block, scratch, strengths[3], lame + shear * (2.0 / 3.0), dt, arrays)
+            closed = arrays.state[first + features.state.gap] - opened
     if ti.static(features.wet):
         volumetric = increment[0] + increment[features.dimension + 1]
         if ti.static(features.dimension == 3):
             volumetric += increment[8]
-        arrays.state[first + features.state.volume_strain] = volumetric
+        # Water feels the gap that the density of the grid has closed.
+        arrays.state[first + features.state.volume_strain] = volumetric - closed / (lame + shear * (2.0 / 3.0))
     new = stress_step(stress, increment, opened, strengths, lame, shear, features)
     for k in ti.static(range(features.stresses)):
         arrays.state[first + features.state.stress + k] = new[k]
@@ -174,7 +176,13 @@ def opened_of(scene, block, scratch, limit, bulk, dt, arrays: ti.template()):
     density, dx = property_of(scene, block, Property.DENSITY, arrays), arrays.settings[scene, Setting.CELL]
     gap = grid_gap(grid, x, contact_of(block, arrays), density, (dx, cells), features)
     rate = dt * arrays.settings[scene, Setting.GAP_RATE]
-    return updated_gap(arrays.state[first + features.state.gap], limit, bulk, rate, gap)
+    before = arrays.state[first + features.state.gap]
+    after = updated_gap(before, limit, bulk, rate, gap)
+    if ti.static(features.wet):
+        # Beside water down alone, and where that is open, too.
+        least = ti.select(arrays.state[first + features.state.pore_pressure] < 0.0, minimum(after, before), before)
+        after = ti.select(arrays.state[first + features.state.saturated] > 0.0, least, after)
+    return after
 
 
 @ti.func

@@ -31,9 +31,10 @@ opened, it is e_c but for the sharing, and the stress comes back as p does.
 Gauss-Seidel sweeps over red and black cells solve the system, from delta without L on: a few keep it stable, and a
 uniform strain is exact before the first.
 
-Where a cell has no saturated neighbour is a surface, with p = 0, through which water leaves and does not enter; or
-something solid, which is tight or a drain: a wall of the box or what particles in the cell touch. A gap of one cell
-between two others is neither.
+Where a cell has no saturated neighbour is a surface, with p = 0, or something solid, which is tight or a drain: a wall
+of the box or what particles in the cell touch. A gap of one cell between two others is neither. Through a surface water
+leaves and enters: grains that are relieved swell, and draw in what little that takes (p' / M of the volume) by a
+suction of p' at most, their own mean effective stress; so p tends to that of water at rest from above and from below.
 
 At a tight solid nothing flows, and the slope there is that at rest; a surface lies as far from the centre of mass of
 a cell as what fills it from the other side tells.
@@ -43,15 +44,18 @@ that, at the volume that water keeps. Where a material of the scene dilates, wat
 cavitation, and no more than presses grains on each other; it ends with the dilation (`softening_length`).
 
 **Opening.** Else water pulls nothing: forces have max(p, 0), while p goes on below 0, so that what has opened closes
-before it presses again. Grains do the same with their gap (`mpm.physics.volume_correction`), which here follows strain
-alone: one that grew with the grid's density could never close while water fills it, and the grains would have lost
-their friction for good. For the same reason all that opens at a solid is strain.
+before it presses again. Grains do the same with their gap e (`mpm.physics.volume_correction`). Such strain drifts: in
+a flow that shears, openings add up that the places of the particles do not show, and neither water nor grains would
+press again. So where both are open, p < 0 and e > 0, the gap follows the density of the grid down, e <- min(e, its
+value there), and what it loses is volume strain of the particle, by which p grows. It never follows the density up:
+such a gap could not close while water fills it, and the grains would have lost their friction for good. For the same
+reason all that opens at a solid is strain.
 """
 
 import taichi as ti
 
 from datasets.scene.water import DENSITY
-from mpm.arrays.access import clamp, columns_deep, maximum, minimum, no_overflow
+from mpm.arrays.access import clamp, columns_deep, maximum, no_overflow
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
 from mpm.physics.boundary import is_wall
@@ -128,10 +132,9 @@ def give_to_cells(scene, table, block, scratch, arrays: ti.template()):
             sums[Pore.PRESSURE] += volume * arrays.lanes[state + features.state.pore_pressure * lanes]
             bits = ti.cast(sums[Pore.CLOSED], ti.i32) | ti.cast(arrays.scratch_lanes[own + (free + 1) * lanes], ti.i32)
             sums[Pore.CLOSED] = ti.cast(bits, float)
-            if ti.static(features.dilates):
-                at_stress = state + features.state.stress * lanes
-                held = suction_held([arrays.lanes[at_stress + k * lanes] for k in ti.static(range(3))], features)
-                sums[Pore.SUCTION] += volume * held
+            at_stress = state + features.state.stress * lanes
+            held = suction_held([arrays.lanes[at_stress + k * lanes] for k in ti.static(range(3))], True)
+            sums[Pore.SUCTION] += volume * held
             for k in ti.static(range(features.dimension)):
                 sums[Pore.CENTRE_X + k] += volume * arrays.scratch_lanes[own + (features.dimension + k) * lanes]
             arrays.cells[2 * at] = sums
@@ -258,8 +261,10 @@ def source_of_cell(cell, place, table, scene, diffusion, arrays: ti.template()):
                 if kind == Face.SURFACE:
                     distance = below_surface(sums, face)
                     full *= ti.min(2.0 * distance, 1.0)
-                if own > 0.0:
-                    inflow -= ti.max(own / distance + DENSITY * dx * pull[axis] * away, 0.0)
+                head = ti.max(own, 0.0 - sums[Pore.SUCTION])
+                outflow = head / distance + DENSITY * dx * pull[axis] * away
+                if (outflow > 0.0 and own > 0.0) or (outflow < 0.0 and kind == Face.SURFACE):
+                    inflow -= outflow
             elif kind == Face.TIGHT:
                 rise += arrays.settings[scene, Setting.SEEPAGE] * DENSITY * dx * pull[axis]
                 run += arrays.settings[scene, Setting.SEEPAGE]
@@ -334,7 +339,8 @@ def take_from_cells(scene, table, block, scratch, waves, arrays: ti.template()):
             for k in ti.static(range(features.dimension)):
                 apart = arrays.scratch_lanes[own + (features.dimension + k) * lanes] - means[Pore.CENTRE_X + k]
                 p += given[Pore.SLOPE_X + k - NODE] * apart
-            least, before = 0.0 - means[Pore.SUCTION], arrays.lanes[state + features.state.pore_pressure * lanes]
+            least = ti.static(-1.0 * features.dilates) * means[Pore.SUCTION]
+            before = arrays.lanes[state + features.state.pore_pressure * lanes]
             mixed = p - change - before - (ti.max(p, least) - ti.max(before, least))
             removed = waves * (change - given[Pore.SOURCE - NODE] / given[Pore.SHARE - NODE])
             arrays.lanes[state + features.state.pore_pressure * lanes] = p
@@ -360,12 +366,19 @@ def share_strain(scene, block, strain, arrays: ti.template()):
     lame, shear = property_of(scene, block, Property.LAME, arrays), property_of(scene, block, Property.SHEAR, arrays)
     stress, gap = first + features.state.stress, first + features.state.gap
     opened, change = arrays.state[gap], (lame + shear * (2.0 / 3.0)) * strain
-    # What is open closes first, what would be pulled opens in the next step; cracks, in cohesive material, close alone.
-    level = opened + change
-    arrays.state[gap] = ti.select(opened > 0.0, maximum(level, 0.0), opened)
-    part = ti.select(opened > 0.0, minimum(level, 0.0), change)
-    if ti.static(features.cohesive):
-        part = ti.select(opened > 0.0, 0.0, change)
-        arrays.state[gap] = opened
-    for k in ti.static(range(3)):
-        arrays.state[stress + k] = arrays.state[stress + k] + part
+    if ti.static(features.cohesive or not features.volume_correction):
+        if ti.static(features.volume_correction):
+            # Cracks close alone.
+            change = ti.select(opened > 0.0, 0.0, change)
+        for k in ti.static(range(3)):
+            arrays.state[stress + k] = arrays.state[stress + k] + change
+    else:
+        # What is open closes before it bears, and grains that would pull open.
+        change = opened + change
+        level = change + (arrays.state[stress] + arrays.state[stress + 1] + arrays.state[stress + 2]) / 3.0
+        arrays.state[gap] = maximum(level, 0.0)
+        for k in ti.static(range(features.stresses)):
+            part = arrays.state[stress + k]
+            if ti.static(k < 3):
+                part = part + change
+            arrays.state[stress + k] = ti.select(level > 0.0, 0.0, part)

@@ -1,13 +1,16 @@
-"""Gaps of sand that has come apart: what the grid sees of them, and what they do on threads and at rest."""
+"""Gaps of sand that has come apart: what the grid sees of them, what they do on threads, at rest and beside water."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
-from datasets import Mass, Solid, read_scene
+from datasets import Mass, Material, Solid, read_scene
 from datasets.flow.measures import bulk, particle_spacing
+from datasets.scene.grid_field import Field
 from mpm import LAST, simulate, simulate_many
+from mpm.output.recording import Recording
 from tests.scenes import scene_of
 
 BED = scene_of(Mass(lower=(0.0, 0.0), size=(0.4, 0.2), k0=0.5), size=(0.4, 0.5), duration=0.2, frame_dt=0.01)
@@ -76,3 +79,22 @@ def test_sand_thrown_at_baffles_comes_to_rest_at_its_own_volume(name: str) -> No
     spacing, volume = particle_spacing(flow.volumes, 3), flow.volumes.sum()
     start, end = (bulk(flow.positions[frame], spacing, volume, 0.04) for frame in (0, -1))
     assert end < 1.15 * start
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:no initial stress")
+def test_water_of_a_layer_that_stretches_presses_on() -> None:
+    """To a third of its thickness, on a smooth floor: its grains are relieved, and water bears its share as at rest."""
+    rate, height = 4.0 / 3.0, 0.1
+    body = Mass(lower=(0.0, 0.0), size=(2.0, height), k0=0.5, initial_pore_pressure_ratio=0.9)
+    ends = (0.0, 0.0, 10.0 * rate, 10.0 * rate)
+    stretch = Field(quantity="velocity_x", values=ends, origin=(0.0, 0.0), spacing=(10.0, 10.0), nodes=(2, 2))
+    soil = Material(friction_deg=30.0, density=2000.0, saturated=True, consolidation=0.1, young=5.0e5)
+    given: dict[str, Any] = {"duration": 1.5, "frame_dt": 0.05, "fields": (stretch,), "jitter": 0.4, "material": soil}
+    flow = simulate(scene_of(body, size=(7.0, 0.3), **given), record=Recording(fields=True))
+    assert flow.pore_pressure is not None
+    assert flow.stress is not None
+    x, y = flow.positions[0].T
+    foot = (np.abs(x - 0.7) < 0.4) & (y < 0.25 * height)
+    water, grains = flow.pore_pressure[-10:, foot].mean(), -flow.stress[-10:, foot, 1].mean()
+    assert water / (water + grains) == pytest.approx(0.5, abs=0.1)
