@@ -17,7 +17,7 @@ import taichi as ti
 from mpm.adjoint.faces import add_face, bed_hold_reverse, depends, found_reverse, hold_reverse
 from mpm.adjoint.layout import add_adjoints, add_property_adjoint, adjoints_of, impulse_adjoint
 from mpm.adjoint.pullback import Pullback
-from mpm.arrays.access import lane_numbers, put_lane_numbers, vectors
+from mpm.arrays.access import lane_numbers, present, put_lane_numbers, vectors
 from mpm.arrays.layout import Contact, Offset, Property, Setting
 from mpm.physics.contact import (
     contact_at,
@@ -26,7 +26,6 @@ from mpm.physics.contact import (
     find_drags,
     holds_of_node,
     jump_at_contact,
-    present,
     removed_by,
     removed_by_bed,
     sheared_traction,

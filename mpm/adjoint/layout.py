@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 
 import taichi as ti
 
-from mpm.arrays.access import lane_sum, vectors
+from mpm.arrays.access import lane_sum, present, vectors
 from mpm.arrays.features import NODE, Addresses, Features
 from mpm.arrays.layout import Worker
-from mpm.physics.contact import present
 
 
 @dataclass(frozen=True)

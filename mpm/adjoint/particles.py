@@ -15,12 +15,12 @@ from mpm.adjoint.layout import Block, add_adjoints, add_property_adjoint, add_se
 from mpm.adjoint.pullback import Pullback
 from mpm.adjoint.stress import stress_reverse
 from mpm.adjoint.transfer import affine_reverse, gather_moments, moments_of, prepare_weights, transfer_reverse
-from mpm.arrays.access import dot, lane_sum, minimum, no_overflow, vectors
+from mpm.arrays.access import dot, lane_sum, minimum, no_overflow, present, vectors
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import Contact, Offset, Property, Setting, Worker
 from mpm.physics.boundary import is_wall
 from mpm.physics.channel import side_friction
-from mpm.physics.contact import present, touches
+from mpm.physics.contact import touches
 from mpm.physics.transfer import contributions, prepare_contributions, property_of, volume_of, weights_of
 
 

@@ -85,6 +85,12 @@ def vectors(array: ti.template(), first, count: ti.template()):
 
 
 @ti.func
+def present(block, arrays: ti.template()):
+    """1 for each particle of a block, 0 for the lanes that only mirror one."""
+    return arrays.state[block * arrays.features.state.size + arrays.features.state.present]
+
+
+@ti.func
 def zero_node():
     """A node's vector of zeros."""
     return ti.Vector([0.0 for _ in ti.static(range(NODE))])

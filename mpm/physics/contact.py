@@ -58,7 +58,7 @@ v <- v - sum_k share_k (v - A_k v), with A_k v what the face leaves of v (shares
 import taichi as ti
 
 from datasets.scene.water import CAVITATION
-from mpm.arrays.access import add, clamp, lane_numbers, maximum, minimum, no_overflow, over_lanes, vectors
+from mpm.arrays.access import add, clamp, lane_numbers, maximum, minimum, no_overflow, over_lanes, present, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.solids.face_lookup import TINY, entry_of, face_number, normal_of, solid_of
@@ -345,12 +345,6 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
             add(arrays.impulse, at + k, ti.select(faces == face, arrays.scratch[pushed + k], 0.0), arrays)
         faces = ti.select(faces == face, NO_FACE, faces)
         face = over_lanes(maximum, faces, features.lanes)
-
-
-@ti.func
-def present(block, arrays: ti.template()):
-    """1 for each particle of a block, 0 for the lanes that only mirror one."""
-    return arrays.state[block * arrays.features.state.size + arrays.features.state.present]
 
 
 @ti.func

@@ -8,10 +8,10 @@ face that is farther (`find_bed`), and what is in it is put out.
 
 import taichi as ti
 
-from mpm.arrays.access import add, dot, lane_numbers, maximum, minimum, over_lanes, put_lane_numbers, vectors
+from mpm.arrays.access import add, dot, lane_numbers, maximum, minimum, over_lanes, present, put_lane_numbers, vectors
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker
 from mpm.physics.boundary import add_impulse, after_contact
-from mpm.physics.contact import contact_at, present
+from mpm.physics.contact import contact_at
 from mpm.solids.face_lookup import (
     TINY,
     cell_of,
