@@ -241,6 +241,8 @@ class Tape:
 
     def of_posts(self, index: int, adjoint: NDArray[np.float64]) -> NDArray[np.float64]:
         """From the adjoints of the frictions of the bed of scene `index` to those of the posts of its terrain, [P]."""
+        if not self.features.terrain:
+            return adjoint[:0]
         bed, size = self.batch.beds[index], self.batch.frictions[index].size
         if bed is None or size <= 1:
             return adjoint[:size]

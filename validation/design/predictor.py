@@ -67,7 +67,7 @@ def coarse(limit: Limit, simulate: Simulate, scenes: Sequence[Scene]) -> list[fl
 
 def in_batches(device: str, quantity: str, scenes: Sequence[Scene]) -> list[float]:
     """By the surrogate, scenes of one size side by side in one batch, as a GPU wants them."""
-    model, found = known_model(scenes[0].dimension).to(device), dict[int, float]()
+    model, found = known_model(shipped(scenes[0])).to(device), dict[int, float]()
     begun = [initial_state(each, model.settings) for each in scenes]
     for units in {each.conditions.units for each in begun}:
         numbers = [number for number, each in enumerate(begun) if each.conditions.units == units]
