@@ -120,12 +120,14 @@ def contact_surface_in(domain: Domain, solids: tuple[Solid, ...], keys: tuple[st
     field = height_field(solids[number], keys[number], number, domain)
     others = [index for index in range(len(solids)) if index != number]
     if not others:
-        low = np.array([field.x[0], field.z[0]])
-        return ContactSurface(faces=none_of(field.triangles(low, low)), field=field)
+        some = field.triangles(*np.array([[field.x[0], field.z[0]]] * 2))
+        return ContactSurface(faces=some.chosen(np.zeros(len(some.corners), bool)), field=field)
     bodies = [body_of(solids[index], keys[index], domain) for index in others]
     found = boundary(bodies, CLOSING * domain.cell)
-    hidden = (found.normals[:, 1] < DOWNWARD) & in_ground(found.corners, field, domain)
-    found = found.chosen(near_box(found, domain) & ~hidden)
+    kept = near_box(found, domain)
+    down = np.flatnonzero(kept & (found.normals[:, 1] < DOWNWARD))
+    kept[down] = ~in_ground(found.corners[down], field, domain)
+    found = found.chosen(kept)
     faces = without_slip(replace(found, solid=np.array(others, np.int32)[found.solid]), solids)
     return ContactSurface(faces=faces, field=field)
 
@@ -135,11 +137,6 @@ def in_ground(corners: Floats, field: HeightField, domain: Domain) -> NDArray[np
     places = np.einsum("pc,fcd->fpd", PLACES, corners)
     above = places[:, :, 1] - field.elevation(places.reshape(-1, 3)).reshape(places.shape[:2])
     return np.asarray((above <= CLOSING * domain.cell).all(axis=1))
-
-
-def none_of(surface: Surface) -> Surface:
-    """No face of a surface."""
-    return surface.chosen(np.zeros(len(surface.corners), bool))
 
 
 def height_field(solid: Solid, key: str, number: int, domain: Domain) -> HeightField:

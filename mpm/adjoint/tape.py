@@ -236,16 +236,16 @@ class Tape:
     @property
     def bed_frictions(self) -> int:
         """The most frictions that the bed of a scene has."""
-        pairs = zip(self.batch.beds, self.batch.frictions, strict=True)
-        return max(1, *(bed.heights.size for bed, friction in pairs if bed is not None and friction.size > 1), 1)
+        varied = [bed for bed in self.batch.beds if bed is not None and bed.field.friction.size > 1]
+        return max((bed.heights.size for bed in varied), default=1)
 
     def of_posts(self, index: int, adjoint: NDArray[np.float64]) -> NDArray[np.float64]:
         """From the adjoints of the frictions of the bed of scene `index` to those of the posts of its terrain, [P]."""
         if not self.features.terrain:
             return adjoint[:0]
-        bed, size = self.batch.beds[index], self.batch.frictions[index].size
-        if bed is None or size <= 1:
-            return adjoint[:size]
+        bed = self.batch.beds[index]
+        if bed is None or bed.field.friction.size == 1:
+            return adjoint[: int(bed is not None)]
         return bed.to_posts(adjoint[: bed.heights.size].reshape(bed.heights.shape)).ravel()
 
     def positions(self, index: int = 0) -> NDArray[np.float64]:

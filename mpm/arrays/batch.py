@@ -38,6 +38,7 @@ from mpm.arrays.properties import (
     in_precision,
     properties_of,
     properties_row,
+    roughest,
     settings_row,
     substeps_per_frame,
 )
@@ -198,9 +199,10 @@ class Batch:
         for offset, window in zip(self.offsets, obstacles.windows, strict=False):
             offset[Offset.WINDOW_LOW_X : Offset.WINDOW_LOW_X + len(window.low)] = window.low
             offset[Offset.WINDOW_X : Offset.WINDOW_X + len(window.low)] = window.shape
-        faces, self.beds, self.frictions = len(obstacles.faces), obstacles.beds, obstacles.frictions
+        faces, self.beds = len(obstacles.faces), obstacles.beds
         require(faces < 2 * FIRST_FACE, "solids", f"fewer than {2 * FIRST_FACE} faces", str(faces))
-        self.terrain, self.column_heights = bed_arrays(self.beds, self.frictions, faces, self.offsets, real)
+        mosts = [roughest(scene) for scene in scenes]
+        self.terrain, self.column_heights = bed_arrays(self.beds, mosts, faces, self.offsets, real)
 
         def table(values: Array, kind: np.dtype[Any] | type) -> Array:
             """`values` as the kernel takes them: never empty."""

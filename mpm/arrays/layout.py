@@ -132,8 +132,10 @@ FIRST_FACE = 2**24
 on either side of zero."""
 
 
-BED_PER_CELL, BED_EDGE = 2, 1
-"""Nodes of the lattice of a terrain in 3D per cell of the grid, and those beyond its last node (`mpm.solids.bed`)."""
+BED_PER_CELL = 2
+"""Nodes of the lattice of a terrain in 3D per cell of the grid (`mpm.solids.bed`)."""
+BED_FIRST = BED_PER_CELL * PADDING + 1
+"""The number along an axis of its node at the corner of the box: one lies beyond the padding."""
 
 
 class TerrainNumber(TableColumn):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from datasets.geometry.contact_surface import HeightField
 from datasets.geometry.ground import linear, on_triangles
 from datasets.scene import Domain
-from mpm.arrays.layout import BED_EDGE, BED_PER_CELL, PADDING, Offset, TerrainNumber, node_shape
+from mpm.arrays.layout import BED_FIRST, BED_PER_CELL, PADDING, Offset, TerrainNumber, node_shape
 
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
@@ -42,15 +42,15 @@ class Bed:
     heights: Floats
     """[m], shape [X, Z]."""
 
-    def frictions(self, friction: Floats) -> Floats:
-        """Those of the nodes [-], shape [X, Z], for those of the posts; one, shape [1, 1], is that of all."""
+    def at_nodes(self, at_posts: Floats) -> Floats:
+        """Numbers of the posts at the nodes, shape [X, Z]."""
         along, across = self.from_posts
-        return friction if friction.size == 1 else np.asarray(along @ friction @ across.T)
+        return np.asarray(along @ at_posts @ across.T)
 
     def to_posts(self, adjoint: Floats) -> Floats:
-        """The reverse of `frictions`."""
+        """The reverse of `at_nodes`."""
         along, across = self.from_posts
-        return adjoint if adjoint.size == 1 else np.asarray(along.T @ adjoint @ across)
+        return np.asarray(along.T @ adjoint @ across)
 
     @cached_property
     def from_posts(self) -> tuple[Any, Any]:
@@ -68,10 +68,10 @@ class Bed:
             found = found + sparse.csr_array(both, found.shape)
         return found.tocsr()
 
-    def contact(self, points: Floats, friction: Floats) -> tuple[Floats, Floats, Floats]:
+    def contact(self, points: Floats, frictions: Floats) -> tuple[Floats, Floats, Floats]:
         """d [m], n and the friction [-] at points [m], shape [N, 3], as the kernel finds them; [N], [N, 3], [N].
 
-        friction: of the posts.
+        frictions: of the nodes.
         """
         i, wx, sx = spline(points[:, 0], self.x, self.spacing)
         k, wz, sz = spline(points[:, 2], self.z, self.spacing)
@@ -80,11 +80,10 @@ class Bed:
         height, along, across = (np.einsum("nij,ni,nj->n", rise, *each) for each in ((wx, wz), (sx, wz), (wx, sz)))
         length = np.sqrt(1.0 + along**2 + across**2)
         normal = np.stack([-along, np.ones_like(along), -across], axis=1) / length[:, None]
-        mu = self.frictions(friction)
-        rough = np.full(len(points), float(mu.flat[0]))
-        if mu.size > 1:
-            rough = np.einsum("nij,ni,nj->n", mu[around], wx, wz)
-        return -height / length, normal, rough
+        friction = np.full(len(points), float(frictions.flat[0]))
+        if frictions.size > 1:
+            friction = np.einsum("nij,ni,nj->n", frictions[around], wx, wz)
+        return -height / length, normal, friction
 
     def column_heights(self) -> Floats:
         """H [m] at the columns of nodes of the grid, in a row."""
@@ -129,35 +128,41 @@ def bed_of(field: HeightField, domain: Domain) -> Bed:
     return Bed(field=field, spacing=spacing, x=x, z=z, heights=heights / (len(offsets[0]) * len(offsets[1])))
 
 
+@lru_cache(maxsize=4)
+def frictions_of(bed: Bed, most: float) -> Floats:
+    """Those of the nodes of a bed [-], shape [X, Z], with at most `most` at the posts; [1, 1] where all have one."""
+    at_posts = np.minimum(bed.field.friction, most)
+    return at_posts if at_posts.size == 1 else bed.at_nodes(at_posts)
+
+
 def lattice_axis(nodes: int, spacing: float) -> Floats:
     """Coordinates [m] of the lattice along an axis of a grid with so many nodes."""
-    first = BED_PER_CELL * PADDING + BED_EDGE
-    return np.asarray(spacing * (np.arange(BED_PER_CELL * (nodes - 1) + 1 + 2 * BED_EDGE) - first), np.float64)
+    count = BED_PER_CELL * (nodes - 1 - 2 * PADDING) + 2 * BED_FIRST + 1
+    return np.asarray(spacing * (np.arange(count) - BED_FIRST), np.float64)
 
 
 def bed_arrays(
-    beds: Sequence[Bed | None], frictions: Sequence[Floats], faces: int, offsets: NDArray[np.int32], real: np.dtype[Any]
+    beds: Sequence[Bed | None], mosts: Sequence[float], faces: int, offsets: NDArray[np.int32], real: np.dtype[Any]
 ) -> tuple[Array, Array]:
     """The numbers of all beds, and their elevations at columns of nodes; their places go to `offsets`.
 
-    faces: how many are listed; scenes of one bed share its numbers.
+    mosts: the largest Coulomb coefficient in each scene [-]; faces: how many are listed. Scenes of one bed share its
+    numbers.
     """
-    numbers, columns, known = [np.zeros(1, real)], [np.zeros(1, real)], dict[tuple[int, int], tuple[int, int]]()
-    place, column = 1, 1
+    numbers, columns, known = [np.zeros(1, real)], [np.zeros(1, real)], dict[tuple[Bed, float], tuple[int, int]]()
     offsets[:, Offset.TERRAIN_FACE] = faces
-    for offset, bed, friction in zip(offsets, beds, frictions, strict=False):
+    for offset, bed, most in zip(offsets, beds, mosts, strict=False):
         if bed is None:
             continue
-        key = id(bed), id(friction)
-        if key not in known:
-            known[key] = place, column
-            header = np.zeros(len(TerrainNumber))
+        varied = bed.field.friction.size > 1
+        if (bed, most) not in known:
+            known[bed, most] = sum(map(len, numbers)), sum(map(len, columns))
+            header, frictions = np.zeros(len(TerrainNumber)), frictions_of(bed, most)
             header[TerrainNumber.NEARNESS] = 1.0 / math.hypot(1.0, bed.field.steepest)
-            header[TerrainNumber.FRICTION] = friction.flat[0]
-            parts = [header, bed.heights] + ([bed.frictions(friction)] if friction.size > 1 else [])
+            header[TerrainNumber.FRICTION] = frictions.flat[0]
+            parts = [header, bed.heights, *([frictions] if varied else [])]
             numbers += [part.ravel().astype(real) for part in parts]
             columns.append(bed.column_heights().astype(real))
-            place, column = sum(map(len, numbers)), sum(map(len, columns))
-        offset[Offset.TERRAIN], offset[Offset.COLUMNS] = known[key]
-        offset[Offset.TERRAIN_SOLID], offset[Offset.TERRAIN_FRICTION] = bed.field.solid, friction.size > 1
+        offset[Offset.TERRAIN], offset[Offset.COLUMNS] = known[bed, most]
+        offset[Offset.TERRAIN_SOLID], offset[Offset.TERRAIN_FRICTION] = bed.field.solid, varied
     return np.concatenate(numbers), np.concatenate(columns)

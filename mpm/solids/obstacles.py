@@ -41,7 +41,7 @@ from datasets.scene import NO_SLIP, Domain, Scene
 from mpm.arrays.features import features_of
 from mpm.arrays.layout import PADDING, Contact, node_shape
 from mpm.arrays.properties import CONTACT_WIDTH, roughest, search_distance
-from mpm.solids.bed import Bed, bed_of
+from mpm.solids.bed import Bed, bed_of, frictions_of
 from mpm.solids.face_lookup import SKIN
 from mpm.solids.terrain import FADE
 
@@ -204,8 +204,9 @@ def bed_holds_at(scene: Scene, solid: ContactSurface, nodes: Integers) -> tuple[
     """
     if solid.field is None:
         return np.zeros(len(nodes)), np.zeros(nodes.shape), np.zeros(len(nodes))
-    bed, friction = bed_of(solid.field, scene.domain), np.minimum(solid.field.friction, roughest(scene))
-    d, normal, rough = bed.contact(np.asarray((nodes - PADDING) * scene.domain.cell, np.float64), friction)
+    bed = bed_of(solid.field, scene.domain)
+    places = np.asarray((nodes - PADDING) * scene.domain.cell, np.float64)
+    d, normal, rough = bed.contact(places, frictions_of(bed, roughest(scene)))
     part = np.clip(-d / (FADE * scene.domain.cell), 0.0, 1.0)
     return part * part * (3.0 - 2.0 * part), normal, rough
 
@@ -368,7 +369,7 @@ def initial_contacts(scene: Scene, positions: NDArray[np.float64]) -> NDArray[np
         found[:, Contact.FRICTION] = (weights * np.minimum(surface.friction, most)[near.face]).sum(axis=1)
     if solid.field is not None:
         bed = bed_of(solid.field, scene.domain)
-        d, normal, friction = bed.contact(positions, np.minimum(solid.field.friction, most))
+        d, normal, friction = bed.contact(positions, frictions_of(bed, most))
         nearer = d < distance
         distance, found[nearer, Contact.FACE] = np.minimum(d, distance), len(surface.corners)
         found[nearer, Contact.FRICTION], found[nearer, normals] = friction[nearer], normal[nearer]

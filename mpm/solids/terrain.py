@@ -13,8 +13,8 @@ A node of the grid deep in the bed is held as by a face (`mpm.solids.obstacles`)
 
 import taichi as ti
 
-from mpm.arrays.access import dot, maximum, minimum
-from mpm.arrays.layout import BED_EDGE, BED_PER_CELL, PADDING, Offset, Setting, TerrainNumber
+from mpm.arrays.access import clamp, dot
+from mpm.arrays.layout import BED_FIRST, BED_PER_CELL, PADDING, Offset, Setting, TerrainNumber
 
 FADE = 0.5
 """Depth [cells] in a solid by which its hold of a node has grown from nothing to all. Where it is three quarters of a
@@ -43,29 +43,26 @@ def bed_spacing(scene, arrays: ti.template()):
 
 
 @ti.func
-def lattice(axis: ti.template(), scene, arrays: ti.template()):
-    """How many nodes the lattice has along an axis, and the number of that at the corner of the box."""
-    first = ti.static(BED_PER_CELL * PADDING + BED_EDGE)
-    return BED_PER_CELL * arrays.offsets[scene, Offset.CELLS_X + axis] + 2 * first + 1, first
+def lattice_nodes(axis: ti.template(), scene, arrays: ti.template()):
+    """How many nodes the lattice has along an axis."""
+    return BED_PER_CELL * arrays.offsets[scene, Offset.CELLS_X + axis] + 2 * BED_FIRST + 1
 
 
 @ti.func
 def lowest_node(x, axis: ti.template(), scene, arrays: ti.template()):
     """The number, a real, of the first of the three nodes of the lattice around `x` [m], and its coordinate [m]."""
-    count, first = lattice(axis, scene, arrays)
     spacing = bed_spacing(scene, arrays)
-    last = ti.cast(count - 3, float)
-    node = minimum(maximum(ti.floor(x / spacing + (first - 0.5)), 0.0 * x), 0.0 * x + last)
-    return node, (node - ti.cast(first, float)) * spacing
+    last = ti.cast(lattice_nodes(axis, scene, arrays) - 3, float)
+    node = clamp(ti.floor(x / spacing + (BED_FIRST - 0.5)), 0.0 * x, 0.0 * x + last)
+    return node, (node - 1.0 * BED_FIRST) * spacing
 
 
 @ti.func
 def place_in_bed(i, k, scene, arrays: ti.template()):
-    """Where the elevation of a node of the lattice stands in `terrain`, where its friction, and the step to the next
-    node along x; of one friction that all have, the place and no step.
+    """Where the elevation of a node of the lattice stands in `terrain`, where its friction or the one that all have,
+    and the step to the next node along x.
     """
-    along, _ = lattice(0, scene, arrays)
-    across, _ = lattice(2, scene, arrays)
+    along, across = lattice_nodes(0, scene, arrays), lattice_nodes(2, scene, arrays)
     height = arrays.offsets[scene, Offset.TERRAIN] + ti.static(len(TerrainNumber)) + i * across + k
     friction = height + along * across
     if not varied_friction(scene, arrays):
@@ -117,17 +114,17 @@ def bed_contact(x: ti.template(), heights: ti.template(), corner: ti.template(),
 
 @ti.func
 def bed_at(x, scene, arrays: ti.template()):
-    """y - H [m], d [m], n and the friction at one place `x` [m], [D]."""
+    """d [m], n and the friction at one place `x` [m], [D]."""
     i, corner_x = lowest_node(x[0], 0, scene, arrays)
     k, corner_z = lowest_node(x[2], 2, scene, arrays)
     height, friction, row = place_in_bed(ti.cast(i, ti.i32), ti.cast(k, ti.i32), scene, arrays)
     spacing = bed_spacing(scene, arrays)
     heights = nine(height, row, 1, arrays)
-    above, d, n = bed_contact([x[0], x[1], x[2]], heights, [corner_x, corner_z], spacing)
+    _, d, n = bed_contact([x[0], x[1], x[2]], heights, [corner_x, corner_z], spacing)
     mu = arrays.terrain[friction]
     if varied_friction(scene, arrays):
         mu, _, _ = spline_sums([x[0], x[1], x[2]], nine(friction, row, 1, arrays), [corner_x, corner_z], spacing)
-    return above, d, ti.Vector([n[0], n[1], n[2]]), mu
+    return d, ti.Vector([n[0], n[1], n[2]]), mu
 
 
 @ti.func
@@ -164,6 +161,6 @@ def in_bed(node, scene, arrays: ti.template()):
 @ti.func
 def bed_hold(node, scene, arrays: ti.template()):
     """The share with which the bed holds a node in it, the normal n and the friction there."""
-    _, d, n, friction = bed_at(node_position(node, scene, arrays), scene, arrays)
+    d, n, friction = bed_at(node_position(node, scene, arrays), scene, arrays)
     part = ti.max(0.0, ti.min((0.0 - d) / (FADE * arrays.settings[scene, Setting.CELL]), 1.0))
     return part * part * (3.0 - 2.0 * part), n, friction

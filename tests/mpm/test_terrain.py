@@ -107,8 +107,8 @@ def test_friction_goes_to_the_bed_and_back_to_the_posts() -> None:
     rng = np.random.default_rng(2)
     found = bed(0.2 * rng.random((14, 8)), 0.1)
     posts, adjoint = rng.random(found.field.heights.shape), rng.random(found.heights.shape)
-    assert (found.frictions(posts) * adjoint).sum() == pytest.approx((posts * found.to_posts(adjoint)).sum(), rel=1e-12)
-    assert found.frictions(np.full_like(posts, 0.3)) == pytest.approx(0.3)
+    assert (found.at_nodes(posts) * adjoint).sum() == pytest.approx((posts * found.to_posts(adjoint)).sum(), rel=1e-12)
+    assert found.at_nodes(np.full_like(posts, 0.3)) == pytest.approx(0.3)
 
 
 WAVES = tuple(
