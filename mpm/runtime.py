@@ -82,7 +82,9 @@ def drop_stale_lock(lock: Path) -> None:
 
 def workers_for(particles: int, threads: int | None = None) -> int:
     """Threads that one scene of so many particles takes of `threads`, all processors by default."""
-    return max(1, min(threads or processors(), particles // PARTICLES_PER_WORKER))
+    count = particles // PARTICLES_PER_WORKER
+    # Two threads would wait for that which computes two of three parts.
+    return max(1, min(threads or processors(), 2 if count == 3 else count))
 
 
 def parts_for(particles: int, threads: int | None = None, *, whole: bool = False) -> int:

@@ -30,9 +30,7 @@ from mpm.output.recording import ALL, Recording
 from mpm.runtime import Arch
 
 LARGE = 2 * runtime.PARTICLES_PER_WORKER
-"""Particles from which one scene takes several threads."""
-SORTED = 50_000
-"""Particles from which they are sorted by cell every FRAMES_PER_CALL frames."""
+"""Particles from which one scene takes several threads, and they are sorted by cell every FRAMES_PER_CALL frames."""
 COMPILING = {2: 5, 3: 10}
 """Seconds to compile a kernel, by dimension."""
 PARTICLE_STEPS_PER_CALL = 5.0e6
@@ -242,7 +240,7 @@ def run_on_threads(batch: Batch, bar: "tqdm[None]", stop: Callable[[], bool], th
             last = min(last, first + every - (first - 1) % every)
         last = min(last, call_end(batch, first))
         for index, particles in enumerate(batch.particles):
-            if since_sorted == 0 and len(particles.positions) >= SORTED:
+            if since_sorted == 0 and len(particles.positions) >= LARGE:
                 batch.sort(index)
             elif since_sorted == 0 and batch.features.contact:
                 batch.put_contacts_first(index)

@@ -35,6 +35,7 @@ from mpm.physics.contact import (
 )
 from mpm.physics.transfer import property_of
 from mpm.solids.face_lookup import entry_of, face_number, normal_of, solid_of
+from mpm.solids.terrain import bed_under
 
 
 @ti.func
@@ -63,7 +64,7 @@ def solids_reverse(adj, v, mass, node, worker, scene, arrays: ti.template()):
         if ti.static(arrays.layout.impulses):
             adj_momentum = impulse_adjoint(arrays.offsets[scene, Offset.TERRAIN_SOLID], worker, arrays)
             adj_removed = adj_removed + mass * adj_momentum
-            adj_mass += adj_momentum.dot(removed_by_bed(left, node, scene, arrays))
+            adj_mass += adj_momentum.dot(removed_by_bed(left, node, bed_under(node, scene, arrays), scene, arrays))
         adj_left = adj_left + bed_hold_reverse(adj_removed, left, node, scene, arrays)
     adj_v = adj_left
     for hold in range(first, end):

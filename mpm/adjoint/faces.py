@@ -27,7 +27,7 @@ from mpm.solids.terrain import (
     bed_contact,
     bed_hold,
     bed_spacing,
-    in_bed,
+    bed_under,
     in_terrain,
     lowest_node,
     nine,
@@ -262,10 +262,9 @@ def hold_reverse(adj, v, normal, friction, share):
 def bed_hold_reverse(adj, v, node, scene, arrays: ti.template()):
     """Adjoint of a node's velocity `v` [m/s] from that of what the bed takes of it; adds that of its friction."""
     adj_v = 0.0 * v
-    if in_bed(node, scene, arrays):
-        share, normal, friction = bed_hold(node, scene, arrays)
-        if v.dot(normal) < 0.0:
-            adj_v, _normal, adj_friction, _share = hold_reverse(adj, v, normal, friction, share)
-            none = 0.0 * v
-            bed_reverse(node_position(node, scene, arrays), (adj_friction, 0.0 * adj_friction, none), scene, arrays)
+    share, normal, friction = bed_hold(node, bed_under(node, scene, arrays), scene, arrays)
+    if share > 0.0 and v.dot(normal) < 0.0:
+        adj_v, _normal, adj_friction, _share = hold_reverse(adj, v, normal, friction, share)
+        none = 0.0 * v
+        bed_reverse(node_position(node, scene, arrays), (adj_friction, 0.0 * adj_friction, none), scene, arrays)
     return adj_v

@@ -31,6 +31,7 @@ from mpm.physics.barriers import apply_barriers
 from mpm.physics.boundary import apply_walls
 from mpm.physics.contact import apply_solids
 from mpm.physics.grid import SLOW, acceleration, damping_terms, node_of, own_node, owns, put_node, velocity_before
+from mpm.solids.terrain import bed_under
 
 SHARED = (Setting.GRAVITY_X, Setting.GRAVITY_Y, Setting.FLOOR_FRICTION, Setting.WALL_FRICTION, Setting.DAMPING)
 SUMS = len(SHARED) + 1
@@ -80,7 +81,8 @@ def node_reverse(node, adj, index: ti.template(), worker, scene, dt, kappa, arra
         if ti.static(features.channel):
             braked = stopped
             if ti.static(features.contact):
-                braked = apply_solids(stopped, node[dimension], indices, worker, scene, False, arrays)
+                bed = bed_under(indices, scene, arrays)
+                braked = apply_solids(stopped, node[dimension], indices, bed, worker, scene, False, arrays)
             grip = node[features.node.side_friction] * per_mass
             adj_new, adj_limit = with_friction_reverse(adj_new, braked, dt * grip)
             adj_side = dt * per_mass * adj_limit

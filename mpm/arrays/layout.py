@@ -145,6 +145,15 @@ class TerrainNumber(TableColumn):
     FRICTION = auto()  # where it is the same everywhere [-]
 
 
+class BedUnder(TableColumn):
+    """What the nodes of a column have in common of the bed of a terrain."""
+
+    REFERENCE = auto()  # an elevation near its own [m]
+    ABOVE = auto()  # how far that is above it [m]: of differences single precision keeps more
+    NORMAL_X, NORMAL_Y, NORMAL_Z = auto(), auto(), auto()
+    FRICTION = auto()
+
+
 class Worker(TableColumn):
     """Columns of `workers`, integers, shape [workers, len(Worker)]: the part of a scene that one thread computes."""
 
@@ -155,7 +164,9 @@ class Worker(TableColumn):
     ROOM = auto()  # how many nodes that part has
     USED = auto()  # how many its columns take; where those are more, the run waits for room
     COLUMN = auto()  # its first column in `bases` and `spans`
-    ACTIVE = auto()  # how many columns are in use
+    ACTIVE = auto()  # how many columns are in use,
+    LOWEST = auto()  # the lowest number of them in the box
+    HIGHEST = auto()  # and the highest
     SCRATCH = auto()  # its first vector of `scratch`
     IMPULSE = auto()  # its first vector of `impulse`
 

@@ -13,7 +13,7 @@ start of each call of the kernel, before which particles may have been sorted.
 import taichi as ti
 
 from mpm.arrays.access import clamp, columns_deep, no_overflow
-from mpm.arrays.layout import PADDING, Offset, Setting, Span, Worker
+from mpm.arrays.layout import INDEX_LIMIT, PADDING, Offset, Setting, Span, Worker
 
 MARGIN = 0.49
 """Cells that particles may move before columns are made anew: half a cell, less the rounding of a position in f32."""
@@ -44,13 +44,15 @@ def make_columns(worker, scene, arrays: ti.template()):
                 else:
                     arrays.spans[column, Span.LOW] = ti.min(arrays.spans[column, Span.LOW], low)
                     arrays.spans[column, Span.HIGH] = ti.max(arrays.spans[column, Span.HIGH], high)
-    used = 0
+    used, lowest, highest = 0, INDEX_LIMIT, -1
     for n in range(active):
         column = arrays.spans[first + n, Span.ACTIVE]
+        lowest, highest = ti.min(lowest, column - first), ti.max(highest, column - first)
         low = arrays.spans[column, Span.LOW]
         arrays.bases[column] = arrays.workers[worker, Worker.NODE] + used - low
         used += arrays.spans[column, Span.HIGH] - low
     arrays.workers[worker, Worker.ACTIVE], arrays.workers[worker, Worker.USED] = active, used
+    arrays.workers[worker, Worker.LOWEST], arrays.workers[worker, Worker.HIGHEST] = lowest, highest
 
 
 @ti.func

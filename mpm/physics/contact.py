@@ -62,7 +62,7 @@ from mpm.arrays.access import add, clamp, lane_numbers, maximum, minimum, no_ove
 from mpm.arrays.layout import FIRST_FACE, Contact, Offset, Setting, Worker, component
 from mpm.physics.boundary import add_impulse, after_contact
 from mpm.solids.face_lookup import TINY, entry_of, face_number, normal_of, solid_of
-from mpm.solids.terrain import bed_hold, in_bed
+from mpm.solids.terrain import bed_hold
 
 NO_FACE = -2.0 * FIRST_FACE
 """Less than the number of any face among reals."""
@@ -348,10 +348,10 @@ def record_traction(block, scratch, volume, dt, worker, arrays: ti.template()):
 
 
 @ti.func
-def apply_solids(v, mass, node, worker, scene, recorded: ti.template(), arrays: ti.template()):
+def apply_solids(v, mass, node, bed, worker, scene, recorded: ti.template(), arrays: ti.template()):
     """Velocity `v` [m/s] after the holds of the node `node`, an index of shape [D], with the `mass` [kg]; shape [D].
 
-    recorded: whether what they take is added to the impulses of their solids.
+    bed: under the node, `BedUnder`; recorded: whether what they take is added to the impulses of their solids.
     """
     after, entry = v, entry_of(node, scene, arrays)
     first, end = holds_of_node(entry, arrays)
@@ -361,7 +361,7 @@ def apply_solids(v, mass, node, worker, scene, recorded: ti.template(), arrays: 
         if ti.static(recorded):
             add_impulse(solid_of(face, scene, arrays), mass * removed, 0, worker, arrays)
     if ti.static(arrays.features.terrain):
-        removed = removed_by_bed(after, node, scene, arrays)
+        removed = removed_by_bed(after, node, bed, scene, arrays)
         after = after - removed
         if ti.static(recorded):
             add_impulse(arrays.offsets[scene, Offset.TERRAIN_SOLID], mass * removed, 0, worker, arrays)
@@ -389,11 +389,10 @@ def removed_by(hold, v, arrays: ti.template()):
 
 
 @ti.func
-def removed_by_bed(v, node, scene, arrays: ti.template()):
-    """What the bed of a terrain takes of a velocity `v` [m/s] of a node, an index of shape [D]; shape [D]."""
+def removed_by_bed(v, node, bed, scene, arrays: ti.template()):
+    """What the `bed` under a node, an index of shape [D], takes of its velocity `v` [m/s]; shape [D]."""
     removed = 0.0 * v
-    if in_bed(node, scene, arrays):
-        share, normal, friction = bed_hold(node, scene, arrays)
-        if v.dot(normal) < 0.0:
-            removed = share * (v - after_contact(v, normal, friction))
+    share, normal, friction = bed_hold(node, bed, scene, arrays)
+    if share > 0.0 and v.dot(normal) < 0.0:
+        removed = share * (v - after_contact(v, normal, friction))
     return removed

@@ -20,6 +20,7 @@ from mpm.physics.boundary import add_impulse, apply_walls, with_friction
 from mpm.physics.columns import node_at
 from mpm.physics.contact import apply_solids
 from mpm.physics.inflow import held_behind
+from mpm.solids.terrain import bed_under
 
 SLOW = 1.0e-3
 """Speed over sqrt(g dx) below which local damping fades [-]."""
@@ -42,8 +43,9 @@ def update_grid(worker, scene, dt, kappa, arrays: ti.template()):
     for n in range(arrays.workers[worker, Worker.ACTIVE]):
         column = arrays.spans[first + n, Span.ACTIVE] - first
         i, k = column // deep, column % deep
-        alone = has_alone(column, worker, arrays)
-        for j in range(arrays.spans[first + column, Span.LOW], arrays.spans[first + column, Span.HIGH]):
+        alone, low = has_alone(column, worker, arrays), arrays.spans[first + column, Span.LOW]
+        bed = bed_under(index_of([i, low, k], arrays), scene, arrays)
+        for j in range(low, arrays.spans[first + column, Span.HIGH]):
             if alone or owns(column, j, worker, arrays):
                 node = zero_node()
                 if alone:
@@ -51,11 +53,17 @@ def update_grid(worker, scene, dt, kappa, arrays: ti.template()):
                 else:
                     node = node_of(arrays.grid, column, j, worker, arrays)
                 if node[arrays.features.dimension] > 0.0:
-                    node = moved_node(node, [i, j, k], worker, scene, dt, kappa, arrays)
+                    node = moved_node(node, index_of([i, j, k], arrays), bed, worker, scene, dt, kappa, arrays)
                     if alone:
                         arrays.grid[own_node(column, j, worker, arrays)] = node
                     else:
                         put_node(arrays.grid, node, column, j, worker, arrays)
+
+
+@ti.func
+def index_of(places: ti.template(), arrays: ti.template()):
+    """The index of a node, shape [D], of its i, j, k."""
+    return ti.Vector([places[axis] for axis in ti.static(range(arrays.features.dimension))])
 
 
 @ti.func
@@ -64,16 +72,28 @@ def has_alone(column, worker, arrays: ti.template()):
     alone = True
     if ti.static(arrays.features.processor.shared):
         for other in range(arrays.workers.shape[0]):
-            empty = arrays.spans[arrays.workers[other, Worker.COLUMN] + column, Span.HIGH] == 0
-            alone = alone and (empty or other == worker)
+            if other != worker and reaches(other, column, arrays):
+                empty = arrays.spans[arrays.workers[other, Worker.COLUMN] + column, Span.HIGH] == 0
+                alone = alone and empty
     return alone
+
+
+@ti.func
+def reaches(worker, column, arrays: ti.template()):
+    """Whether a column of the box is among those of a worker, from the first to the last in use: a strip of the box
+    where particles are sorted, so that hardly one has to be looked up.
+    """
+    return arrays.workers[worker, Worker.LOWEST] <= column <= arrays.workers[worker, Worker.HIGHEST]
 
 
 @ti.func
 def has_node(worker, column, j, arrays: ti.template()):
     """Whether node j of a column of the box is one of a worker's."""
-    at = arrays.workers[worker, Worker.COLUMN] + column
-    return arrays.spans[at, Span.LOW] <= j < arrays.spans[at, Span.HIGH]
+    result = False
+    if reaches(worker, column, arrays):
+        at = arrays.workers[worker, Worker.COLUMN] + column
+        result = arrays.spans[at, Span.LOW] <= j < arrays.spans[at, Span.HIGH]
+    return result
 
 
 @ti.func
@@ -81,11 +101,11 @@ def owns(column, j, worker, arrays: ti.template()):
     """Whether a node is a worker's to compute: in a shared scene one of those that have it does, in turn by column."""
     result = True
     if ti.static(arrays.features.processor.shared):
-        owner = -1
-        for turn in range(arrays.workers.shape[0]):
-            other = (column + turn) % arrays.workers.shape[0]
+        owner, other = -1, column % arrays.workers.shape[0]
+        for _ in range(arrays.workers.shape[0]):
             if owner < 0 and has_node(other, column, j, arrays):
                 owner = other
+            other = 0 if other + 1 == arrays.workers.shape[0] else other + 1
         result = owner == worker
     return result
 
@@ -132,7 +152,9 @@ def update_node(n, scene, arrays: ti.template()):
         node = arrays.grid[at]
         if node[arrays.features.dimension] > 0.0:
             kappa = relaxation_factor(scene, dt, arrays)
-            arrays.grid[at] = moved_node(node, [i, j, k], scene, scene, dt, kappa, arrays)
+            index = index_of([i, j, k], arrays)
+            bed = bed_under(index, scene, arrays)
+            arrays.grid[at] = moved_node(node, index, bed, scene, scene, dt, kappa, arrays)
 
 
 @ti.func
@@ -144,8 +166,10 @@ def velocity_before(node, arrays: ti.template()):
 
 
 @ti.func
-def moved_node(node, index: ti.template(), worker, scene, dt, kappa, arrays: ti.template()):
-    """Node `index` of the box, i, j, k, with its new velocity for its momentum, and its change new - kept old."""
+def moved_node(node, indices, bed, worker, scene, dt, kappa, arrays: ti.template()):
+    """The node `indices` of the box, shape [D], over a `bed`, with its new velocity for its momentum, and its change
+    new - kept old.
+    """
     features = arrays.features
     mass, old = node[features.dimension], velocity_before(node, arrays)
     a, _ = acceleration(node, scene, arrays)
@@ -153,13 +177,12 @@ def moved_node(node, index: ti.template(), worker, scene, dt, kappa, arrays: ti.
         size, sign, _ = damping_terms(old, a, scene, arrays)
         a = a - arrays.settings[scene, Setting.DAMPING] * size * sign
     new = ti.Vector([old[axis] + dt * a[axis] for axis in ti.static(range(features.dimension))])
-    indices = ti.Vector([index[axis] for axis in ti.static(range(features.dimension))])
     share = 0.0 * mass + 1.0
     if ti.static(features.wet_walls):
         share = node[features.node.grains] / mass
     new = apply_walls(new, indices, box_cells(scene, arrays), features.dimension, mass, share, worker, scene, arrays)
     if ti.static(features.contact):
-        new = apply_solids(new, mass, indices, worker, scene, True, arrays)
+        new = apply_solids(new, mass, indices, bed, worker, scene, True, arrays)
     if ti.static(features.channel):
         new = with_friction(new, dt * node[features.node.side_friction] / mass)
     if ti.static(features.barriers):

@@ -14,11 +14,13 @@ A node of the grid deep in the bed is held as by a face (`mpm.solids.obstacles`)
 import taichi as ti
 
 from mpm.arrays.access import clamp, dot
-from mpm.arrays.layout import BED_FIRST, BED_PER_CELL, PADDING, Offset, Setting, TerrainNumber
+from mpm.arrays.layout import BED_FIRST, BED_PER_CELL, PADDING, BedUnder, Offset, Setting, TerrainNumber
 
 FADE = 0.5
 """Depth [cells] in a solid by which its hold of a node has grown from nothing to all. Where it is three quarters of a
 cell, nodes give way while a bed is laid against the solid, and its thrust is up to 15 % too low."""
+FAR_BELOW = -1.0e30
+"""Elevation [m] of a bed that is not there."""
 
 
 @ti.func
@@ -113,21 +115,6 @@ def bed_contact(x: ti.template(), heights: ti.template(), corner: ti.template(),
 
 
 @ti.func
-def bed_at(x, scene, arrays: ti.template()):
-    """d [m], n and the friction at one place `x` [m], [D]."""
-    i, corner_x = lowest_node(x[0], 0, scene, arrays)
-    k, corner_z = lowest_node(x[2], 2, scene, arrays)
-    height, friction, row = place_in_bed(ti.cast(i, ti.i32), ti.cast(k, ti.i32), scene, arrays)
-    spacing = bed_spacing(scene, arrays)
-    heights = nine(height, row, 1, arrays)
-    _, d, n = bed_contact([x[0], x[1], x[2]], heights, [corner_x, corner_z], spacing)
-    mu = arrays.terrain[friction]
-    if varied_friction(scene, arrays):
-        mu, _, _ = spline_sums([x[0], x[1], x[2]], nine(friction, row, 1, arrays), [corner_x, corner_z], spacing)
-    return d, ti.Vector([n[0], n[1], n[2]]), mu
-
-
-@ti.func
 def nine(first, row, step, arrays: ti.template()):
     """Nine numbers of `terrain` from `first` on, three rows of three, as a list."""
     return [arrays.terrain[first + a * row + b * step] for a in ti.static(range(3)) for b in ti.static(range(3))]
@@ -150,17 +137,31 @@ def node_position(node, scene, arrays: ti.template()):
 
 
 @ti.func
-def in_bed(node, scene, arrays: ti.template()):
-    """Whether a node, an index of shape [D], lies in the bed of a scene that has one."""
-    result = False
-    if arrays.offsets[scene, Offset.TERRAIN] > 0:
-        result = node_position(node, scene, arrays)[1] < column_height(node[0], node[2], scene, arrays)
-    return result
+def bed_under(node, scene, arrays: ti.template()):
+    """The bed over the lowest node of a column, of shape [D]: `BedUnder`; far below where it is not over it."""
+    bed = ti.Vector([FAR_BELOW, 0.0, 0.0, 1.0, 0.0, 0.0])
+    if ti.static(arrays.features.terrain):
+        x = node_position(node, scene, arrays)
+        if arrays.offsets[scene, Offset.TERRAIN] > 0:
+            reference = column_height(node[0], node[2], scene, arrays)
+            if x[1] < reference:
+                i, corner_x = lowest_node(x[0], 0, scene, arrays)
+                k, corner_z = lowest_node(x[2], 2, scene, arrays)
+                height, friction, row = place_in_bed(ti.cast(i, ti.i32), ti.cast(k, ti.i32), scene, arrays)
+                corner, spacing = [corner_x, corner_z], bed_spacing(scene, arrays)
+                heights, at = nine(height, row, 1, arrays), [x[0], reference, x[2]]
+                above, _, n = bed_contact(at, heights, corner, spacing)
+                mu = arrays.terrain[friction]
+                if varied_friction(scene, arrays):
+                    mu, _, _ = spline_sums(at, nine(friction, row, 1, arrays), corner, spacing)
+                bed = ti.Vector([reference, above, n[0], n[1], n[2], mu])
+    return bed
 
 
 @ti.func
-def bed_hold(node, scene, arrays: ti.template()):
-    """The share with which the bed holds a node in it, the normal n and the friction there."""
-    d, n, friction = bed_at(node_position(node, scene, arrays), scene, arrays)
+def bed_hold(node, bed, scene, arrays: ti.template()):
+    """The share with which the `bed` under a node holds it, the normal n and the friction there."""
+    above = node_position(node, scene, arrays)[1] - bed[BedUnder.REFERENCE] + bed[BedUnder.ABOVE]
+    d, n = above * bed[BedUnder.NORMAL_Y], [bed[BedUnder.NORMAL_X + k] for k in ti.static(range(3))]
     part = ti.max(0.0, ti.min((0.0 - d) / (FADE * arrays.settings[scene, Setting.CELL]), 1.0))
-    return part * part * (3.0 - 2.0 * part), n, friction
+    return part * part * (3.0 - 2.0 * part), ti.Vector([n[0], n[1], n[2]]), bed[BedUnder.FRICTION]

@@ -126,7 +126,7 @@ def test_a_scene_in_sorted_parts_is_the_same_flow(monkeypatch: pytest.MonkeyPatc
     scene = entering(gravity=9.81, duration=0.6)
     whole = simulate(scene, threads=1)
     monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 10)
-    monkeypatch.setattr("mpm.simulation.SORTED", 10)
+    monkeypatch.setattr("mpm.simulation.LARGE", 10)
     shared = [simulate(scene, threads=threads) for threads in (1, 2)]
     np.testing.assert_array_equal(shared[0].positions, shared[1].positions)
     np.testing.assert_array_equal(shared[0].entry_time, whole.entry_time)

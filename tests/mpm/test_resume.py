@@ -64,7 +64,7 @@ def test_a_resumed_run_is_the_unbroken_one(
     """Broken off twice; a large scene is sorted at every launch."""
     if shared:
         monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
-        monkeypatch.setattr(solver, "SORTED", 0)
+        monkeypatch.setattr(solver, "LARGE", 0)
     threads = 2 if shared else 1
     whole = simulate(FLOW, precision=precision, record=record, threads=threads)
     options: Any = {"precision": precision, "record": record, "threads": threads}

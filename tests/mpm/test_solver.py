@@ -141,7 +141,7 @@ def test_one_scene_on_two_threads_is_the_scene_on_one(monkeypatch: pytest.Monkey
         monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 10**9)
         alone = simulate(scene, precision="f64", threads=2, record=WITH_FIELDS)
         monkeypatch.setattr("mpm.runtime.PARTICLES_PER_WORKER", 100)
-        monkeypatch.setattr("mpm.simulation.SORTED", 0)
+        monkeypatch.setattr("mpm.simulation.LARGE", 0)
         shared = simulate(scene, precision="f64", threads=2, record=WITH_FIELDS)
         # Where principal stresses coincide, half of the digits are lost (`mpm.physics.stress`): another order shows.
         np.testing.assert_allclose(shared.positions, alone.positions, atol=5e-6)
