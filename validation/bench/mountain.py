@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from datasets import site
-from datasets.errors import require
-from datasets.exchange.rasters import Raster, read_raster
+from datasets.errors import WorkFailed, require
+from datasets.exchange.rasters import Raster, read_raster, write_raster
 from datasets.files import make_folder, reading
 from datasets.flow.trajectory import open_trajectory
 from datasets.maps import PlanMaps, maps_of
 from datasets.scene.grid_field import Floats
 from datasets.scene.library import read_scene
 from inverse.answer import peak_memory_mib
-from mpm import Recording
+from mpm import Recording, simulate
 from validation.bench.measuring import Found, once, recorded
 from validation.bench.page import Keep, Out, Row, between, tables, write_page
 from validation.run_store import kept
@@ -56,6 +56,10 @@ class Slide:
     """[deg]. Voellmy's law is that of a layer that does not shear inside: it has to be steeper than the slope."""
 
 
+SLIDING, STEEP = 0.35, 35.0
+"""Friction of the bed of avaSlide, and angle of internal friction there [deg]."""
+RAISED = ((5.0, 0.0), (2.5, 0.0), (5.0, 1234.56))
+"""Cells [m] on which avaSlide runs, and by what its ground is raised [m]."""
 OTHERS = ("com1DFA", "samosat", "RAMMSUSER", "TITAN2D", "TRENT2D")
 CASES = {
     "CoulombOnly": Slide(
@@ -100,6 +104,45 @@ def slid(data: Path, cell: float, folder: Path) -> Found:
     return found | took | {"maps": time.perf_counter() - began, "memory": peak_memory_mib()}
 
 
+def turned(data: Path, cell: float, raised: float, folder: Path) -> Found:
+    """The energy line of the centre of mass on avaSlide, whose ground is `raised` [m], beside that of a point."""
+    (dem,), (release,) = data.glob("*.asc"), data.glob("*.shp")
+    ground, path = read_raster(dem), folder / f"slide-{cell:g}-{raised:g}.toml"
+    corner = [float(axis[0]) - 0.5 * ground.spacing[0] for axis in (ground.x, ground.z)]
+    write_raster(path.with_suffix(".tif"), ground.values + raised, ground.spacing[0], corner, None, "elevation", "m")
+    site.command(
+        path.with_suffix(".tif"), release=release, out=path, friction=SLIDING, internal_friction=STEEP, cell=cell
+    )
+    flow = simulate(read_scene(path), record=Recording(until_rest=True), progress=True)
+    start, end = (flow.positions[frame].mean(axis=0, dtype=np.float64) for frame in (0, -1))
+    origin = np.array(flow.scene.domain.origin or (0.0, 0.0, 0.0))
+    middle = int(np.abs(ground.z - (start + origin)[2]).argmin())
+    point = sliding_point(ground.x, ground.values[:, middle] + raised, float((start + origin)[0]), SLIDING)
+    slope = (start[1] - end[1]) / float(np.hypot(*(end - start)[[0, 2]]))
+    return {"slope": float(slope), "point": point, "particles": flow.summary["particles"]}
+
+
+def sliding_point(x: Floats, height: Floats, start: float, friction: float) -> float:
+    """Slope of the energy line of a point that slides along a profile from rest at `start` [m], to where it rests [-].
+
+        d(v^2 / 2 g) = -dy - mu (dx + v^2 / g dtheta)
+
+    with the angle theta of the profile: what turns the point up presses it on the bed, as its weight does.
+    """
+    x, height = np.append(start, x[x > start]), np.append(np.interp(start, x, height), height[x > start])
+    steps, falls = np.diff(x), -np.diff(height)
+    turns = np.diff(-np.arctan2(falls, steps), prepend=-np.arctan2(falls[0], steps[0]))
+    energy = 0.0
+    for number, (step, fall, turn) in enumerate(zip(steps, falls, turns, strict=True)):
+        energy *= np.exp(-2.0 * friction * max(0.0, turn))
+        gain = fall - friction * step
+        if energy + gain < 0.0:
+            part = energy / -gain
+            return float((height[0] - height[number] + part * fall) / (x[number] + part * step - start))
+        energy += gain
+    raise WorkFailed("the point slides off the profile")
+
+
 def alike(maps: PlanMaps, places: Sequence[Floats], beside: Raster) -> Found:
     """How a run compares with another code cell by cell: plan overlap and ratio of the peak speeds (median)."""
     assert maps.velocity is not None
@@ -131,7 +174,13 @@ def peaks(case: Slide, places: Sequence[Floats], speed: Floats, thickness: float
 
 
 def bench(
-    *, out: Out, data: Path, keep: Keep = None, case: tuple[str, ...] = tuple(CASES), cells: tuple[float, ...] = ()
+    *,
+    out: Out,
+    data: Path,
+    keep: Keep = None,
+    case: tuple[str, ...] = tuple(CASES),
+    cells: tuple[float, ...] = (),
+    slide: Path | None = None,
 ) -> str:
     """Measure slides of kilometres on rasters of some 300,000 posts: how far, how fast, at what price.
 
@@ -144,12 +193,14 @@ def bench(
         Those to measure.
     cells
         Edges of the grid's cells [m], coarse ones first; unless given, of each case its own.
+    slide
+        Folder of avaSlide (AvaFrame): its raster and its release; unless given it is left out.
     """
     require(all(0.5 <= cell <= 10.0 for cell in cells), "--cells", "edges from 0.5 to 10 m", list(cells))
     require(set(case) <= set(CASES), "--case", f"some of {', '.join(CASES)}", list(case))
     single = (data / PARAMETERS.format(data.name)).exists()
     folders = {data.name: data} if single else {name: data / name for name in case}
-    beside, costs, conclusion, all_found = [], [], [], list[Found]()
+    beside, costs, conclusion, lines, off, all_found = [], [], [], [], [], list[Found]()
     with kept(keep) as folder:
         for name, place in folders.items():
             others, found = dict[str, Found](), dict[float, Found]()
@@ -166,10 +217,20 @@ def bench(
             costs += [cost(name, *each) for each in found.items()]
             conclusion.append(compared(name, found[min(found)], others))
             all_found += found.values()
+        if slide is not None:
+            make_folder(place := folder / "avaSlide")
+            for cell, raised in RAISED:
+                each = once(place / f"{cell:g}-{raised:g}.json", turned, slide, cell, raised, place)
+                lines.append(energy_line(cell, raised, each))
+                off.append(abs(each["slope"] / each["point"] - 1.0))
+            conclusion.append(f"avaSlide: the centre of mass comes to rest within {max(off):.1%} of the energy line.")
     seconds, memory = (max(each[key] for each in all_found) for key in ("seconds", "memory"))
     conclusion.append(f"The longest run takes {seconds:.0f} s; no run needs more than {memory:.0f} MiB.")
     flags = " --data DIR" + "".join(f" --cells {cell:g}" for cell in cells)
-    return write_page(out, "mountain", conclusion, flags=flags, codes="\n\n".join(beside), costs=costs)
+    flags += " --slide DIR" if slide is not None else ""
+    return write_page(
+        out, "mountain", conclusion, flags=flags, codes="\n\n".join(beside), costs=costs, lines=lines or "Not run."
+    )
 
 
 def compared(name: str, finest: Found, others: Mapping[str, Found]) -> str:
@@ -198,6 +259,18 @@ def cost(case: str, cell: float, took: Found) -> Row:
         "million particle-steps/s": f"{took['particles'] * took['steps'] / took['seconds'] / 1e6:.1f}",
         "maps [s]": f"{took['maps']:.0f}",
         "memory [MiB]": f"{took['memory']:.0f}",
+    }
+
+
+def energy_line(cell: float, raised: float, each: Found) -> Row:
+    """A run of avaSlide beside the point."""
+    return {
+        "cell [m]": f"{cell:g}",
+        "ground raised by [m]": f"{raised:g}",
+        "particles": f"{each['particles']:,}",
+        "slope of the energy line": f"{each['slope']:.4f}",
+        "of a point": f"{each['point']:.4f}",
+        "off by": f"{each['slope'] / each['point'] - 1.0:+.1%}",
     }
 
 
