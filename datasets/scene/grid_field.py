@@ -53,16 +53,19 @@ class Grid:
     def weights(self, positions: Floats) -> Any:
         """Sparse matrix of w_k at `positions` [m], shape [N, D]; [N, K]. Its transpose takes derivatives to nodes."""
         # Scenes without fields have no use for it.
-        from scipy.interpolate import NdBSpline
+        from scipy.sparse import csr_array
 
-        last = np.array(self.nodes) - 1
-        scaled = np.clip((positions - np.array(self.origin)) / np.array(self.spacing), 0.0, last)
-        # Of degree 0 along an axis of one node.
-        degrees = np.minimum(last, 1)
-        ends = zip(degrees, last, strict=True)
-        knots = tuple(np.clip(np.arange(-low, high + 2.0), 0.0, max(high, 1)) for low, high in ends)
-        # The last node is a place too, so that there is a column for it.
-        return NdBSpline.design_matrix(np.vstack((scaled, last)), knots, degrees)[:-1]
+        count, node, weight = len(positions), np.zeros((len(positions), 1), np.int32), np.ones((len(positions), 1))
+        for axis, (first, spacing, nodes) in enumerate(zip(self.origin, self.spacing, self.nodes, strict=True)):
+            place = np.clip((positions[:, axis, None] - first) / spacing, 0.0, nodes - 1)
+            low = np.minimum(place.astype(np.int32), max(nodes - 2, 0))
+            part, shape = place - low, (count, node.shape[1] * min(nodes, 2))
+            # One node along an axis has no neighbour.
+            ends, parts = ((low, low + 1), (1.0 - part, part)) if nodes > 1 else ((low,), (1.0 - part,))
+            node = np.stack([node * nodes + end for end in ends], axis=2).reshape(shape)
+            weight = np.stack([weight * each for each in parts], axis=2).reshape(shape)
+        rows = np.arange(count + 1, dtype=np.int32) * node.shape[1]
+        return csr_array((weight.ravel(), node.ravel(), rows), shape=(count, self.count))
 
 
 @dataclass(frozen=True, kw_only=True)
