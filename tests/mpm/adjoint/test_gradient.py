@@ -107,7 +107,7 @@ SCENES = {
     "3D baffle": room(masses=CUBE, baffles=(PILLAR,), baffle_friction=0.3, duration=0.015),
     "ground": plane(masses=ABOVE, solids=(GROUND,), volume_correction=False, duration=0.03),
     "thrown": plane(masses=THROWN, solids=(SLOPE,), volume_correction=False, duration=0.03),
-    "channel with a baffle": plane(WEAK, **BAFFLED, channel=Channel(width=0.1, friction_deg=20.0), slope_deg=20.0),
+    "channel with a baffle": plane(**BAFFLED, channel=Channel(width=0.1, friction_deg=20.0), slope_deg=20.0),
     "turbulent ground": plane(
         masses=ABOVE, solids=(dataclasses.replace(SLOPE, turbulence=40.0),), volume_correction=False, duration=0.03
     ),
@@ -216,7 +216,9 @@ def test_the_gradient_is_that_of_central_differences(name: str) -> None:
     """Of positions and velocities at the end, and of the momentum that solids have taken."""
     scene = SCENES[name]
     objective = Weighted(scene)
-    base = shaken if not scene.material.cohesive or scene.material is WEAK else lambda particles: particles
+    # Side walls, too, have a corner where there is no stress.
+    loose = not scene.material.cohesive or scene.material is WEAK or scene.channel is not None
+    base = shaken if loose else lambda particles: particles
 
     def value(scene: Scene, change: Callable[[Any], Any] = lambda particles: particles) -> float:
         return value_of(scene, objective, lambda particles: change(base(particles)))
