@@ -6,8 +6,8 @@
 
 Many scenes: a scene runs on one thread from the first step of a call to the last: no atomics, no waiting, and the
 result is the same to the bit on any number of threads. One large scene: each worker has its own part of the particles
-and its own grid, and where the grids overlap they are summed. The number of workers, four for up to four threads, sets
-the order of the sums, not that of threads: the result is the same to the bit on one, two and four threads.
+and its own grid, and where the grids overlap they are summed. The number of workers, two or four for up to four
+threads, sets the order of the sums, not that of threads: the result is the same to the bit on one, two and four.
 Usually each worker has a thread. Threads wait for each other three times a step, so that beside another busy process
 two run slower than one: `mpm.simulation.Crew` then gives a thread the parts of several workers, with the same result to
 the bit.

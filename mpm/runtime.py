@@ -82,15 +82,18 @@ def drop_stale_lock(lock: Path) -> None:
 
 def workers_for(particles: int, threads: int | None = None) -> int:
     """Threads that one scene of so many particles takes of `threads`, all processors by default."""
-    count = particles // PARTICLES_PER_WORKER
-    # Two threads would wait for that which computes two of three parts.
-    return max(1, min(threads or processors(), 2 if count == 3 else count))
+    return max(1, min(threads or processors(), particles // PARTICLES_PER_WORKER))
 
 
 def parts_for(particles: int, threads: int | None = None, *, whole: bool = False) -> int:
     """Parts that one scene of so many particles is computed in, by at most so many threads, all processors by default.
 
-    At least as many as `workers_for`: a thread computes one or several of them; one where it has to stay `whole`.
+    A thread computes one or several of them; one where it has to stay `whole`.
     """
     threads = threads or processors()
-    return 1 if whole else workers_for(particles, PARTS if PARTS % threads == 0 else threads)
+    if whole:
+        return 1
+    if PARTS % threads > 0:
+        return workers_for(particles, threads)
+    # A power of two, as the threads are: one of two threads would compute two of three parts, and the other wait.
+    return 1 << (workers_for(particles, PARTS).bit_length() - 1)

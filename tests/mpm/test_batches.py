@@ -13,7 +13,7 @@ from mpm import WITH_FIELDS, ScenesFailed, simulate, simulate_each, simulate_man
 from mpm.arrays.batch import Batch
 from mpm.arrays.layout import Offset, Worker
 from mpm.kernel import SUMMED, compute
-from mpm.runtime import start
+from mpm.runtime import parts_for, start, workers_for
 from mpm.simulation import LARGE, Crew
 from tests.scenes import COLUMN, SAND, box, room
 
@@ -70,6 +70,13 @@ def test_on_a_gpu_a_scene_beside_one_without_numbers_keeps_its_energies(monkeypa
     alone = simulate(box(small, seed=2))
     for kind, series in alone.summary["energy"].items():
         np.testing.assert_allclose(beside.summary["energy"][kind], series, rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize(("particles", "parts"), [(19_999, 1), (20_000, 2), (39_999, 2), (40_000, 4), (10**6, 4)])
+def test_a_large_scene_has_the_same_parts_on_one_two_and_four_threads(particles: int, parts: int) -> None:
+    assert [parts_for(particles, threads) for threads in (1, 2, 4)] == [parts] * 3
+    assert parts_for(particles, 2, whole=True) == 1
+    assert parts_for(particles, 3) == workers_for(particles, 3)
 
 
 def test_sand_faster_than_its_waves_wants_a_stiffer_material_and_gets_by_with_it() -> None:

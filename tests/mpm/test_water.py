@@ -286,11 +286,11 @@ def test_a_sheet_stops_once_its_water_has_drained() -> None:
 
 @pytest.mark.slow
 def test_the_moduli_of_water_and_grains_are_numerical(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Over five jitters 0 and 7 %: the bounds allow for a scatter of 2 % from one jitter to the next."""
-    usual = front(0.8)
-    assert front(0.8, young=2.0e6) == pytest.approx(usual, rel=0.05)
+    """Measured are 0 and 7 %; a difference of two such means has a standard error of 2 %."""
+    usual = front(0.8, seeds=5)
+    assert front(0.8, seeds=5, young=2.0e6) == pytest.approx(usual, rel=0.06)
     monkeypatch.setattr(water, "STIFFER", 80.0)
-    assert front(0.8) == pytest.approx(usual, rel=0.12)
+    assert front(0.8, seeds=5) == pytest.approx(usual, rel=0.13)
 
 
 def column(

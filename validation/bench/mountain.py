@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets import site
-from datasets.errors import WorkFailed, require
+from datasets.errors import InputError, WorkFailed, require
 from datasets.exchange.rasters import Raster, read_raster, write_raster
 from datasets.files import make_folder, reading
 from datasets.flow.trajectory import open_trajectory
@@ -77,11 +77,10 @@ CASES = {
 def written_scene(data: Path, cell: float, folder: Path) -> Path:
     """The scene file of a case's folder on cells of this edge [m], made in `folder`."""
     with reading(data / PARAMETERS.format(data.name), "the parameters of ISeeSnow"):
-        (values,) = csv.DictReader((data / PARAMETERS.format(data.name)).open(encoding="utf-8"))
-    (dem,), (release,) = data.glob("DEM_*.*"), data.glob("*.shp")
+        (values,) = csv.DictReader((data / PARAMETERS.format(data.name)).read_text(encoding="utf-8").splitlines())
     site.command(
-        dem,
-        release=release,
+        only(data, "DEM_*.*"),
+        release=only(data, "*.shp"),
         out=folder / f"{cell:g}.toml",
         thickness=float(values["releaseThickness"]),
         friction=float(values["mu"]),
@@ -90,6 +89,14 @@ def written_scene(data: Path, cell: float, folder: Path) -> Path:
         cell=cell,
     )
     return folder / f"{cell:g}.toml"
+
+
+def only(folder: Path, pattern: str) -> Path:
+    """The file of a folder whose name is like `pattern`. Raises InputError unless there is one."""
+    found = sorted(folder.glob(pattern))
+    if len(found) != 1:
+        raise InputError(f"expected one file {pattern}, there are {len(found)}", where=str(folder))
+    return found[0]
 
 
 def slid(data: Path, cell: float, folder: Path) -> Found:
@@ -104,9 +111,9 @@ def slid(data: Path, cell: float, folder: Path) -> Found:
     return found | took | {"maps": time.perf_counter() - began, "memory": peak_memory_mib()}
 
 
-def turned(data: Path, cell: float, raised: float, folder: Path) -> Found:
+def energy_line(data: Path, cell: float, raised: float, folder: Path) -> Found:
     """The energy line of the centre of mass on avaSlide, whose ground is `raised` [m], beside that of a point."""
-    (dem,), (release,) = data.glob("*.asc"), data.glob("*.shp")
+    dem, release = only(data, "*.asc"), only(data, "*.shp")
     ground, path = read_raster(dem), folder / f"slide-{cell:g}-{raised:g}.toml"
     corner = [float(axis[0]) - 0.5 * ground.spacing[0] for axis in (ground.x, ground.z)]
     write_raster(path.with_suffix(".tif"), ground.values + raised, ground.spacing[0], corner, None, "elevation", "m")
@@ -115,9 +122,9 @@ def turned(data: Path, cell: float, raised: float, folder: Path) -> Found:
     )
     flow = simulate(read_scene(path), record=Recording(until_rest=True), progress=True)
     start, end = (flow.positions[frame].mean(axis=0, dtype=np.float64) for frame in (0, -1))
-    origin = np.array(flow.scene.domain.origin or (0.0, 0.0, 0.0))
-    middle = int(np.abs(ground.z - (start + origin)[2]).argmin())
-    point = sliding_point(ground.x, ground.values[:, middle] + raised, float((start + origin)[0]), SLIDING)
+    east, _, north = start + flow.scene.domain.corner
+    middle = int(np.abs(ground.z - north).argmin())
+    point = sliding_point(ground.x, ground.values[:, middle] + raised, float(east), SLIDING)
     slope = (start[1] - end[1]) / float(np.hypot(*(end - start)[[0, 2]]))
     return {"slope": float(slope), "point": point, "particles": flow.summary["particles"]}
 
@@ -220,10 +227,12 @@ def bench(
         if slide is not None:
             make_folder(place := folder / "avaSlide")
             for cell, raised in RAISED:
-                each = once(place / f"{cell:g}-{raised:g}.json", turned, slide, cell, raised, place)
-                lines.append(energy_line(cell, raised, each))
+                each = once(place / f"{cell:g}-{raised:g}.json", energy_line, slide, cell, raised, place)
+                lines.append(beside_point(cell, raised, each))
                 off.append(abs(each["slope"] / each["point"] - 1.0))
-            conclusion.append(f"avaSlide: the centre of mass comes to rest within {max(off):.1%} of the energy line.")
+            conclusion.append(
+                f"avaSlide: the slope of the energy line is within {max(off):.1%} of that of a sliding point."
+            )
     seconds, memory = (max(each[key] for each in all_found) for key in ("seconds", "memory"))
     conclusion.append(f"The longest run takes {seconds:.0f} s; no run needs more than {memory:.0f} MiB.")
     flags = " --data DIR" + "".join(f" --cells {cell:g}" for cell in cells)
@@ -262,7 +271,7 @@ def cost(case: str, cell: float, took: Found) -> Row:
     }
 
 
-def energy_line(cell: float, raised: float, each: Found) -> Row:
+def beside_point(cell: float, raised: float, each: Found) -> Row:
     """A run of avaSlide beside the point."""
     return {
         "cell [m]": f"{cell:g}",

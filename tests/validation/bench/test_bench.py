@@ -1,5 +1,6 @@
 """The pages: finished work is held, each of few runs is written, one of a GPU needs one."""
 
+import math
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,11 +9,13 @@ import numpy as np
 import pytest
 
 from datasets import Scene
+from datasets.errors import InputError, WorkFailed
 from datasets.lock import locked
 from validation.bench import gns as bench_gns
 from validation.bench import speed
 from validation.bench.__main__ import main
 from validation.bench.accuracy import bench as accuracy
+from validation.bench.mountain import sliding_point, written_scene
 from validation.bench.speed import baffle_row, behind_baffles, mean_x, started_row
 from validation.run_store import kept
 
@@ -26,6 +29,29 @@ def test_finished_work_is_held_and_goes_with_a_temporary_folder(
     with locked(tmp_path / "keep"):
         assert main(["accuracy", "--out", str(tmp_path), "--keep", str(tmp_path / "keep")]) == 1
     assert "writes here since" in capsys.readouterr().err
+
+
+def test_a_point_that_slides_loses_what_the_bed_turns() -> None:
+    """Down a slope, through a kink and along a plain: v^2 falls by exp(-2 mu theta) there; raised it is the same."""
+    x, mu, steep = np.linspace(0.0, 3000.0, 3001), 0.35, 0.7
+    height, energy = (
+        np.maximum(0.0, steep * (1000.0 - x)),
+        1000.0 * (steep - mu) * math.exp(-2.0 * mu * math.atan(steep)),
+    )
+    exact = 1000.0 * steep / (1000.0 + energy / mu)
+    assert sliding_point(x, height, 0.0, mu) == pytest.approx(exact, rel=1e-9)
+    assert sliding_point(x, height + 1.0e3, 0.0, mu) == pytest.approx(exact, rel=1e-9)
+    with pytest.raises(WorkFailed, match="off the profile"):
+        sliding_point(x, steep * (3000.0 - x), 0.0, mu)
+
+
+def test_a_folder_without_its_raster_is_named(tmp_path: Path) -> None:
+    data = tmp_path / "CoulombOnly"
+    data.mkdir()
+    (data / "simulationParameterValues_CoulombOnly.csv").write_text("releaseThickness,mu,xi\n1.5,0.4,\n")
+    with pytest.raises(InputError, match=r"expected one file DEM_\*\.\*, there are 0") as caught:
+        written_scene(data, 4.0, tmp_path)
+    assert str(data) in str(caught.value)
 
 
 @pytest.mark.slow
