@@ -45,17 +45,9 @@ class Residuals:
     """e [-]."""
 
     @property
-    def places(self) -> tuple[str, Values]:
-        """Where or when each number was observed, and what that is."""
-        label, places = self.part.observation.places
-        return (
-            (label, places) if len(places) == len(self.observed) else ("number", np.arange(1.0, len(self.observed) + 1))
-        )
-
-    @property
     def outliers(self) -> list[str]:
         """The numbers that are off by more than `OUTLIER`, in words."""
-        label, places = self.places
+        label, places = self.part.observation.places
         name, unit = label.split(" [")[0], label.partition(" [")[2].rstrip("]")
         return [
             f"{self.part.name} at {name} {place:.4g} {unit}".rstrip() + f" ({off:+.1f})"
@@ -69,7 +61,7 @@ class Residuals:
         order = np.arange(len(self.observed))
         if len(order) > LISTED:
             order = np.sort(np.argsort(-np.abs(self.standardised))[:WORST])
-        label, places = self.places
+        label, places = self.part.observation.places
         return [
             {
                 "observation": self.part.name,
@@ -124,7 +116,7 @@ def draw(found: Sequence[Residuals]) -> Figure:
         len(found), 1, figsize=(10.0, 0.4 + 2.6 * len(found)), layout="constrained", squeeze=False
     )
     for axis, each in zip(axes[:, 0], found, strict=True):
-        label, places = each.places
+        label, places = each.part.observation.places
         order = np.argsort(places, kind="stable")
         at, low, middle, high = places[order], each.lower[order], each.median[order], each.upper[order]
         if len(np.unique(at)) == len(at) > 2:

@@ -226,7 +226,7 @@ class DesignProblem(_Keys):
         return {each.name: float(value) for each, value in zip(self.variables, values, strict=True)}
 
     def price(self, designs: Matrix) -> Row:
-        """c . d of designs [S, K] in fractions of their ranges, shape [S]; 0 without a cost."""
+        """c . d of designs [..., K] in fractions of their ranges, shape [...]; 0 without a cost."""
         known = len(self.variables)
         values = self.box.lower[:known] + self.box.range[:known] * designs
         return np.asarray(values @ np.array([self.cost.get(each.name, 0.0) for each in self.variables]))

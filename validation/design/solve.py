@@ -156,7 +156,7 @@ def report(found: Design | RacedDesign) -> str:
         rows = [
             problem.named(each.design)
             | {"predictions": len(each.responses), "probability": race.probability(each)}
-            | ({"cost": race.price(each)} if problem.cost else {})
+            | ({"cost": float(problem.price(each.design))} if problem.cost else {})
             for each in sorted(race.settled, key=race.rank)
         ]
     parts = ["\n".join(f"- {line}" for line in lines), f"![{shown}](design.png)", *parts]
