@@ -193,8 +193,7 @@ def draw(found: Design, path: Path) -> None:
         for index, (axis, name) in enumerate(zip(axes[0], found.design, strict=False)):
             designs = np.tile(reliability.best, (STATIONS, 1))
             designs[:, index] = np.linspace(0.0, 1.0, STATIONS)
-            along = problem.box.lower[index] + problem.box.range[index] * designs[:, index]
-            axis.plot(along, reliability.probability(designs))
+            axis.plot(problem.values(designs)[:, index], reliability.probability(designs))
             axis.axhline(limit.probability, color=GREY, linestyle="--")
             axis.axvline(found.design[name], color=ORANGE)
             axis.set(xlabel=name, ylabel="probability", ylim=(0.0, 1.02), visible=True)
