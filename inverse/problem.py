@@ -18,7 +18,6 @@ from datasets.scene.library import find, read_scene
 from datasets.scene.particles import released_volume
 from datasets.schema import Record, from_mapping, one_of
 from inverse.observations import KINDS, Observation, ObservationSettings
-from inverse.observations.observation import SmoothObservation
 from inverse.observations.settings import FILES
 from inverse.observations.target import Target
 from inverse.parameters import Kind, Parameter, Vector, check_parameters, check_scene, with_kinds, with_parameters
@@ -293,7 +292,7 @@ class Problem(ProblemKeys):
         released = any(each.settings.quantity == THICKNESS for each in self.fields)
         for index, observation in enumerate(self.observations):
             operator = observation.operator_type
-            weighed = not released or issubclass(operator, SmoothObservation)
+            weighed = not released or operator.dense
             expected = "an observation by the volumes of a run itself (thickness, outline) beside an unknown thickness"
             require(weighed, f"observations[{index}].kind", expected, observation.kind)
             jointly = (operator.of_positions or operator.dense) and not operator.every_particle

@@ -40,6 +40,7 @@ class ObservationSettings(Record):
     """Keys that say where something is, and along which axis of the scene; None: a whole vector."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         Noise.stated(self.noise)
         plain = self.robust or not isinstance(self.noise, Student)
         require(plain, "noise", "a number or a percentage for numbers whose errors depend on each other", "student")
@@ -146,6 +147,18 @@ class TabulatedSettings(ObservationSettings):
         except InputError as error:
             # A mistake in a column is none of the problem's file.
             raise error.at(str(path)) if error.key in ("", *numbers) else error from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeriesSettings(TabulatedSettings):
+    """Of an observation that is one number, of the end unless the kind says otherwise, or one at each of some times."""
+
+    value: float | None = None
+    """In the unit of the kind."""
+    values: tuple[float, ...] | None = None
+    """One for each of `times`."""
+    times: tuple[float, ...] | None = None
+    """When [s] after the start."""
 
 
 @dataclass(frozen=True, kw_only=True)
