@@ -241,9 +241,3 @@ def write_raster(
                 raster.set_band_unit(1, unit)
     except RasterioError as error:
         raise WorkFailed(f"{path.name} could not be written: {error}") from None
-
-
-def name_in_geojson(crs: str) -> str:
-    """A reference system as GDAL names it in GeoJSON."""
-    known = CRS.from_user_input(crs).to_authority()
-    return crs if known is None else f"urn:ogc:def:crs:{known[0]}::{known[1]}"
