@@ -213,11 +213,6 @@ def map_corner(scene: Scene) -> tuple[tuple[float, ...], str | None]:
     return next(corners, ((east, north), scene.domain.crs))
 
 
-def outline(maps: PlanMaps, values: Floats, threshold: float) -> MultiPolygon:
-    """Where one of `maps`, shape [X, Z], exceeds a threshold, in their coordinates; see `region_above`."""
-    return region_above(maps.grid, values, threshold, maps.corner)
-
-
 def region_above(grid: Grid, values: Floats, threshold: float, corner: Sequence[float] = (0.0, 0.0)) -> MultiPolygon:
     """Where `values` [X, Z] at the middles of cells exceed a threshold: polygons with holes, `corner` [m] added.
 
@@ -304,7 +299,7 @@ def write(trajectory: Trajectory, maps: PlanMaps, folder: Path, thresholds: Sequ
     shown = {"deposit": maps.thickness, "covered": maps.depth, "release": maps.start}
     levels = sorted({maps.threshold, *thresholds})
     outlines = {
-        (name, level): outline(maps, values, level)
+        (name, level): region_above(maps.grid, values, level, maps.corner)
         for name, values in shown.items()
         for level in levels
         if values is not None
