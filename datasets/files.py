@@ -22,8 +22,6 @@ from datasets.memory import spoken
 
 PART = ".part-"
 """What the names of files begin with that are still being written."""
-_being_written: set[Path] = set()
-"""Such files of this process."""
 LONGEST_LINE = 200
 """Characters of a library's message that are passed on."""
 LARGEST, LARGEST_TEXT = 2**30, 2**28
@@ -51,7 +49,6 @@ def replacing(path: Path) -> Iterator[Path]:
             raise InputError(f"expected a folder to write to, {error.strerror}", where=str(path.parent)) from None
         os.close(handle)
         part = Path(name)
-        _being_written.add(part)
         yield part
         part.chmod(0o644)
         flush(part)
@@ -64,13 +61,6 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         if part != path:
             part.unlink(missing_ok=True)
-            _being_written.discard(part)
-
-
-def remove_own_parts() -> None:
-    """Remove what this process has not finished writing, before it ends by a signal."""
-    for part in tuple(_being_written):
-        part.unlink(missing_ok=True)
 
 
 def flush(path: Path) -> None:

@@ -21,7 +21,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from datasets.command_line import run
-from datasets.errors import InputError, naming, require
+from datasets.errors import naming, require
 from datasets.exchange.map_box import largest, whole_cells
 from datasets.files import write_text
 from datasets.scene.checks import warn_if_unlikely
@@ -278,10 +278,8 @@ def command(
         print(f"{dem}: the raster with its holes filled by the nearest posts; nothing should flow there")
     paths = {name: value for name, value in (bed | {"file": dem}).items() if isinstance(value, Path)}
     terrain |= {name: str(path.resolve()) for name, path in paths.items()}
-    try:
+    with naming(out):
         scene = scene_from({"duration": 1.0, "frame_dt": 1.0, **table}, out.resolve().parent)
-    except InputError as error:
-        raise error if error.where else error.at(str(out)) from None
     warn_if_unlikely(scene)
     terrain |= {name: os.path.relpath(path.resolve(), out.resolve().parent) for name, path in paths.items()}
     size, speed = scene.domain.size, greatest_speed(scene)

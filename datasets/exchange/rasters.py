@@ -4,7 +4,7 @@ import codecs
 import re
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -78,15 +78,12 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
     Scale and offset of its band are applied. Values that no elevation or thickness has are no data, also where the file
     does not say so, which a warning then does; of `coefficients`, which are no lengths, UNDECLARED ones alone.
     """
-    file_size(path, "a raster", most=LARGEST)
-    with reading(path, "a readable raster"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with opened(path) as file:
-            require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
-            georeferenced = not file.transform.is_identity
-            transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
-            scale, offset = float(file.scales[0]), float(file.offsets[0])
-            masked = file.read(1, masked=True).astype(np.float64)
+    with opened(path) as file:
+        require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
+        georeferenced = not file.transform.is_identity
+        transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
+        scale, offset = float(file.scales[0]), float(file.offsets[0])
+        masked = file.read(1, masked=True).astype(np.float64)
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)
     known_unit = coefficients or unit is None or unit.lower() in METRES
@@ -125,36 +122,34 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
 
 def raster_system(path: Path) -> str | None:
     """The reference system that a raster names, as an authority's code or in WKT. Raises InputError."""
-    file_size(path, "a raster", most=LARGEST)
-    with reading(path, "a readable raster"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with opened(path) as file:
-            return str(file.crs.to_string()) if file.crs else None
+    with opened(path) as file:
+        return str(file.crs.to_string()) if file.crs else None
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """A raster as rasterio has it; a mosaic (.vrt) opens the files that it names, on this machine alone."""
-    with path.open("rb") as raw:
-        head = raw.read(4)
-    if driver := OTHERS.get(path.suffix.lower()) or OTHERS.get(head):
+    """A raster as rasterio has it; a mosaic (.vrt) opens the files that it names, on this machine alone.
+
+    Raises InputError for what goes wrong in the block, too.
+    """
+    file_size(path, "a raster", most=LARGEST)
+    with reading(path, "a readable raster"), warnings.catch_warnings(), ExitStack() as stack:
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with path.open("rb") as raw:
+            head = raw.read(4)
+        plain = "GTiff" if head[:2] in (b"II", b"MM") else "AAIGrid"
+        driver = OTHERS.get(path.suffix.lower()) or OTHERS.get(head) or plain
         here = driver != "VRT" or not ELSEWHERE.search(path.read_bytes())
         require(here, "", "a mosaic of files of this machine, without functions", "another one")
-        with rasterio.open(path.resolve(), driver=driver) as file:
-            yield file
-        return
-    # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
-    is_text = head[:2] not in (b"II", b"MM")
-    options = {"driver": "AAIGrid", "DATATYPE": "Float64"} if is_text else {"driver": "GTiff"}
-    encoding = next((name for mark, name in MARKS.items() if head.startswith(mark)), None)
-    if encoding is not None:
-        # The driver knows plain text alone.
-        plain = path.read_bytes().decode(encoding).encode()
-        with MemoryFile(plain, ext=".asc") as memory, memory.open(**options) as file:
-            yield file
-    else:
-        with rasterio.open(path.resolve(), **options) as file:
-            yield file
+        # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
+        options = {"driver": driver} | ({"DATATYPE": "Float64"} if driver == "AAIGrid" else {})
+        encoding = next((name for mark, name in MARKS.items() if head.startswith(mark)), None)
+        if encoding is None:
+            yield stack.enter_context(rasterio.open(path.resolve(), **options))
+        else:
+            # The driver knows plain text alone.
+            text = path.read_bytes().decode(encoding).encode()
+            yield stack.enter_context(stack.enter_context(MemoryFile(text, ext=".asc")).open(**options))
 
 
 def beyond_cliffs(values: Floats, step: float) -> NDArray[np.bool_]:
@@ -241,9 +236,3 @@ def write_raster(
                 raster.set_band_unit(1, unit)
     except RasterioError as error:
         raise WorkFailed(f"{path.name} could not be written: {error}") from None
-
-
-def name_in_geojson(crs: str) -> str:
-    """A reference system as GDAL names it in GeoJSON."""
-    known = CRS.from_user_input(crs).to_authority()
-    return crs if known is None else f"urn:ogc:def:crs:{known[0]}::{known[1]}"
