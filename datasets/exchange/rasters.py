@@ -16,7 +16,7 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.io import MemoryFile
 from rasterio.warp import transform as reprojected
 
-from datasets.errors import WorkFailed, require, shortened
+from datasets.errors import InputError, WorkFailed, require, shortened
 from datasets.files import LARGEST, file_size, reading, replacing
 from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
@@ -43,10 +43,22 @@ OTHERS = {
 ASCII rasters."""
 ELSEWHERE = re.compile(rb"/vsi|://|pixelfunction", re.IGNORECASE)
 """What a mosaic (.vrt) may not have: files of other machines and code."""
+HEADER = re.compile(rb"\s*((ncols|nrows|[xy]ll(corner|center)|cellsize|d[xy]|nodata_value)\s+\S+\s+)*", re.IGNORECASE)
+"""What an ASCII raster begins with; its values follow."""
+VALUES = re.compile(
+    rb"(?:\s*+[+-]?+(?:(?:\d++[.,]?+\d*+|[.,]\d++)(?:e[+-]?+\d++)?+|nan|inf|1\.#\w++|null)(?=\s|$))*+\s*+", re.IGNORECASE
+)
+"""Numbers as GDAL reads them; of any other word it takes the digits at the beginning, or 0."""
+LOCAL = ("LOCAL_CS", "ENGCRS")
+"""How reference systems in WKT begin that lie nowhere on the earth, as GDAL names that of a raster without any."""
+HEIGHTS = re.compile(r'VERT_CS\[.*UNIT\["([^"]+)",([^\],]+)')
+"""The unit of the heights of a reference system in WKT, and what one is in metres."""
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 """What text begins with that says how it is encoded."""
 NO_ELEVATION = 2.0e4
 """Elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38."""
+LONGEST_WORD, NEW_LINE = 40, b"\n"
+"""Characters of a word that are shown; what ends a line."""
 LENGTH, EARTH = 100.0, 6.371e6
 """Of the map over which its scale is looked at; radius of the earth [m]."""
 DISTORTED = 0.02
@@ -83,12 +95,16 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with opened(path) as file:
             require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
+            if file.driver == "AAIGrid":
+                check_values(as_plain_text(path), file.width * file.height)
             georeferenced = not file.transform.is_identity
-            transform, crs, bands, unit = file.transform, file.crs, file.count, file.units[0]
+            transform, crs, bands, unit = file.transform, system_of(file), file.count, file.units[0]
             scale, offset = float(file.scales[0]), float(file.offsets[0])
             masked = file.read(1, masked=True).astype(np.float64)
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)
+    high = HEIGHTS.search(crs.to_wkt()) if crs else None
+    unit = high[1] if high and float(high[2]) != 1.0 else unit
     known_unit = coefficients or unit is None or unit.lower() in METRES
     require(known_unit, "", "elevations in metres", repr(unit))
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
@@ -129,7 +145,14 @@ def raster_system(path: Path) -> str | None:
     with reading(path, "a readable raster"), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with opened(path) as file:
-            return str(file.crs.to_string()) if file.crs else None
+            crs = system_of(file)
+            return str(crs.to_string()) if crs else None
+
+
+def system_of(file: Any) -> CRS | None:
+    """The reference system of a raster; None where it has none on the earth, but one of a site in metres."""
+    crs = file.crs
+    return None if crs and crs.to_wkt().startswith(LOCAL) and crs.units_factor[1] == 1.0 else crs
 
 
 @contextmanager
@@ -146,15 +169,34 @@ def opened(path: Path) -> Iterator[Any]:
     # Text in double precision: elevations of 2,000 m have steps of 0.1 mm in single.
     is_text = head[:2] not in (b"II", b"MM")
     options = {"driver": "AAIGrid", "DATATYPE": "Float64"} if is_text else {"driver": "GTiff"}
-    encoding = next((name for mark, name in MARKS.items() if head.startswith(mark)), None)
-    if encoding is not None:
+    if is_text and head.startswith(tuple(MARKS)):
         # The driver knows plain text alone.
-        plain = path.read_bytes().decode(encoding).encode()
-        with MemoryFile(plain, ext=".asc") as memory, memory.open(**options) as file:
+        with MemoryFile(as_plain_text(path), ext=".asc") as memory, memory.open(**options) as file:
             yield file
     else:
         with rasterio.open(path.resolve(), **options) as file:
             yield file
+
+
+def as_plain_text(path: Path) -> bytes:
+    """The text of a file without a mark of how it is encoded."""
+    raw = path.read_bytes()
+    encoding = next((name for mark, name in MARKS.items() if raw.startswith(mark)), None)
+    return raw if encoding is None else raw.decode(encoding).encode()
+
+
+def check_values(text: bytes, count: int) -> None:
+    """Raise InputError unless the text of an ASCII raster has so many values and all of them are numbers."""
+    header = HEADER.match(text)
+    begin = 0 if header is None else header.end()
+    numbers = VALUES.match(text, begin)
+    end = begin if numbers is None else numbers.end()
+    if end < len(text):
+        got = text[end : end + LONGEST_WORD].split()[0].decode(errors="replace")
+        raise InputError(f"expected numbers, got {got!r} in line {text.count(NEW_LINE, 0, end) + 1}")
+    blank = np.frombuffer(text, np.uint8)[begin:] <= ord(" ")
+    found = int(np.count_nonzero(blank[:-1] & ~blank[1:])) + int(not blank[:1].all())
+    require(found == count, "", f"{count} values, as the header says", found)
 
 
 def beyond_cliffs(values: Floats, step: float) -> NDArray[np.bool_]:
