@@ -1,6 +1,5 @@
 """Rasters by rasterio: elevations and thicknesses read, maps written."""
 
-import codecs
 import re
 import warnings
 from collections.abc import Iterator, Sequence
@@ -17,7 +16,7 @@ from rasterio.io import MemoryFile
 from rasterio.warp import transform as reprojected
 
 from datasets.errors import InputError, WorkFailed, require, shortened
-from datasets.files import LARGEST, file_size, reading, replacing
+from datasets.files import LARGEST, MARKS, NEW_LINE, decoded, file_size, reading, replacing
 from datasets.geometry.shapes import usual
 from datasets.memory import require as require_memory
 from datasets.scene.grid_field import Floats
@@ -53,12 +52,10 @@ LOCAL = ("LOCAL_CS", "ENGCRS")
 """How reference systems in WKT begin that lie nowhere on the earth, as GDAL names that of a raster without any."""
 HEIGHTS = re.compile(r'VERT_CS\[.*UNIT\["([^"]+)",([^\],]+)')
 """The unit of the heights of a reference system in WKT, and what one is in metres."""
-MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-"""What text begins with that says how it is encoded."""
 NO_ELEVATION = 2.0e4
 """Elevations and thicknesses [m] from here on are none on this earth: 32767, 1e20, -3.4e38."""
-LONGEST_WORD, NEW_LINE = 40, b"\n"
-"""Characters of a word that are shown; what ends a line."""
+LONGEST_WORD = 40
+"""Characters of a word that are shown."""
 LENGTH, EARTH = 100.0, 6.371e6
 """Of the map over which its scale is looked at; radius of the earth [m]."""
 DISTORTED = 0.02
@@ -96,7 +93,7 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
         with opened(path) as file:
             require_memory(VALUE * file.width * file.height, "a raster", "cut it to the box")
             if file.driver == "AAIGrid":
-                check_values(as_plain_text(path), file.width * file.height)
+                check_values(plain_text(path), file.width * file.height)
             georeferenced = not file.transform.is_identity
             transform, crs, bands, unit = file.transform, system_of(file), file.count, file.units[0]
             scale, offset = float(file.scales[0]), float(file.offsets[0])
@@ -171,18 +168,17 @@ def opened(path: Path) -> Iterator[Any]:
     options = {"driver": "AAIGrid", "DATATYPE": "Float64"} if is_text else {"driver": "GTiff"}
     if is_text and head.startswith(tuple(MARKS)):
         # The driver knows plain text alone.
-        with MemoryFile(as_plain_text(path), ext=".asc") as memory, memory.open(**options) as file:
+        with MemoryFile(plain_text(path), ext=".asc") as memory, memory.open(**options) as file:
             yield file
     else:
         with rasterio.open(path.resolve(), **options) as file:
             yield file
 
 
-def as_plain_text(path: Path) -> bytes:
+def plain_text(path: Path) -> bytes:
     """The text of a file without a mark of how it is encoded."""
     raw = path.read_bytes()
-    encoding = next((name for mark, name in MARKS.items() if raw.startswith(mark)), None)
-    return raw if encoding is None else raw.decode(encoding).encode()
+    return decoded(raw).encode() if raw.startswith(tuple(MARKS)) else raw
 
 
 def check_values(text: bytes, count: int) -> None:
