@@ -100,8 +100,7 @@ def read_raster(path: Path, *, coefficients: bool = False) -> Raster:
             masked = file.read(1, masked=True).astype(np.float64)
     require(bool(np.isfinite(tuple(transform)).all()), "", "a raster that lies at finite coordinates", "others")
     require(bands == 1, "", "a raster of one band", bands)
-    high = HEIGHTS.search(crs.to_wkt()) if crs else None
-    unit = high[1] if high and float(high[2]) != 1.0 else unit
+    unit = (height_unit(crs) if crs else "") or unit
     known_unit = coefficients or unit is None or unit.lower() in METRES
     require(known_unit, "", "elevations in metres", repr(unit))
     name = "metre" if not crs else "degrees" if crs.is_geographic else str(crs.linear_units)
@@ -211,6 +210,12 @@ def beyond_cliffs(values: Floats, step: float) -> NDArray[np.bool_]:
     return beyond
 
 
+def height_unit(crs: CRS) -> str:
+    """What a reference system names the unit of its heights; empty of metres, and where it has none."""
+    found = HEIGHTS.search(crs.to_wkt())
+    return found[1] if found and float(found[2]) != 1.0 else ""
+
+
 def check_lengths(crs: Any, east: float, north: float) -> None:
     """Raise InputError where a metre of the map at a place is not one on the ground, such as in Web Mercator."""
     steps = [(0.0, 0.0), (LENGTH, 0.0), (0.0, LENGTH)]
@@ -231,7 +236,7 @@ def known_system(crs: str) -> str:
     except CRSError:
         found = None
     unit = "" if found is None else "degrees" if found.is_geographic else str(found.linear_units)
-    metres = unit.lower() in METRES[1:]
+    metres = found is not None and unit.lower() in METRES[1:] and not height_unit(found)
     require(metres, "crs", "a projected coordinate system in metres, such as 'EPSG:2056'", repr(shortened(crs, 60)))
     return crs if found is None else str(found.to_string())
 

@@ -47,7 +47,7 @@ def read_columns(
     metres: float = 1.0,
     blanks: bool = False,
 ) -> dict[str, NDArray[np.float64]]:
-    """Columns of a table with a header, each of shape [R]: `needed` ones and the `optional` ones that are there.
+    """Columns of a table with a header, each of shape [R]: `needed` ones, then `optional` ones that are there.
 
     others: whether the file may have more columns, of anything. metres: the length in which columns without a unit of
     their own are, and in which those that have one are returned; times are in seconds. blanks: whether empty rows and
@@ -73,7 +73,7 @@ def read_columns(
         names, factors, units = described(header, metres)
         got = ", ".join(header)[:LONGEST_LINE].translate(CONTROL) or "an empty file"
         require(set(needed) <= set(names), "", f"a header with the columns `{'`, `'.join(needed)}`", got)
-        known = [name for name in names if name in (*needed, *optional)]
+        known = [name for name in (*needed, *optional) for _ in range(names.count(name))]
         unknown = [name for name in names if name not in known]
         expected = "`, `".join((*needed, *optional))
         require(others or not unknown, "", f"no other columns than `{expected}`", f"`{', '.join(unknown)}`")

@@ -293,12 +293,17 @@ def misspelt(old: bytes, new: bytes) -> Callable[[Path], object]:
     return write
 
 
+def in_feet(plane: int) -> str:
+    """A reference system, in WKT, whose plan is in metres and whose heights are in feet."""
+    datum = 'VERT_DATUM["North American Vertical Datum 1988",2005]'
+    heights = f'VERT_CS["NAVD88 height (ftUS)",{datum},UNIT["US survey foot",0.304800609601219],AXIS["Up",UP]]'
+    return f'COMPD_CS["site",{CRS.from_epsg(plane).to_wkt()},{heights}]'
+
+
 def heights_in_feet(path: Path) -> None:
     """By the reference system that stands beside an ASCII raster."""
     write_raster(path, tilted(), None)
-    plane, feet = CRS.from_epsg(25832).to_wkt(), 'UNIT["US survey foot",0.304800609601219],AXIS["Up",UP]'
-    datum = 'VERT_DATUM["North American Vertical Datum 1988",2005]'
-    path.with_suffix(".prj").write_text(f'COMPD_CS["site",{plane},VERT_CS["NAVD88 height (ftUS)",{datum},{feet}]]')
+    path.with_suffix(".prj").write_text(in_feet(25832))
 
 
 CASES: list[tuple[str, Callable[[Path], object], str]] = [
