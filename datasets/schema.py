@@ -119,10 +119,7 @@ def keys_of(schema: dict[str, Any], place: Sequence[int | str]) -> tuple[list[st
     tables: dict[str, Any] = schema.get("$defs", {})
     here, everywhere = schema, [key for each in (schema, *tables.values()) for key in each.get("properties", {})]
     for part in place:
-        if isinstance(part, str):
-            here = here.get("properties", {}).get(part, {})
-        else:
-            here = here.get("items", {})
+        here = here.get("properties", {}).get(part, {}) if isinstance(part, str) else here.get("items", {})
         # An optional table stands beside null.
         here = next((each for each in here.get("anyOf", ()) if each.get("type") != "null"), here)
         here = tables.get(str(here.get("$ref")).rsplit("/", 1)[-1], here)

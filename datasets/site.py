@@ -86,7 +86,9 @@ def site(
     if twice > OVERLAP * taken.area:
         said = f"polygons of the release share {twice:.3g} m^2, which count once, by the first of them"
         warnings.warn(said, stacklevel=2)
-    steep = math.degrees(math.acos(1.0 / np.median(steepness(raster, raster.x, raster.z)[covered]))) if "turbulence" in bed else 0.0
+    steep = 0.0
+    if "turbulence" in bed:
+        steep = math.degrees(math.acos(1.0 / np.median(steepness(raster, raster.x, raster.z)[covered])))
     if steep > internal_friction + 1.0:
         said = (
             f"--internal-friction: {internal_friction:g} degrees are less than the {steep:.0f} degrees of the slope"

@@ -45,7 +45,8 @@ ELSEWHERE = re.compile(rb"/vsi|://|pixelfunction", re.IGNORECASE)
 HEADER = re.compile(rb"\s*((ncols|nrows|[xy]ll(corner|center)|cellsize|d[xy]|nodata_value)\s+\S+\s+)*", re.IGNORECASE)
 """What an ASCII raster begins with; its values follow."""
 VALUES = re.compile(
-    rb"(?:\s*+[+-]?+(?:(?:\d++[.,]?+\d*+|[.,]\d++)(?:e[+-]?+\d++)?+|nan|inf|1\.#\w++|null)(?=\s|$))*+\s*+", re.IGNORECASE
+    rb"(?:\s*+[+-]?+(?:(?:\d++[.,]?+\d*+|[.,]\d++)(?:e[+-]?+\d++)?+|nan|inf|1\.#\w++|null)(?=\s|$))*+\s*+",
+    re.IGNORECASE,
 )
 """Numbers as GDAL reads them; of any other word it takes the digits at the beginning, or 0."""
 LOCAL = ("LOCAL_CS", "ENGCRS")

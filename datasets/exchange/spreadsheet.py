@@ -33,7 +33,7 @@ UNITS = {
 """Of each quantity: its units, and what one is in SI."""
 NAMED = re.compile(r"(?P<name>[^\[(]*?)\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\))?\s*")
 """A column's header: its name, and perhaps its unit in brackets."""
-CONTROL = {code: "?" for code in (*range(32), 127)}
+CONTROL = dict.fromkeys((*range(32), 127), "?")
 """Characters that a terminal does not show: of a file that is no text."""
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
 

@@ -18,7 +18,15 @@ from datasets.scene import Scene
 from datasets.scene.grid_field import Floats
 from datasets.scene.water import saturated
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import Numbers, Observation, Rollout, SmoothObservation, Values, at_times, relative_scatter
+from inverse.observations.observation import (
+    Numbers,
+    Observation,
+    Rollout,
+    SmoothObservation,
+    Values,
+    at_times,
+    relative_scatter,
+)
 from inverse.observations.settings import LengthsSettings, ObservationSettings, TabulatedSettings
 
 SPACING = 0.02

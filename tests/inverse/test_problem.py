@@ -64,9 +64,9 @@ def test_the_papers_problems_of_many_unknowns_are_the_papers() -> None:
 
 def test_bounds_in_radians_are_warned_of(tmp_path: Path) -> None:
     text = GOOD
-    for old, new in (("initial = 30.0", "initial = 0.5"), ("lower = 12.0", "lower = 0.2"), ("upper = 52.0", "upper = 0.9")):
-        assert old in text
-        text = text.replace(old, new)
+    for name, degrees, radians in (("initial", 30.0, 0.5), ("lower", 12.0, 0.2), ("upper", 52.0, 0.9)):
+        assert f"{name} = {degrees}" in text
+        text = text.replace(f"{name} = {degrees}", f"{name} = {radians}")
     with pytest.warns(UserWarning, match="in radians it would be 51"):
         read_problem(written(tmp_path, text))
 

@@ -98,7 +98,7 @@ SCENE = scene_of(Mass(lower=(0.0, 0.0), size=(0.2, 0.4)), size=(1.0, 0.5), cell=
         ({"friction_deg": 0.52}, r"material\.friction_deg = 0\.52 degrees .* in radians it would be 29\.8 degrees"),
         ({"density": 1.8}, r"material\.density = 1\.8 kg/m\^3 .* in g/cm\^3 it would be 1800 kg/m\^3"),
         ({"density": 18.0}, r"material\.density = 18 kg/m\^3 .* in kN/m\^3 it would be 1835 kg/m\^3"),
-        ({"density": 900.0, "saturated": True}, r"density = 900 kg/m\^3 is no more than water's"),
+        ({"density": 900.0, "saturated": True}, r"density = 900 kg/m\^3, of grains and water, is no more"),
         ({"young": 200.0}, r"material\.young = 200 Pa is less than 10 rho g h = 7\.06e\+04 Pa"),
         ({"friction_limit_deg": 40.0, "grain_diameter": 0.7}, r"diameter = 0\.7 m .* in mm it would be 0\.0007 m"),
     ],
@@ -116,8 +116,8 @@ def test_terrain_below_the_floor_is_warned_of(end: float, falls: float) -> None:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         warn_if_unlikely(scene)
-    lines = [f"solids[0]: the terrain falls {falls:g} m below the floor of the box, which is the ground there"] * bool(falls)
-    assert [str(each.message).split(", of floor")[0] for each in said] == lines
+    line = f"solids[0]: the terrain falls {falls:g} m below the floor of the box, which is the ground there"
+    assert [str(each.message).split(", of floor")[0] for each in said] == [line] * bool(falls)
 
 
 def test_a_friction_in_degrees_and_a_layer_in_centimetres_are_warned_of() -> None:
