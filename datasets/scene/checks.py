@@ -343,9 +343,7 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
             light = f"density = {material.density:g} kg/m^3 is less than any soil's or snow's"
             lines.append(f"{light}; in {unit} it would be {factor * material.density:.4g} kg/m^3")
         elif material.saturated and material.density <= WATER:
-            lines.append(
-                f"density = {material.density:g} kg/m^3, of grains and water together, is no more than water's"
-            )
+            lines.append(f"density = {material.density:g} kg/m^3, of grains and water, is no more than water's")
         if (grain := material.grain_diameter or 0.0) > scene.domain.cell:
             lines.append(f"grain_diameter = {grain:g} m is more than a cell; in mm it would be {grain / 1e3:g} m")
         heights = [height(scene, mass) for mass in scene.masses if scene.material_of(mass) == material]
