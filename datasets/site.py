@@ -70,8 +70,7 @@ def site(
     ground, and perhaps its `turbulence`; slope: of the energy line; internal_friction: of the material [deg]. Raises
     InputError for a release that does not lie on the raster or has no thickness.
     """
-    given = thickness if isinstance(thickness, float) else None
-    field = None if thickness is None or given is not None else thickness
+    given, field = (thickness, None) if isinstance(thickness, float) else (None, thickness)
     thick = [float(np.nanmax(field.values)) if field else thickness_of(each, given) for each in release]
     covered = np.zeros(raster.values.shape, bool)
     masses, top, taken = [], -math.inf, shapely.Polygon()

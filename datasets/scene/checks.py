@@ -317,8 +317,10 @@ def warn_if_unlikely(scene: SceneLayout) -> None:
                 f"{thick:g} m is {thick / long:.2g} times the length of the layer; in cm it would be {thick / 100:g} m"
             )
             warnings.warn(f"{key}.thickness: {said}", stacklevel=3)
-    for key, solid in keyed(scene, "solids").items():
-        lowest = lowest_ground(scene.domain, solid, key) if solid.kind == "terrain" else 0.0
+    terrains = [(key, solid) for key, solid in keyed(scene, "solids").items() if solid.kind == "terrain"]
+    # Of several the highest is the ground.
+    for key, solid in terrains if len(terrains) == 1 else ():
+        lowest = lowest_ground(scene.domain, solid, key)
         if lowest < -TOUCHING:
             said = f"falls {-lowest:.3g} m below the floor of the box, which is the ground there"
             warnings.warn(f"{key}: the terrain {said}, of floor_friction = {scene.floor_friction}", stacklevel=3)
