@@ -32,7 +32,7 @@ from shapely.geometry.polygon import orient
 from tqdm import tqdm
 
 from datasets.command_line import run
-from datasets.errors import InputError, require
+from datasets.errors import InputError, naming, require
 from datasets.files import make_folder, replacing, write_json, write_text
 from datasets.flow.fields import FlowFields
 from datasets.flow.trajectory import Trajectory, open_trajectory, trajectory_file
@@ -347,7 +347,8 @@ def command(trajectory: Path, /, *, out: Path, cell: float | None = None, thresh
     require(all(level > 0.0 for level in threshold), "--threshold", "thicknesses above 0 m", list(threshold))
     make_folder(out)
     edge, first = flow.scene.domain.cell if cell is None else cell, threshold[0] if threshold else None
-    maps = maps_of(flow, edge, threshold=first, progress=True)
+    with naming(trajectory):
+        maps = maps_of(flow, edge, threshold=first, progress=True)
     said = write(flow, maps, out, threshold)
     extent = "" if said["extent"] is None else f", extent x = {said['extent']:.4f} m"
     deposit = f"volume {maps.volume:.4g}, largest thickness {said['thickness_max']:.3g} m{extent}"

@@ -1,6 +1,5 @@
 """Meshes of triangles: read by pyvista, written by meshio."""
 
-import codecs
 import io
 import os
 import warnings
@@ -13,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from datasets.errors import InputError, require
-from datasets.files import LARGEST, file_size, reading, replacing
+from datasets.files import LARGEST, decoded, file_size, reading, replacing
 from datasets.geometry.ground import Floats, Integers
 from datasets.geometry.surface import surface_of
 from datasets.processes import end_with_parent, without_main
@@ -67,9 +66,7 @@ def read_obj(path: Path) -> tuple[Floats, Integers]:
 
     Raises InputError for corners that are no vertices, ValueError for what is no number.
     """
-    content = path.read_bytes()
-    encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
-    text = content.decode(encoding, errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
+    text = decoded(path.read_bytes(), errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
     vertices, polygons = list[list[float]](), list[list[int]]()
     for line in text.splitlines():
         kind, *words = line.split("#", 1)[0].split() or [""]

@@ -19,7 +19,7 @@ from datasets.scene.grid_field import Floats
 from datasets.scene.parts import Length
 from datasets.scene.water import saturated
 from inverse.observations.measured_profile import require_inside
-from inverse.observations.observation import Numbers, Rollout, SmoothObservation, Values, at_times
+from inverse.observations.observation import Numbers, Observation, Rollout, SmoothObservation, Values, at_times
 from inverse.observations.settings import LengthsSettings, ObservationSettings, SeriesSettings
 
 SPACING = 0.02
@@ -52,6 +52,8 @@ class Gauges(SmoothObservation):
         inside = z is None or (scene.dimension == 3 and 0.0 <= z <= scene.domain.size[2])
         require(inside, "z", "a z inside a box in 3D", z)
         self.z, self.spacing, self.count = z, spacing, len(self.x)
+        # Above or below its datum a gauge at dry ground errs by little; heights in another unit lie beyond the box.
+        self.limits = (-scene.domain.size[1], scene.domain.size[1])
         self.area = hat_area(self.x, self.spacing, scene.domain.size[0])
         if scene.dimension == 3:
             width = scene.domain.size[2]
@@ -95,6 +97,9 @@ class GaugesSettings(LengthsSettings):
     places: ClassVar = {"x": 0, "z": 2}
     columns: ClassVar = {"x": "x", "height": "values", "time": "times"}
     optional = ("time",)
+
+    def operator(self, scene: Scene) -> Observation:
+        return self.operator_type(scene, z=self.z, spacing=self.spacing, **every_time(self, "x"))
 
     def table(self, path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Floats]:
         table = super().table(path, needed, optional)
@@ -287,6 +292,22 @@ class PorePressureSettings(LengthsSettings):
     places: ClassVar = {"x": 0, "y": 1, "z": 2}
     columns: ClassVar = {"time": "times", "pressure": "values", "x": "x", "y": "y", "z": "z"}
     optional = ("x", "y", "z")
+
+    def operator(self, scene: Scene) -> Observation:
+        return self.operator_type(scene, spacing=self.spacing, **every_time(self, "x", "y", "z"))
+
+
+def every_time(settings: GaugesSettings | PorePressureSettings, *places: str) -> dict[str, Any]:
+    """`places` and `times` of gauges, one for each value where as many gauges as times have a value each at each.
+
+    Otherwise as they are: of other numbers of gauges and times every gauge stands for every time.
+    """
+    times, count = settings.times, len(settings.x or ())
+    found = {name: getattr(settings, name) for name in places}
+    if times is None or len(times) != count or len(settings.values or ()) != count**2:
+        return found | {"times": times}
+    found = {name: None if at is None else tuple(np.repeat(at, count).tolist()) for name, at in found.items()}
+    return found | {"times": times * count}
 
 
 def read_at(gauges: Floats, times: Values) -> tuple[Floats, Values]:

@@ -167,7 +167,9 @@ class OutlineSettings(LengthsSettings):
         with naming(path):
             if self.csv is not None:
                 corner = (float(scene.domain.corner[0]), float(scene.domain.corner[2]))
-                polygons = [shapely.Polygon(np.stack([*self.table(path, ("x", "z")).values()], axis=1))]
+                places = np.stack([*self.table(path, ("x", "z")).values()], axis=1)
+                require(len(places) > 2, "", "three vertices along the outline or more", len(places))
+                polygons = [shapely.Polygon(places)]
                 require(
                     polygons[0].is_valid, "", "vertices in order along the outline", "an outline that crosses itself"
                 )

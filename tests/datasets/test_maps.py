@@ -184,7 +184,7 @@ def test_the_threshold_is_at_most_half_of_the_thinnest_layer(thickness: object, 
 def test_what_has_no_map_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     box = (1.0, 0.6, 0.4)
     for dimension, flags, words in (
-        (2, [], "expected a trajectory in 3D, a flow in 2D has no plan"),
+        (2, [], "trajectory.npz: expected a trajectory in 3D, a flow in 2D has no plan"),
         (3, ["--cell", "0"], "--cell: expected a length from 0.025 m, the spacing of the particles, to 0.4 m"),
         (3, ["--threshold", "-1"], "--threshold: expected thicknesses above 0 m"),
     ):

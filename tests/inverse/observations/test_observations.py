@@ -192,6 +192,9 @@ def test_a_twin_makes_all_of_them(tmp_path: Path) -> None:
         ('kind = "front"', "observations[0]", "expected what was measured for front: value"),
         ('kind = "front"\nvalue = 0.7\nnoise = "3 per cent"', "observations[0].noise", "percentage"),
         ('kind = "front"\nvalue = 0.7\nnoise = -1.0', "observations[0].noise", "at least 0"),
+        ('kind = "front"\nvalue = 0.7\nnoise = nan', "observations[0].noise", "at least 0, got nan"),
+        ('kind = "front"\ntimes = []\nvalues = []', "observations[0].values", "at least one number"),
+        ('kind = "height"\nx = [0.1, 0.3]\nvalues = [150, 80]', "observations[0].values", " m, got [150.0, 80.0]"),
         ('kind = "front"\nvalue = 0.7\nnoise = { kind = "cauchy" }', "observations[0].noise.kind", "student"),
         (
             'kind = "front"\nvalue = 0.7\nnoise = { kind = "student", dof = 0.5, deviation = 1.0 }',
@@ -257,6 +260,22 @@ def test_gauges_read_the_height_of_a_layer_up_to_the_walls() -> None:
     # A run of another release than the scene's has its own.
     half = dataclasses.replace(run, volume=np.float32(0.5 * run.volumes))
     np.testing.assert_allclose(gauges.observe(half), 0.04, rtol=0.01)
+
+
+@pytest.mark.parametrize(("count", "times"), [(2, (0.2, 0.5)), (4, (0.2, 0.5, 0.2, 0.5))])
+def test_as_many_gauges_as_times(count: int, times: tuple[float, ...]) -> None:
+    """A value for each pair, or for each gauge at each time: their number says which."""
+    gauges = GaugesSettings(x=(0.1, 0.3), times=(0.2, 0.5), values=(0.05,) * count).operator(BAFFLED)
+    assert isinstance(gauges, Gauges)
+    assert gauges.x.tolist() == sorted((0.1, 0.3) * (count // 2))
+    assert gauges.times is not None
+    assert tuple(gauges.times) == times
+
+
+def test_a_noise_in_per_cent_without_its_sign_is_said() -> None:
+    settings = FrontSettings(value=0.7, noise=5.0)
+    with pytest.warns(UserWarning, match='a percentage is written "5%"'):
+        settings.read(BAFFLED, Path(), None)
 
 
 def test_the_impulse_is_that_of_the_solid() -> None:

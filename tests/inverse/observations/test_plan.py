@@ -222,7 +222,8 @@ def test_a_twins_outline_is_its_own_and_a_wrong_one_is_refused(tmp_path: Path) -
     assert target.observation.scores(disc(made, 1.0).positions[-1], disc(made, 1.0).volumes)["tversky"] > 0.999
     (tmp_path / "far.csv").write_text("x,z\n10,0\n12,0\n12,2\n")
     (tmp_path / "bow.csv").write_text("x,z\n1,1\n2,2\n2,1\n1,2\n")
-    for name, said in (("far", "within the box"), ("bow", "in order along the outline")):
+    (tmp_path / "two.csv").write_text("x,z\n1,1\n2,2\n")
+    for name, said in (("far", "within the box"), ("bow", "in order along the outline"), ("two", "three vertices")):
         refused(OutlineSettings(csv=f"{name}.csv", noise=0.1).read, made, tmp_path, None, said=said)
     refused(lambda: OutlineSettings(noise="5%"), said="a distance in m")
 
