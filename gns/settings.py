@@ -40,6 +40,9 @@ class ModelSettings(Record):
     (`gns.surroundings.units.Units`); None for scenes that are run as they are."""
     density: Positive = 1800.0
     """Density in the training data [kg/m^3]."""
+    bed_friction: bool = True
+    """Whether the basal friction above a terrain is the terrain's own, along it. `flow2d` and `obstacle3d` learnt with
+    that of a level floor in its place."""
     rest_speed: NotNegative = 0.03
     """Speed [m/s] below which a displacement fades, as static friction; without it (0) deposits creep for ever."""
     width: Count = 64

@@ -7,13 +7,14 @@ motion. So these are features, and some of them are forces, of which the network
     damping  = -alpha u(v)                               u(v) = v / sqrt(|v|^2 + v0^2)
     damped   = -alpha |a| u(v) / g dt^2                  local damping of the MPM, on the last change a of the motion
     basal    = -m v* / sqrt(|v*|^2 + m^2) / g dt^2,      m = min(mu, tan(phi)) g_n dt^2
+                                                         mu of a ground + |v|^2 / (xi h), Voellmy's turbulence
     strength = r / (1 + r),  r = c / (rho g (h + cell))  cohesion over the weight h of the column above
 
 The basal friction is that of a layer which slides as a whole (Savage & Hutter, J. Fluid Mech. 199, 1989, eq. 2.21):
-its friction on the floor or, above a rougher floor, within itself. It acts on the displacement v* along the floor that
-gravity alone would lead to, and at most stops it. On the background grid, sand that shears bears a stress of its
-strength along its rate of strain (von Mises' flow rule, e.g. Jop, Forterre & Pouliquen, Nature 441, 2006, eq. 2,
-without the dependence on the rate), beside the pressure p = rho g h of the column above:
+its friction on the floor or the ground, or above a rougher one within itself. It acts on the displacement v* along the
+floor or the ground that gravity alone would lead to, and at most stops it. On the background grid, sand that shears
+bears a stress of its strength along its rate of strain (von Mises' flow rule, e.g. Jop, Forterre & Pouliquen, Nature
+441, 2006, eq. 2, without the dependence on the rate), beside the pressure p = rho g h of the column above:
 
     pressure = -grad p / (rho g)
     shear    = div S / (rho g),   S = (c + p tan(phi)) D' / (|D'| + d0),   |D'| = sqrt(D' : D' / 2)
@@ -53,6 +54,8 @@ LOOSE = 0.3
 """Share of a cell that is filled below which a force is that on so much material [-]."""
 SMOOTHED = 2
 """Means over three nodes along each level axis that the height of a column is smoothed by."""
+REACHED = 1.0e-3
+"""Depth of a ground below the floor that is one of rounding [cells]."""
 LARGEST = 3.0
 """The weight of the material that a force on the grid approaches at most [-]."""
 
@@ -86,19 +89,26 @@ class Moment:
 
     @cached_property
     def solids(self) -> Tensor:
-        """`solid_features`, shape [N, 3 D + 2]; Voellmy's turbulence as friction, mu + |v|^2 / (xi h) on a bed.
+        """`solid_features`, shape [N, 3 D + 2]; Voellmy's turbulence as friction of a bed that is near."""
+        nearby = solid_features(self.state.positions, self.conditions, self.settings.radius)
+        if self.conditions.ground is None or self.conditions.ground.drag is None:
+            return nearby
+        near = 1.0 - nearby[:, -self.settings.dimension - 2]
+        return torch.cat((nearby[:, :-1], (nearby[:, -1] + near * self.turbulence).unsqueeze(1)), dim=1)
+
+    @cached_property
+    def turbulence(self) -> Tensor:
+        """Voellmy's turbulence of the ground as a coefficient of friction, |v|^2 / (xi h) [-], shape [N].
 
         Its traction rho g |v|^2 / xi over the pressure rho g h of the column of height h (Salm 1993).
         """
         positions, conditions = self.state.positions, self.conditions
-        found, ground = solid_features(positions, conditions, self.settings.radius), conditions.ground
-        if ground is None or ground.drag is None:
-            return found
+        if conditions.ground is None or conditions.ground.drag is None:
+            return torch.zeros_like(positions[:, 0])
         square = self.velocity.square().sum(dim=1) / self.settings.step**2
         height = REFERENCE_HEIGHT * self.column[:, 2] + self.settings.cell
-        drag = Below(positions, ground, conditions.batch).value(ground.drag) * square / height
-        near = 1.0 - found[:, -self.settings.dimension - 2]
-        return torch.cat((found[:, :-1], (found[:, -1] + near * drag.clamp(max=LARGEST)).unsqueeze(1)), dim=1)
+        drag = Below(positions, conditions.ground, conditions.batch).value(conditions.ground.drag)
+        return (drag * square / height).clamp(max=LARGEST)
 
     @cached_property
     def stencil(self) -> Stencil:
@@ -152,15 +162,22 @@ class Moment:
 
     @cached_property
     def basal(self) -> Tensor:
-        """Basal friction [-], shape [N, D]."""
+        """Basal friction [-], shape [N, D]; above a ground along it, with its own friction and Voellmy's turbulence."""
         conditions, velocity = self.conditions, self.velocity
         gravity = conditions.of_particles(conditions.gravity) * self.settings.step**2
-        level = torch.ones_like(velocity[:1])
-        level[:, UP] = 0.0
-        trial = level * (velocity + gravity)
-        normal = -gravity[:, UP].clamp(max=0.0)
-        rough = torch.minimum(conditions.of_particles(conditions.floor_friction), conditions.friction)
-        most = (rough * normal).unsqueeze(1)
+        trial, friction = velocity + gravity, conditions.of_particles(conditions.floor_friction)
+        upwards = torch.zeros_like(velocity[:1])
+        upwards[:, UP] = 1.0
+        if conditions.ground is not None and self.settings.bed_friction:
+            below = Below(self.state.positions, conditions.ground, conditions.batch)
+            elevation, slope = below.value_and_slope(conditions.ground.elevation)
+            rough = below.value(conditions.ground.friction) + self.turbulence
+            # Ground below the floor, as that of samples which have none, is out of reach.
+            reached = elevation > -REACHED * self.settings.cell
+            friction, upwards = torch.where(reached, rough, friction), upward(slope)
+        trial = trial - (trial * upwards).sum(dim=1, keepdim=True) * upwards
+        normal = -(gravity * upwards).sum(dim=1)
+        most = (torch.minimum(friction, conditions.friction) * normal.clamp(min=0.0)).unsqueeze(1)
         # On a smooth floor too the root has a slope at zero.
         rounded = 1.0e-3 * self.slow
         size = (trial.square().sum(dim=1, keepdim=True) + most.square() + rounded**2).sqrt()

@@ -184,3 +184,25 @@ def test_turbulence_of_the_ground_brakes_as_friction_that_grows_with_the_speed()
     torch.testing.assert_close((found["varied", 1.0] - 0.3)[lowest], drag * (1.0 + x), rtol=1e-3, atol=0.0)
     # A flow of any size is braked alike.
     torch.testing.assert_close(found["even", 9.0], found["even", 1.0], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize(("bed", "expected"), [(0.3, 0.3), (0.9, math.tan(math.radians(35.0)))])
+def test_a_layer_on_a_slope_rubs_along_it_with_the_friction_of_the_ground(bed: float, expected: float) -> None:
+    slope = 0.5
+    heights = tuple((0.7 - slope * 0.4 * row,) * 4 for row in range(4))
+    ground = Solid(kind="terrain", origin=(0.0, 0.0), spacing=(0.4, 0.4), heights=heights, friction=bed)
+    settings = dataclasses.replace(SETTINGS, dimension=3, cell=0.02, radius=0.05, grid_cell=0.04, body_length=0.252)
+    mass = Mass(lower=(0.4, 0.55, 0.4), size=(0.4, 0.1, 0.4), velocity=(2.0, 0.0, 0.5))
+    material = Material(friction_deg=35.0)
+    # The floor of the box lies below the ground: its friction does not count.
+    scene = scene_of(
+        mass, size=(1.2, 1.0, 1.2), cell=0.02, material=material, solids=(ground,), floor_friction=0.05, duration=0.1
+    )
+    initial = initial_state(scene, settings)
+    state, conditions = in_model_units(initial.state, initial.conditions)
+    basal = Moment(state, conditions, settings, NORMALISATION).basal
+    normal = torch.tensor((slope, 1.0, 0.0)) / math.hypot(slope, 1.0)
+    velocity = torch.tensor((2.0, 0.0, 0.5)) + torch.tensor((0.0, -GRAVITY * settings.step, 0.0))
+    along = velocity - (velocity @ normal) * normal
+    friction = -expected * normal[1] * along / along.norm()
+    torch.testing.assert_close(basal, friction.expand_as(basal), rtol=0.02, atol=1e-3)
